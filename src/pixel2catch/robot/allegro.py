@@ -1,0 +1,178 @@
+"""The Allegro hand as a chain of bodies with capsules for fingers and a box for the palm.
+
+Hand frame: z to the fingertips, x out of the palm; the fingers curl towards x. The left hand has its index finger at
+negative y; the right hand is its mirror image in y. Numbers: release, equal to the public descriptions of the hand.
+"""
+
+from dataclasses import dataclass
+from math import cos, radians, sin
+from typing import Literal
+
+import mujoco
+
+from pixel2catch.robot.constants import HAND_MOUNT_POS, HAND_MOUNT_QUAT, PALM_POS, Quat, Vec3
+from pixel2catch.robot.ur5e import Capsule, add_capsule
+
+Handedness = Literal["left", "right"]
+
+DARK_RGBA = (0.13, 0.13, 0.14, 1.0)
+TIP_RGBA = (0.88, 0.87, 0.84, 1.0)
+
+PALM_BOX_POS: Vec3 = (-0.0091, 0.0, 0.0475)
+PALM_BOX_SIZE: Vec3 = (0.0204, 0.0565, 0.0475)
+"""Centre and half-extents of the palm [m]; the front is at x = 0.0113, the height of the point called palm.
+
+Source: public descriptions of the hand, moved by 0.2 mm so that the front passes through that point.
+"""
+
+PALM_MASS = 0.58
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandLink:
+    """One link of a finger of the left hand.
+
+    Attributes:
+        pos: Position in the parent link [m].
+        quat: Orientation in the parent link.
+        axis: Axis of its joint; None for the welded first link of index, middle and ring finger.
+        length: Distance to the next link's joint, or to the fingertip, along z [m].
+        mass: Mass [kg].
+    """
+
+    pos: Vec3
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    axis: Vec3 | None = (0.0, 1.0, 0.0)
+    length: float
+    mass: float
+
+
+def _finger(y: float, z: float, tilt: float) -> tuple[HandLink, ...]:
+    """Index, middle or ring finger at height `z`, shifted to `y` and tilted outwards by `tilt` about x [rad]."""
+    root = HandLink(
+        pos=(0, y, z), quat=(cos(tilt / 2), sin(tilt / 2), 0, 0), axis=None, length=0.0164, mass=0.0119
+    )
+    return (
+        root,
+        HandLink(pos=(0, 0, 0.0164), length=0.0540, mass=0.065),
+        HandLink(pos=(0, 0, 0.0540), length=0.0384, mass=0.0355),
+        HandLink(pos=(0, 0, 0.0384), length=0.0267, mass=0.0264),
+    )
+
+
+LEFT_HAND: dict[str, tuple[HandLink, ...]] = {
+    "index": _finger(-0.0435, 0.0935, radians(5)),
+    "middle": _finger(0.0, 0.0957, 0.0),
+    "ring": _finger(0.0435, 0.0935, radians(-5)),
+    "thumb": (
+        HandLink(
+            pos=(-0.0182, -0.0193, 0.0490),
+            quat=(0.47771, 0.52133, -0.52133, 0.47771),
+            axis=(1, 0, 0),
+            length=0.0399,
+            mass=0.0176,
+        ),
+        HandLink(pos=(-0.027, -0.005, 0.0399), axis=(0, 0, -1), length=0.0177, mass=0.0119),
+        HandLink(pos=(0, 0, 0.0177), length=0.0514, mass=0.038),
+        HandLink(pos=(0, 0, 0.0514), length=0.0423, mass=0.0556),
+    ),
+}
+"""Links of each finger from the palm to the tip. Source: release; left and right cross-checked with public descriptions."""
+
+LINK_RADIUS = 0.012
+"""Radius of the finger capsules [m]. Source: ours, between half the thickness (9.8 mm) and half the width (13.8 mm)."""
+
+THUMB_ROOT = Capsule(start=(-0.012, 0.004, 0.012), end=(-0.022, -0.002, 0.026), radius=0.014)
+"""Housing of the thumb's first two joints in `thumb_link_0`, left hand. Source: ours."""
+
+
+def mirror_pos(pos: Vec3) -> Vec3:
+    """Mirror image of a point in the xz plane."""
+    return (pos[0], -pos[1], pos[2])
+
+
+def mirror_quat(quat: Quat) -> Quat:
+    """Mirror image of a rotation in the xz plane."""
+    return (quat[0], -quat[1], quat[2], -quat[3])
+
+
+def mirror_axis(axis: Vec3) -> Vec3:
+    """Axis about which the mirror image turns by the same angle."""
+    return (-axis[0], axis[1], -axis[2])
+
+
+def mirror_link(link: HandLink) -> HandLink:
+    """The same link of the other hand."""
+    return HandLink(
+        pos=mirror_pos(link.pos),
+        quat=mirror_quat(link.quat),
+        axis=None if link.axis is None else mirror_axis(link.axis),
+        length=link.length,
+        mass=link.mass,
+    )
+
+
+def hand_links(handedness: Handedness) -> dict[str, tuple[HandLink, ...]]:
+    """Links of every finger of the left or the right hand."""
+    if handedness == "left":
+        return LEFT_HAND
+    return {finger: tuple(mirror_link(link) for link in links) for finger, links in LEFT_HAND.items()}
+
+
+def add_hand(wrist: mujoco.MjsBody, flange: Vec3, handedness: Handedness) -> mujoco.MjsBody:
+    """Mount the hand on the arm's last link, whose `tool0` is at `flange`, and return the body `palm`."""
+    pos: Vec3 = (flange[0] + HAND_MOUNT_POS[0], flange[1] + HAND_MOUNT_POS[1], flange[2] + HAND_MOUNT_POS[2])
+    palm = wrist.add_body(name="palm", pos=pos, quat=HAND_MOUNT_QUAT, gravcomp=1.0)
+    palm.add_site(name="palm", pos=PALM_POS, size=(0.004, 0.004, 0.004), group=4)
+    palm.add_geom(
+        name="palm",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=PALM_BOX_POS,
+        size=PALM_BOX_SIZE,
+        mass=PALM_MASS,
+        rgba=DARK_RGBA,
+        group=3,
+    )
+    for finger, links in hand_links(handedness).items():
+        _add_finger(palm, finger, links, handedness)
+    return palm
+
+
+def _add_finger(
+    palm: mujoco.MjsBody, finger: str, links: tuple[HandLink, ...], handedness: Handedness
+) -> None:
+    """Add the links of a finger, and the site of its tip at the end of the chain."""
+    body = palm
+    for i, link in enumerate(links):
+        body = body.add_body(name=f"{finger}_link_{i}", pos=link.pos, quat=link.quat, gravcomp=1.0)
+        if link.axis is not None:
+            body.add_joint(name=f"{finger}_joint_{i}", axis=link.axis)
+        _add_link_shape(body, link, i, handedness)
+    body.add_site(name=f"{finger}_tip", pos=(0, 0, links[-1].length), size=(0.004, 0.004, 0.004), group=4)
+
+
+def _add_link_shape(body: mujoco.MjsBody, link: HandLink, index: int, handedness: Handedness) -> None:
+    """Capsule of a link; the short welded roots and the thumb's second link have none, only their inertia."""
+    if body.name == "thumb_link_0":
+        root = THUMB_ROOT if handedness == "left" else _mirror_capsule(THUMB_ROOT)
+        add_capsule(body, body.name, root, mass=link.mass, rgba=DARK_RGBA)
+    elif link.length < 2 * LINK_RADIUS:
+        _set_block_inertia(body, link)
+    else:
+        is_tip = index == 3
+        end = link.length - (LINK_RADIUS if is_tip else 0.0)
+        capsule = Capsule(start=(0, 0, 0), end=(0, 0, end), radius=LINK_RADIUS)
+        add_capsule(body, body.name, capsule, mass=link.mass, rgba=TIP_RGBA if is_tip else DARK_RGBA)
+
+
+def _mirror_capsule(capsule: Capsule) -> Capsule:
+    return Capsule(start=mirror_pos(capsule.start), end=mirror_pos(capsule.end), radius=capsule.radius)
+
+
+def _set_block_inertia(body: mujoco.MjsBody, link: HandLink) -> None:
+    """Inertia of a uniform block of the finger's cross-section, 19.6 by 27.5 mm."""
+    x, y, z = 0.0196, 0.0275, link.length
+    body.explicitinertial = True
+    body.mass = link.mass
+    body.ipos = (0, 0, z / 2)
+    body.inertia = [link.mass / 12 * s for s in (y * y + z * z, x * x + z * z, x * x + y * y)]

@@ -1,0 +1,182 @@
+"""The catalogue of thrown objects: one or two convex parts each.
+
+The body frame of an object has its origin in the centre of mass, so that a thrown object's origin flies the ballistic
+parabola. Differs: the release's cone has its origin at half its height.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robot import shapes
+from pixel2catch.robot.shapes import ConvexPart, VolumeMoments, moments
+
+OBJECT_MASS = 0.03
+"""Mass of every object [kg]. Source: release."""
+
+MAX_PARTS = 2
+"""Convex parts of an object's body in the model; an object with fewer hides the rest inside its first part."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ObjectSpec:
+    """A thrown object.
+
+    Attributes:
+        name: Its name in the catalogue.
+        parts: Convex parts in the body frame; they may overlap.
+        mass: Mass [kg].
+        inertia: Inertia about the body origin, which is the centre of mass [kg·m²].
+    """
+
+    name: str
+    parts: tuple[ConvexPart, ...]
+    mass: float
+    inertia: Float[ndarray, "3 3"]
+
+
+def _object(name: str, *parts: ConvexPart, overlap: ConvexPart | None = None) -> ObjectSpec:
+    """Centre the parts on their common centre of mass; `overlap` is the part of space that both fill."""
+    solid: VolumeMoments = moments(parts[0])
+    for part in parts[1:]:
+        solid = solid + moments(part)
+    if overlap is not None:
+        solid = solid - moments(overlap)
+    return ObjectSpec(
+        name=name,
+        parts=tuple(part.moved(-solid.center()) for part in parts),
+        mass=OBJECT_MASS,
+        inertia=solid.inertia(OBJECT_MASS),
+    )
+
+
+def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
+    """Two bars of this width at a right angle, both legs `leg` long outside, `depth` deep along z."""
+    long_bar = shapes.box(leg, width, depth)
+    short_bar = shapes.box(width, leg - width, depth).moved((-(leg - width) / 2, leg / 2, 0.0))
+    return _object(name, long_bar, short_bar)
+
+
+def _cross(name: str, span: float, width: float, depth: float) -> ObjectSpec:
+    """Two bars crossing in their middles."""
+    bars = (shapes.box(span, width, depth), shapes.box(width, span, depth))
+    return _object(name, *bars, overlap=shapes.box(width, width, depth))
+
+
+def _by_name(*specs: ObjectSpec) -> dict[str, ObjectSpec]:
+    return {spec.name: spec for spec in specs}
+
+
+_SEEN = _by_name(
+    _object("cone_s", shapes.cone(0.04, 0.08)),
+    _object("cone_l", shapes.cone(0.045, 0.09)),
+    _object("cylinder_s", shapes.cylinder(0.03, 0.06)),
+    _object("cylinder_l", shapes.cylinder(0.035, 0.07)),
+    _object("cube_s", shapes.box(0.05, 0.05, 0.05)),
+    _object("cube_l", shapes.box(0.06, 0.06, 0.06)),
+    _object("sphere_s", shapes.sphere(0.035)),
+    _object("sphere_l", shapes.sphere(0.04)),
+    _object("capsule_s", shapes.capsule(0.025, 0.04)),
+    _object("capsule_l", shapes.capsule(0.03, 0.05)),
+)
+
+_UNSEEN = _by_name(
+    _l_block("l_block", 0.07, 0.03, 0.05),
+    _object("triangular_prism", shapes.prism(shapes.polygon(3, 0.07), 0.06)),
+    _object("hexagonal_prism", shapes.prism(shapes.polygon(6, 0.035), 0.06)),
+    _object("ellipsoid", shapes.ellipsoid(0.025, 0.03, 0.04)),
+    _cross("cross", 0.08, 0.03, 0.05),
+)
+
+_REAL = _by_name(
+    _object("real_cube", shapes.box(0.06, 0.06, 0.06)),
+    _l_block("real_l_block", 0.08, 0.035, 0.06),
+    _object("real_triangle", shapes.prism(shapes.polygon(3, 0.08), 0.06)),
+)
+
+SEEN: tuple[str, ...] = tuple(_SEEN)
+"""Training objects: five shapes in two scales. Source: release."""
+
+UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
+"""Validation objects. Source: shapes: ours (paper, Fig. 3, shows but does not list them); sizes: ours."""
+
+REAL: tuple[str, ...] = tuple(_REAL)
+"""Objects of the real experiment. Source: shapes: paper; sizes: ours."""
+
+OBJECTS: dict[str, ObjectSpec] = _SEEN | _UNSEEN | _REAL
+"""All objects by name; the order is the order of the object table."""
+
+OBJECT_GROUPS: dict[str, tuple[str, ...]] = {"seen": SEEN, "unseen": UNSEEN, "real": REAL}
+"""Names that stand for several objects."""
+
+
+def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
+    """Resolve names of objects and groups to names of objects, in the given order and without repeats.
+
+    Args:
+        names: "seen", "unseen", "real", the name of an object, several of them, or a comma-separated string.
+
+    Raises:
+        UnknownNameError: If a name is neither an object nor a group.
+        InvalidValueError: If no name is given.
+    """
+    wanted = [name.strip() for name in names.split(",")] if isinstance(names, str) else list(names)
+    if not wanted:
+        raise InvalidValueError("no object given; name an object or a group: " + ", ".join(OBJECT_GROUPS))
+    selected: dict[str, None] = {}
+    for name in wanted:
+        if name not in OBJECTS and name not in OBJECT_GROUPS:
+            raise UnknownNameError("object", name, [*OBJECT_GROUPS, *OBJECTS])
+        selected |= dict.fromkeys(OBJECT_GROUPS.get(name, (name,)))
+    return tuple(selected)
+
+
+def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[ndarray, "num_points 3"]:
+    """Points on the surface of an object, body frame [m].
+
+    The first points are all vertices, whose projections bound the outline exactly; the others are spread over the outer
+    surface, equally per area. Points of one part inside the other are left out.
+
+    Args:
+        spec: The object.
+        num_points: At least the number of vertices.
+        seed: Seed of the spread points.
+
+    Raises:
+        InvalidValueError: If there are more vertices than points.
+    """
+    vertices = np.concatenate([part.vertices for part in spec.parts])
+    if num_points < len(vertices):
+        raise InvalidValueError(
+            f"num_points = {num_points} is too few for '{spec.name}', which has {len(vertices)} vertices: "
+            f"ask for at least {len(vertices)}."
+        )
+    rng = np.random.default_rng(seed)
+    faces = np.concatenate([part.faces for part in spec.parts])
+    areas = 0.5 * np.linalg.norm(np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]), axis=1)
+    num_candidates = 8 * (num_points - len(vertices)) + 64
+    chosen = faces[rng.choice(len(faces), num_candidates, p=areas / areas.sum())]
+    weights = rng.dirichlet((1.0, 1.0, 1.0), num_candidates)
+    candidates = np.einsum("nk,nkd->nd", weights, chosen)
+    outside = candidates[~_is_inside(spec, candidates)]
+    return np.concatenate((vertices, outside[: num_points - len(vertices)]))
+
+
+def _is_inside(spec: ObjectSpec, points: Float[ndarray, "n 3"]) -> ndarray:
+    """Whether each point lies strictly inside a part, or on the seam between two."""
+    depths = [_depth(part, points) for part in spec.parts]
+    num_touched = sum((depth > -1e-9).astype(int) for depth in depths)
+    is_within = np.any([depth > 1e-6 for depth in depths], axis=0)
+    return is_within | (num_touched > 1)
+
+
+def _depth(part: ConvexPart, points: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
+    """Distance [m] from each point inwards to the nearest face; negative outside."""
+    faces = part.faces
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.min(np.einsum("fd,fd->f", normals, faces[:, 0]) - points @ normals.T, axis=1)

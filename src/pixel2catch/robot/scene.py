@@ -1,0 +1,218 @@
+"""The scene as a MuJoCo model: arm, hand, table, floor, one thrown object, the camera, servos and contact sensors.
+
+The model of every object has the same layout; only the values of a few fields differ (`object_table.py`).
+"""
+
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robot.allegro import Handedness, add_hand
+from pixel2catch.robot.constants import (
+    ARM_JOINTS,
+    FINGERS,
+    HAND_JOINTS,
+    PHYSICS_DT,
+    RGB_CAMERA,
+    TABLE,
+    UR5E_DH,
+    JointSpec,
+    quat_multiply,
+)
+from pixel2catch.robot.contact import contact_solref
+from pixel2catch.robot.objects import MAX_PARTS, OBJECTS, ObjectSpec
+from pixel2catch.robot.ur5e import add_arm, dh_pose
+
+OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)
+NO_PART = "no_part"
+"""Mesh that takes the place of the second part of a one-part object: a tetrahedron of 1 mm in its middle."""
+
+OBJECT_START = (2.65, 0.0, 0.8)
+"""Position of the object in `qpos0` [m]: the middle of the throw's release points."""
+
+CONTACT_DATA = sum(
+    1 << int(field) for field in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_DIST)
+)
+REDUCE_MINDIST = 1
+"""Of several contacts a sensor reports the deepest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneCfg:
+    """What can be chosen about the scene.
+
+    Attributes:
+        handedness: Left as in the release, or its mirror image.
+        physics_dt: Physics time step [s].
+        visuals: Whether to add lights, textures and what is only seen.
+        object_friction: Sliding friction of the object; randomised per environment by the release.
+        object_restitution: Speed after over speed before an impact; randomised per environment.
+    """
+
+    handedness: Handedness = "left"
+    physics_dt: float = PHYSICS_DT
+    visuals: bool = False
+    object_friction: float = 1.0
+    object_restitution: float = 0.25
+
+
+def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
+    """Compose the scene with one object.
+
+    Raises:
+        UnknownNameError: If the object is not in the catalogue or the hand is neither left nor right.
+    """
+    if object_name not in OBJECTS:
+        raise UnknownNameError("object", object_name, OBJECTS)
+    if cfg.handedness not in ("left", "right"):
+        raise UnknownNameError("handedness", cfg.handedness, ("left", "right"))
+    if not cfg.physics_dt > 0:
+        raise InvalidValueError(f"physics_dt = {cfg.physics_dt} must be positive [s].")
+    spec = mujoco.MjSpec()
+    spec.modelname = "pixel2catch"
+    _set_options(spec, cfg)
+    _add_surroundings(spec)
+    wrist = add_arm(spec, visuals=cfg.visuals)
+    add_hand(wrist, dh_pose(UR5E_DH[-1])[0], cfg.handedness)
+    _add_servos(spec)
+    _add_object(spec, cfg, OBJECTS[object_name])
+    _add_contact_rules(spec)
+    return spec
+
+
+def build_model(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjModel:
+    """Compile the scene with one object."""
+    return build_spec(cfg, object_name).compile()
+
+
+def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s") -> None:
+    """Write the model as a self-contained .xml or a binary .mjb.
+
+    Raises:
+        InvalidValueError: If the path ends otherwise.
+    """
+    spec = build_spec(cfg, object_name)
+    model = spec.compile()
+    suffix = Path(path).suffix
+    if suffix == ".xml":
+        Path(path).write_text(spec.to_xml(), encoding="utf-8")
+    elif suffix == ".mjb":
+        mujoco.mj_saveModel(model, str(path))
+    else:
+        raise InvalidValueError(f"cannot export to '{path}': the name must end in .xml or .mjb.")
+
+
+def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep = cfg.physics_dt
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.iterations = 10
+    option.ls_iterations = 20
+
+
+def _add_surroundings(spec: mujoco.MjSpec) -> None:
+    """Floor, table and the camera."""
+    world = spec.worldbody
+    world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(4, 4, 0.1), rgba=(0.55, 0.57, 0.60, 1))
+    x, y, top = TABLE.center
+    half = (TABLE.size[0] / 2, TABLE.size[1] / 2, TABLE.thickness / 2)
+    pos = (x, y, top - half[2])
+    world.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=half, rgba=(0.66, 0.50, 0.34, 1))
+    camera = RGB_CAMERA
+    world.add_camera(
+        name="rgb",
+        pos=camera.pos,
+        quat=quat_multiply(camera.quat, (0.0, 1.0, 0.0, 0.0)),
+        resolution=(camera.width, camera.height),
+        sensor_size=(camera.width * 1e-5, camera.height * 1e-5),
+        focal_pixel=(camera.fx, camera.fy),
+        principal_pixel=(camera.cx - camera.width / 2, camera.cy - camera.height / 2),
+    )
+
+
+def _add_servos(spec: mujoco.MjSpec) -> None:
+    """Limits, friction and a position servo for every joint, in the order of the joints."""
+    for joint_spec in (*ARM_JOINTS, *HAND_JOINTS):
+        joint = spec.joint(joint_spec.name)
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.range = (joint_spec.lower, joint_spec.upper)
+        joint.frictionloss = joint_spec.frictionloss
+        joint.armature = joint_spec.armature
+        _add_servo(spec, joint_spec)
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: JointSpec) -> None:
+    """Torque = stiffness (target - position) - damping velocity, the whole of it limited."""
+    gain, bias = np.zeros(10), np.zeros(10)
+    gain[0] = joint.stiffness
+    bias[1], bias[2] = -joint.stiffness, -joint.damping
+    spec.add_actuator(
+        name=joint.name,
+        target=joint.name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        gainprm=gain,
+        biasprm=bias,
+        ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        ctrlrange=(joint.lower, joint.upper),
+        forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        forcerange=(-joint.effort_limit, joint.effort_limit),
+    )
+
+
+def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
+    """The thrown object on a free joint; the meshes of all other objects are in the model, too."""
+    for other in OBJECTS.values():
+        for i, part in enumerate(other.parts):
+            spec.add_mesh(name=f"{other.name}_part_{i}", uservert=part.vertices.ravel())
+    corners = 5e-4 * np.array(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)))
+    spec.add_mesh(name=NO_PART, uservert=corners.ravel())
+    body = spec.worldbody.add_body(name="object", pos=OBJECT_START)
+    body.add_freejoint(name="object_joint")
+    body.explicitinertial = True
+    body.mass = thrown.mass
+    body.fullinertia = thrown.inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+    for i in range(MAX_PARTS):
+        body.add_geom(
+            name=f"object_part_{i}",
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=f"{thrown.name}_part_{i}" if i < len(thrown.parts) else NO_PART,
+            rgba=OBJECT_RGBA,
+            group=1,
+            condim=3,
+            priority=1,
+            friction=(cfg.object_friction, 0.005, 0.0001),
+            solref=contact_solref(cfg.object_restitution, cfg.physics_dt),
+        )
+
+
+def _add_contact_rules(spec: mujoco.MjSpec) -> None:
+    """Pairs that never collide, and the contact sensors."""
+    spec.add_exclude(bodyname1="base_link", bodyname2="shoulder_link")
+    subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
+    thrown = (body, "object")
+    _add_sensor(spec, "object_palm", thrown, (body, "palm"))
+    for finger in FINGERS:
+        _add_sensor(spec, f"object_{finger}", thrown, (subtree, f"{finger}_link_0"))
+    _add_sensor(spec, "object_any", thrown, None)
+    _add_sensor(spec, "robot_table", (subtree, "base_link"), (mujoco.mjtObj.mjOBJ_GEOM, "table"))
+    _add_sensor(spec, "robot_self", (subtree, "base_link"), (subtree, "base_link"))
+
+
+def _add_sensor(
+    spec: mujoco.MjSpec, name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str] | None
+) -> None:
+    """A sensor of (found, dist [m]) of the deepest contact between two bodies, subtrees or geoms."""
+    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
+    sensor.objtype, sensor.objname = first
+    if second is not None:
+        sensor.reftype, sensor.refname = second
+    sensor.intprm = (CONTACT_DATA, REDUCE_MINDIST, 1)

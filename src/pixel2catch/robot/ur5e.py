@@ -1,0 +1,136 @@
+"""The UR5e as a chain of bodies with capsules for its links.
+
+Body i stands at the end of the DH chain of its predecessors and turns about its own z axis, so that a child is placed by
+(a, 0, d) and Rx(α) of its parent's row. Dimensions of the tubes, world and link inertias are ours: UR publishes masses,
+and each link's mass is spread evenly over its first capsule.
+"""
+
+from dataclasses import dataclass
+from math import cos, sin
+
+import mujoco
+
+from pixel2catch.robot.constants import (
+    ARM_JOINTS,
+    ROBOT_BASE_POS,
+    ROBOT_BASE_QUAT,
+    UR5E_DH,
+    UR5E_LINK_MASSES,
+    Quat,
+    Vec3,
+)
+
+ROBOT_GROUP = 3
+"""Geom group of everything of the robot that collides."""
+
+VISUAL_GROUP = 2
+"""Geom group of what is only seen."""
+
+TUBE_RGBA = (0.78, 0.79, 0.80, 1.0)
+CAP_RGBA = (0.16, 0.42, 0.66, 1.0)
+FLANGE_RGBA = (0.35, 0.36, 0.38, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """A capsule between two points of a link's frame.
+
+    Attributes:
+        start: First centre [m].
+        end: Second centre [m].
+        radius: Radius [m].
+    """
+
+    start: Vec3
+    end: Vec3
+    radius: float
+
+
+LINKS: tuple[tuple[str, tuple[Capsule, ...]], ...] = (
+    ("shoulder_link", (Capsule(start=(0, 0, 0.06), end=(0, -0.045, 0.1625), radius=0.06),)),
+    (
+        "upper_arm_link",
+        (
+            Capsule(start=(0, 0, 0.136), end=(-0.425, 0, 0.136), radius=0.055),
+        ),
+    ),
+    (
+        "forearm_link",
+        (
+            Capsule(start=(0, 0, 0.007), end=(-0.36, 0, 0.007), radius=0.045),
+            Capsule(start=(0, 0, 0.02), end=(0, 0, 0.08), radius=0.05),
+        ),
+    ),
+    ("wrist_1_link", (Capsule(start=(0, 0, 0.02), end=(0, 0, 0.1333), radius=0.042),)),
+    ("wrist_2_link", (Capsule(start=(0, 0, 0.02), end=(0, 0, 0.0997), radius=0.042),)),
+    ("wrist_3_link", (Capsule(start=(0, 0, 0.045), end=(0, 0, 0.0626), radius=0.037),)),
+)
+"""Links from the shoulder to the flange with their collision capsules. Source: ours, after the arm's drawings."""
+
+BASE_CAPSULE = Capsule(start=(0, 0, 0.02), end=(0, 0, 0.03), radius=0.07)
+"""Foot of the arm in `base_link`."""
+
+CAPS: dict[str, tuple[Capsule, ...]] = {
+    "shoulder_link": (Capsule(start=(0, 0.055, 0.1625), end=(0, 0.066, 0.1625), radius=0.056),),
+    "upper_arm_link": (
+        Capsule(start=(0, 0, 0.185), end=(0, 0, 0.196), radius=0.053),
+        Capsule(start=(-0.425, 0, 0.185), end=(-0.425, 0, 0.196), radius=0.053),
+    ),
+    "forearm_link": (Capsule(start=(0, 0, -0.044), end=(0, 0, -0.034), radius=0.045),),
+    "wrist_1_link": (Capsule(start=(0, 0, 0.172), end=(0, 0, 0.18), radius=0.038),),
+    "wrist_2_link": (Capsule(start=(0, 0, 0.138), end=(0, 0, 0.146), radius=0.038),),
+}
+"""Blue lids of the joints: cylinders, seen only."""
+
+
+def add_arm(spec: mujoco.MjSpec, *, visuals: bool) -> mujoco.MjsBody:
+    """Add the arm to the world and return its last link, on which `tool0` sits."""
+    base = spec.worldbody.add_body(name="base_link", pos=ROBOT_BASE_POS, quat=ROBOT_BASE_QUAT)
+    add_capsule(base, "base_link", BASE_CAPSULE, mass=0.0, rgba=TUBE_RGBA)
+    parent, pos, quat = base, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+    for (name, capsules), joint, mass, row in zip(LINKS, ARM_JOINTS, UR5E_LINK_MASSES, UR5E_DH, strict=True):
+        body = parent.add_body(name=name, pos=pos, quat=quat, gravcomp=1.0)
+        body.add_joint(name=joint.name, axis=(0, 0, 1))
+        for i, capsule in enumerate(capsules):
+            rgba = FLANGE_RGBA if name == "wrist_3_link" else TUBE_RGBA
+            add_capsule(body, name if i == 0 else f"{name}_{i}", capsule, mass=mass if i == 0 else 0.0, rgba=rgba)
+        if visuals:
+            _add_lids(body, CAPS.get(name, ()))
+        parent, (pos, quat) = body, dh_pose(row)
+    parent.add_site(name="tool0", pos=pos, quat=quat, size=(0.004, 0.004, 0.004), group=4)
+    return parent
+
+
+def dh_pose(row: tuple[float, float, float]) -> tuple[Vec3, Quat]:
+    """Pose of the next joint's frame after the turn about z: translation (a, 0, d), rotation by α about x."""
+    d, a, alpha = row
+    return (a, 0.0, d), (cos(alpha / 2), sin(alpha / 2), 0.0, 0.0)
+
+
+def add_capsule(
+    body: mujoco.MjsBody, name: str, capsule: Capsule, *, mass: float, rgba: tuple[float, ...]
+) -> mujoco.MjsGeom:
+    """Add a colliding capsule to a body."""
+    return body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=(*capsule.start, *capsule.end),
+        size=(capsule.radius, 0, 0),
+        mass=mass,
+        rgba=rgba,
+        group=ROBOT_GROUP,
+    )
+
+
+def _add_lids(body: mujoco.MjsBody, lids: tuple[Capsule, ...]) -> None:
+    for lid in lids:
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            fromto=(*lid.start, *lid.end),
+            size=(lid.radius, 0, 0),
+            mass=0.0,
+            rgba=CAP_RGBA,
+            group=VISUAL_GROUP,
+            contype=0,
+            conaffinity=0,
+        )
