@@ -1,0 +1,1 @@
+"""Protocol, metrics, stress suite, tables, figures, and pictures of trained policies."""

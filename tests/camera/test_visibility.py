@@ -1,0 +1,28 @@
+import torch
+
+from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions, visible_fraction
+from pixel2catch.robot.constants import RGB_CAMERA
+
+
+def test_rays_end_at_the_points():
+    points = torch.rand(3, 5, 3, dtype=torch.float64)
+    ends = torch.tensor(RGB_CAMERA.pos, dtype=torch.float64) + ray_directions(RGB_CAMERA, points)
+    torch.testing.assert_close(ends, points)
+
+
+def test_a_miss_or_a_hit_behind_the_point_hides_nothing():
+    hits = torch.tensor([[-1.0, 0.999, 1.0, 1.5, 0.0]])
+    assert is_unoccluded(hits).tolist() == [[True, False, True, True, False]]
+
+
+def test_in_view_is_on_the_image_and_in_front():
+    # Straight ahead; behind the camera on the same line; far to the left; under the lower edge.
+    points = torch.tensor([[[1.5, 0.0, 1.2], [-2.28, 0.02, 3.2], [1.5, 3.0, 1.2], [0.2, 0.0, 0.5]]])
+    pixels, depth = project(RGB_CAMERA, points)
+    assert (depth[0] > 0).tolist() == [True, False, True, True]
+    assert is_in_view(RGB_CAMERA, pixels, depth).tolist() == [[True, False, False, False]]
+
+
+def test_visible_fraction():
+    assert visible_fraction(torch.tensor([[True, False, False, False], [True] * 4])).tolist() == [0.25, 1.0]
