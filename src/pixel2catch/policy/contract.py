@@ -1,0 +1,151 @@
+"""The contract of a policy: everything outside its networks that must be the same wherever it acts.
+
+A policy is a function of numbers. Which numbers, in which order and unit, seen by which camera, and what becomes of
+its outputs is written here, saved beside the networks and compared on loading, so that a policy that does not fit
+fails with the name of the field instead of moving a robot in a wrong way.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pixel2catch.errors import PolicyMismatchError
+
+FORMAT_VERSION = 1
+"""Version of the files that `Policy.save` writes. Raised when an older file can no longer be read."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ActionContract:
+    """A run of joints that share one action mapping.
+
+    Attributes:
+        mapping: Name of the mapping from an action in [-1, 1] to a joint position target.
+        scale: Scale of the mapping [rad], where it has one, else 1.
+        joints: Names of the joints, in the order of the actions.
+    """
+
+    mapping: str
+    scale: float
+    joints: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AgentContract:
+    """Inputs and outputs of one agent's network.
+
+    Attributes:
+        observation: Name and size of every observation term, in the order of the input vector.
+        actions: The runs of joints, in the order of the output vector.
+    """
+
+    observation: tuple[tuple[str, int], ...]
+    actions: tuple[ActionContract, ...]
+
+    @property
+    def num_inputs(self) -> int:
+        """Length of the observation vector."""
+        return sum(size for _, size in self.observation)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of the output vector."""
+        return tuple(joint for action in self.actions for joint in action.joints)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PolicyContract:
+    """What the policy of a method expects of the world and promises to it.
+
+    Attributes:
+        method: Name of the method.
+        pixel_features: Names of the pixel features, in their order within a frame.
+        agents: The agents by name.
+        joint_limits: Lower and upper limit [rad] of every controlled joint by name.
+        control_dt: Time between two actions [s].
+        camera: The camera by field: size [px], intrinsics [px], position [m] and orientation in the world frame.
+        handedness: "left" or "right": which hand is on the arm.
+        format_version: Version of the file format.
+    """
+
+    method: str
+    pixel_features: tuple[str, ...]
+    agents: dict[str, AgentContract]
+    joint_limits: dict[str, tuple[float, float]]
+    control_dt: float
+    camera: dict[str, float | tuple[float, ...]]
+    handedness: str
+    format_version: int = FORMAT_VERSION
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain dictionaries, lists and numbers, ready for JSON."""
+        return _plain(dataclasses.asdict(self))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "PolicyContract":
+        """Read what `to_dict` returned.
+
+        Raises:
+            PolicyMismatchError: A field is missing or unknown, or the file has another format version.
+        """
+        version = data.get("format_version")
+        if version != FORMAT_VERSION:
+            raise PolicyMismatchError(
+                f"policy field 'format_version' is {version}, this code reads {FORMAT_VERSION}; "
+                "train again or use the version of this package that wrote the policy."
+            )
+        values = _fields(cls, data, "")
+        values["pixel_features"] = tuple(values["pixel_features"])
+        values["agents"] = {
+            name: _agent(agent, f"agents.{name}.") for name, agent in values["agents"].items()
+        }
+        values["joint_limits"] = {name: (low, high) for name, (low, high) in values["joint_limits"].items()}
+        values["camera"] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in values["camera"].items()
+        }
+        return cls(**values)
+
+    def require(self, expected: "PolicyContract") -> None:
+        """Compare with the contract of the place where the policy is to act.
+
+        Raises:
+            PolicyMismatchError: They differ; the message names every field that does, with both values.
+        """
+        ours, theirs = dict(_leaves(self.to_dict())), dict(_leaves(expected.to_dict()))
+        fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
+        if fields:
+            lines = [f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields]
+            raise PolicyMismatchError("the policy does not fit:\n" + "\n".join(lines))
+
+
+def _agent(data: Mapping[str, Any], where: str) -> AgentContract:
+    values = _fields(AgentContract, data, where)
+    values["observation"] = tuple((name, size) for name, size in values["observation"])
+    actions = [_fields(ActionContract, action, f"{where}actions.") for action in values["actions"]]
+    values["actions"] = tuple(
+        ActionContract(**{**action, "joints": tuple(action["joints"])}) for action in actions
+    )
+    return AgentContract(**values)
+
+
+def _fields(kind: type, data: Mapping[str, Any], where: str) -> dict[str, Any]:
+    names = {field.name for field in dataclasses.fields(kind)}
+    for problem, found in (("is missing", names - set(data)), ("is unknown to this code", set(data) - names)):
+        if found:
+            raise PolicyMismatchError(f"policy field '{where}{sorted(found)[0]}' {problem}; train again.")
+    return dict(data)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping) and value:
+        for key, entry in value.items():
+            yield from _leaves(entry, f"{name}.{key}" if name else str(key))
+    else:
+        yield name, value

@@ -1,0 +1,31 @@
+"""Files that are either the old ones or the new ones, never half of each."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+
+def write_atomically(contents: Mapping[Path, bytes]) -> None:
+    """Write one or several files; when any write fails, all the files keep their old content.
+
+    Every file is first written completely beside its place (`<name>.tmp`) and flushed to the disk; only then are the
+    old ones replaced. A full disk or a kill in between leaves the old files as they were.
+
+    Args:
+        contents: The new content of each file. The folders must exist.
+
+    Raises:
+        OSError: The disk is full, read-only or gone; nothing was replaced.
+    """
+    temporaries = {path: path.with_name(path.name + ".tmp") for path in contents}
+    try:
+        for path, content in contents.items():
+            with open(temporaries[path], "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        for path, temporary in temporaries.items():
+            os.replace(temporary, path)
+    finally:
+        for temporary in temporaries.values():
+            temporary.unlink(missing_ok=True)

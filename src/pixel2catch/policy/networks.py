@@ -1,0 +1,51 @@
+"""The networks of policies and value functions."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+HIDDEN = (512, 256, 128)
+"""Sizes of the hidden layers of every network. Source: paper, Sec. IV-E."""
+
+INPUT_CLIP = 5.0
+"""Standardised inputs are clipped to ± this many standard deviations. Source: release (skrl's RunningStandardScaler)."""
+
+
+def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> nn.Sequential:
+    """Build a multi-layer perceptron with ELU between its layers and a linear output.
+
+    Args:
+        num_inputs: Length of the input vector.
+        num_outputs: Length of the output vector.
+        hidden: Sizes of the hidden layers.
+
+    Source: paper, Sec. IV-E.
+    """
+    sizes = [num_inputs, *hidden]
+    layers: list[nn.Module] = []
+    for size, next_size in zip(sizes, sizes[1:], strict=False):
+        layers += [nn.Linear(size, next_size), nn.ELU()]
+    return nn.Sequential(*layers, nn.Linear(sizes[-1], num_outputs))
+
+
+class AgentNetwork(nn.Module):
+    """Mean action of one agent: standardised, clipped inputs through a multi-layer perceptron."""
+
+    input_mean: Tensor
+    input_std: Tensor
+
+    def __init__(self, num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> None:
+        """Build the network with neutral input statistics (mean 0, standard deviation 1)."""
+        super().__init__()
+        self.register_buffer("input_mean", torch.zeros(num_inputs))
+        self.register_buffer("input_std", torch.ones(num_inputs))
+        self.network = build_mlp(num_inputs, num_outputs, hidden)
+
+    def forward(
+        self, observation: Float[Tensor, "num_envs num_inputs"]
+    ) -> Float[Tensor, "num_envs num_outputs"]:
+        """Return the unclipped mean action."""
+        standardised = (observation - self.input_mean) / self.input_std
+        return self.network(standardised.clamp(-INPUT_CLIP, INPUT_CLIP))

@@ -1,0 +1,114 @@
+"""What a training run can be told, and the presets."""
+
+import dataclasses
+from typing import Literal
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.policy import HIDDEN
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainCfg:
+    """Configuration of a training run; the defaults are the preset `fast`.
+
+    Source: paper, Sec. IV-E, and the release for what the paper leaves open. Differs: batch size and learning-rate
+    schedule of `fast` and `cpu` are ours (experiments: the KL rule hardly ever lowers the rate with big batches).
+    """
+
+    num_envs: int = 8192
+    """Number of environments that are simulated side by side."""
+    device: str = "cuda"
+    """Where to simulate and learn: "cuda", "cuda:1", … or "cpu"."""
+    seed: int = 0
+    """Seed of the networks, the exploration and the environments."""
+    transitions: int = 100_000_000
+    """Length of the training: control steps, summed over the environments."""
+    rollout_steps: int = 16
+    """Control steps of every environment between two updates."""
+    epochs: int = 4
+    """Passes over a rollout in an update. Source: release."""
+    mini_batches: int = 4
+    """Gradient steps a pass. Source: release."""
+    schedule: Literal["linear", "kl"] = "linear"
+    """How the learning rate changes: "linear" from first to last over the transitions, or "kl" adaptive."""
+    learning_rate: float = 1.5e-3
+    """Learning rate at the start."""
+    final_learning_rate: float = 3e-5
+    """Learning rate at the end ("linear"), or its lower bound ("kl")."""
+    kl_target: float = 0.016
+    """KL divergence that the "kl" schedule aims at. Source: paper, Sec. IV-E."""
+    discount: float = 0.99
+    """Discount factor γ of a control step. Source: paper, Sec. IV-E."""
+    gae_lambda: float = 0.95
+    """λ of the generalised advantage estimate. Source: release."""
+    ratio_clip: float = 0.2
+    """Clip ε of the probability ratio. Source: paper, Sec. IV-E."""
+    value_clip: float = 0.2
+    """Clip of the change of a (standardised) value in an update. Source: release."""
+    value_loss_scale: float = 2.0
+    """Weight of the value loss. Source: release."""
+    entropy_scale: float = 0.0
+    """Weight of the entropy bonus. Source: release."""
+    gradient_clip: float = 1.0
+    """Largest norm of an agent's gradient. Source: release."""
+    hidden: tuple[int, ...] = HIDDEN
+    """Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E."""
+    initial_log_std: float = 0.0
+    """Logarithm of the standard deviation of the actions at the start. Source: release."""
+    checkpoint_seconds: float = 60.0
+    """Time between two checkpoints [s]."""
+    report_seconds: float = 10.0
+    """Time between two report lines where there is no terminal [s]."""
+
+    def __post_init__(self) -> None:
+        """Refuse values with which no training is possible."""
+        for name in ("num_envs", "transitions", "rollout_steps", "epochs", "mini_batches", "learning_rate"):
+            if getattr(self, name) <= 0:
+                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be greater than 0.")
+        for name in ("discount", "gae_lambda"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
+        if self.rollout_transitions % self.mini_batches:
+            raise InvalidValueError(
+                f"num_envs × rollout_steps = {self.rollout_transitions} transitions cannot be split into "
+                f"{self.mini_batches} equal mini-batches; change one of the three."
+            )
+
+    @property
+    def rollout_transitions(self) -> int:
+        """Transitions between two updates."""
+        return self.num_envs * self.rollout_steps
+
+
+PRESETS = {
+    "fast": TrainCfg(),
+    "cpu": TrainCfg(
+        device="cpu",
+        num_envs=256,
+        rollout_steps=32,
+        transitions=5_000_000,
+        epochs=2,
+        learning_rate=1e-3,
+        final_learning_rate=1e-4,
+    ),
+    "paper": TrainCfg(
+        num_envs=512,
+        rollout_steps=32,
+        transitions=51_200_000,
+        schedule="kl",
+        learning_rate=5e-4,
+        final_learning_rate=1e-5,
+    ),
+}
+"""`fast`: one big GPU. `cpu`: two cores. `paper`: paper, Sec. IV-E, with the numbers of the release."""
+
+
+def preset(name: str) -> TrainCfg:
+    """Return a preset by its name.
+
+    Raises:
+        UnknownNameError: There is no such preset.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    return PRESETS[name]

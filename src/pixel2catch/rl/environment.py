@@ -1,0 +1,86 @@
+"""What the learner needs of an environment. `CatchEnv` has it."""
+
+from typing import Any, Protocol, runtime_checkable
+
+from torch import Tensor
+
+
+@runtime_checkable
+class Observation(Protocol):
+    """Inputs of the networks, float32 on the environment's device."""
+
+    @property
+    def policy(self) -> dict[str, Tensor]:
+        """Input of every agent's policy, (num_envs, size of that agent)."""
+        ...
+
+    @property
+    def state(self) -> Tensor:
+        """Input of all value networks, (num_envs, state_size)."""
+        ...
+
+
+@runtime_checkable
+class Step(Protocol):
+    """Result of a control step. Finished environments are reset already; `observation` is the new episode's."""
+
+    @property
+    def observation(self) -> Observation:
+        """Observation after the step."""
+        ...
+
+    @property
+    def rewards(self) -> dict[str, Tensor]:
+        """Reward of every agent, (num_envs,)."""
+        ...
+
+    @property
+    def terminated(self) -> Tensor:
+        """Whether the episode ended, (num_envs,) bool."""
+        ...
+
+    @property
+    def truncated(self) -> Tensor:
+        """Whether the episode was cut off, (num_envs,) bool."""
+        ...
+
+
+@runtime_checkable
+class Statistics(Protocol):
+    """Episode statistics, accumulated on the device."""
+
+    def pop(self) -> dict[str, float]:
+        """Return the statistics since the last call; the keys are always the same."""
+        ...
+
+
+@runtime_checkable
+class Environment(Protocol):
+    """Many copies of a task, stepped together. `step` never waits for the device."""
+
+    num_envs: int
+    observation_sizes: dict[str, int]
+    state_size: int
+    action_sizes: dict[str, int]
+
+    @property
+    def cfg(self) -> Any:
+        """Configuration, a dataclass; written into the run folder."""
+        ...
+
+    @property
+    def statistics(self) -> Statistics:
+        """Episode statistics since the last look."""
+        ...
+
+    def reset(self) -> Observation:
+        """Begin new episodes everywhere."""
+        ...
+
+    def step(self, actions: dict[str, Tensor]) -> Step:
+        """Act for one control step. Actions outside [-1, 1] are clipped by the environment."""
+        ...
+
+    def close(self) -> None:
+        """Release what the environment holds."""
+        ...

@@ -1,0 +1,32 @@
+"""Ctrl-C and termination by a scheduler: asked for once, training ends in order; asked for twice, at once."""
+
+import signal
+import threading
+from types import FrameType
+from typing import Any
+
+
+class StopRequest:
+    """Whether the user or the machine has asked to stop. Use as a context around the training."""
+
+    def __init__(self) -> None:
+        """Nobody has asked yet."""
+        self.is_set = False
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> "StopRequest":
+        """Listen, if in the main thread; signals reach no other."""
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._previous[number] = signal.signal(number, self._request)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Put the former handlers back."""
+        while self._previous:
+            number, handler = self._previous.popitem()
+            signal.signal(number, handler)
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        self.is_set = True
+        self.__exit__()

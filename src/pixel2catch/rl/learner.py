@@ -1,0 +1,137 @@
+"""Learner: skrl's MAPPO behind the five verbs that the training loop needs."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pixel2catch.policy import Policy, PolicyContract
+from pixel2catch.rl.config import TrainCfg
+from pixel2catch.rl.environment import Environment, Observation, Step
+from pixel2catch.rl.mappo import build_mappo
+
+
+class Learner:
+    """Acts, remembers and updates. Between two updates nothing waits for the device."""
+
+    def __init__(self, cfg: TrainCfg, env: Environment) -> None:
+        """Build untrained networks; the global torch generator decides on their weights."""
+        self.cfg = cfg
+        self.mappo = build_mappo(cfg, env)
+        self.agents = tuple(env.action_sizes)
+        self._never = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=cfg.device)
+
+    @torch.no_grad()
+    def act(self, observation: Observation) -> dict[str, Tensor]:
+        """Sample unclipped actions, (num_envs, size) by agent, and remember their probabilities."""
+        with _tensor_cores():
+            actions, _ = self.mappo.act(
+                observation.policy, self._states(observation), timestep=0, timesteps=0
+            )
+        return actions
+
+    def record(
+        self, policy: dict[str, Tensor], state: Tensor, actions: dict[str, Tensor], step: Step
+    ) -> None:
+        """Remember a transition.
+
+        A time-out ends the episode like any other end (paper): skrl would let advantages leak across `truncated`.
+
+        Args:
+            policy: Policy inputs before the step, by agent.
+            state: Value input before the step.
+            actions: What `act` returned.
+            step: What the environment returned.
+        """
+        is_done = (step.terminated | step.truncated).unsqueeze(-1)
+        self.mappo.record_transition(
+            observations=policy,
+            states=dict.fromkeys(self.agents, state),
+            actions=actions,
+            rewards={agent: step.rewards[agent].unsqueeze(-1) for agent in self.agents},
+            next_observations=step.observation.policy,
+            next_states=self._states(step.observation),
+            terminated=dict.fromkeys(self.agents, is_done),
+            truncated=dict.fromkeys(self.agents, self._never),
+            infos={},
+            timestep=0,
+            timesteps=0,
+        )
+
+    def update(self, progress: float) -> dict[str, float]:
+        """Learn from the full memory and return the losses.
+
+        Args:
+            progress: Share of the training that is over, 0 to 1.
+        """
+        if self.cfg.schedule == "linear":
+            self._set_learning_rate(progress)
+        with _tensor_cores():
+            self.mappo.post_interaction(timestep=0, timesteps=0)
+        return self._pop_metrics()
+
+    def discard_rollout(self) -> None:
+        """Forget the transitions since the last update."""
+        for memory in self.mappo.memories.values():
+            memory.reset()
+
+    @torch.no_grad()
+    def export(self, contract: PolicyContract) -> Policy:
+        """Copy mean networks and input statistics into a `Policy` on the CPU."""
+        policy = Policy(contract, self.cfg.hidden)
+        for agent in self.agents:
+            target, scaler = policy.agents[agent], self.mappo._observation_preprocessor[agent]
+            target.network.load_state_dict(self.mappo.policies[agent].network.state_dict())
+            target.input_mean.copy_(scaler.running_mean)
+            target.input_std.copy_(scaler.running_variance.float().sqrt() + scaler.epsilon)
+        return policy.eval()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that learning goes on from: networks, optimisers, statistics and schedules."""
+        return {
+            agent: {name: module.state_dict() for name, module in self._modules(agent).items()}
+            for agent in self.agents
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+        for agent in self.agents:
+            for name, module in self._modules(agent).items():
+                module.load_state_dict(state[agent][name])
+
+    def _modules(self, agent: str) -> dict[str, Any]:
+        scheduler = self.mappo.schedulers[agent]
+        return self.mappo.checkpoint_modules[agent] | ({"scheduler": scheduler} if scheduler else {})
+
+    def _states(self, observation: Observation) -> dict[str, Tensor]:
+        return dict.fromkeys(self.agents, observation.state)
+
+    def _set_learning_rate(self, progress: float) -> None:
+        first, last = self.cfg.learning_rate, self.cfg.final_learning_rate
+        for optimizer in self.mappo.optimizers.values():
+            for group in optimizer.param_groups:
+                group["lr"] = first + (last - first) * min(progress, 1.0)
+
+    def _pop_metrics(self) -> dict[str, float]:
+        tracked = {name: values[-1] for name, values in self.mappo.tracking_data.items()}
+        self.mappo.tracking_data.clear()
+        metrics = {}
+        for agent in self.agents:
+            metrics[f"policy_loss/{agent}"] = tracked[f"Loss / Policy loss ({agent})"]
+            metrics[f"value_loss/{agent}"] = tracked[f"Loss / Value loss ({agent})"]
+            metrics[f"action_std/{agent}"] = tracked[f"Policy / Standard deviation ({agent})"]
+            metrics[f"learning_rate/{agent}"] = self.mappo.optimizers[agent].param_groups[0]["lr"]
+        return metrics
+
+
+@contextmanager
+def _tensor_cores() -> Iterator[None]:
+    """Let matrix products of the networks round to TF32 on CUDA; elsewhere (kinematics) they must not."""
+    matmul = torch.backends.cuda.matmul
+    before, matmul.allow_tf32 = matmul.allow_tf32, True
+    try:
+        yield
+    finally:
+        matmul.allow_tf32 = before

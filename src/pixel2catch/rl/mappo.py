@@ -1,0 +1,91 @@
+"""Builds skrl's MAPPO from a configuration and the sizes of an environment."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from skrl.multi_agents.torch.mappo import MAPPO, MAPPO_CFG
+from skrl.resources.preprocessors.torch import RunningStandardScaler
+from skrl.resources.schedulers.torch import KLAdaptiveLR
+
+from pixel2catch.rl.config import TrainCfg
+from pixel2catch.rl.environment import Environment
+from pixel2catch.rl.memory import RolloutMemory
+from pixel2catch.rl.models import GaussianPolicy, ValueFunction
+
+
+def build_mappo(cfg: TrainCfg, env: Environment) -> MAPPO:
+    """Build models, memories and the learner; one agent is as good as two.
+
+    skrl writes no files here, and its own tracking of rewards, which waits for the device at every step, is off:
+    both hang on the write and checkpoint intervals.
+    """
+    agents = list(env.action_sizes)
+    observation_spaces = {agent: _unbounded(env.observation_sizes[agent]) for agent in agents}
+    state_spaces = {agent: _unbounded(env.state_size) for agent in agents}
+    action_spaces = {agent: _unbounded(env.action_sizes[agent]) for agent in agents}
+    models = {
+        agent: {
+            "policy": GaussianPolicy(cfg, observation_spaces[agent], action_spaces[agent]),
+            "value": ValueFunction(cfg, state_spaces[agent], action_spaces[agent]),
+        }
+        for agent in agents
+    }
+    memory_size = {"memory_size": cfg.rollout_steps, "num_envs": env.num_envs, "device": cfg.device}
+    mappo = MAPPO(
+        possible_agents=agents,
+        models=models,
+        memories={agent: RolloutMemory(**memory_size) for agent in agents},
+        observation_spaces=observation_spaces,
+        state_spaces=state_spaces,
+        action_spaces=action_spaces,
+        device=cfg.device,
+        cfg=_mappo_cfg(cfg, observation_spaces, state_spaces),
+    )
+    mappo.init()
+    mappo.enable_training_mode(True)
+    return mappo
+
+
+def _unbounded(size: int) -> Box:
+    return Box(-np.inf, np.inf, (size,), dtype=np.float32)
+
+
+def _mappo_cfg(
+    cfg: TrainCfg, observation_spaces: Mapping[str, Box], state_spaces: Mapping[str, Box]
+) -> MAPPO_CFG:
+    """Translate the configuration.
+
+    Every `…_kwargs` is given by agent: skrl takes an empty dictionary for one whose agents are missing. `rollouts` is
+    1 because the loop calls `post_interaction` once a rollout, when the memory is full.
+    """
+    is_adaptive = cfg.schedule == "kl"
+    scheduler = {"kl_threshold": cfg.kl_target, "min_lr": cfg.final_learning_rate} if is_adaptive else {}
+    return MAPPO_CFG(
+        rollouts=1,
+        learning_epochs=cfg.epochs,
+        mini_batches=cfg.mini_batches,
+        discount_factor=cfg.discount,
+        gae_lambda=cfg.gae_lambda,
+        learning_rate=cfg.learning_rate,
+        learning_rate_scheduler=KLAdaptiveLR if is_adaptive else None,
+        learning_rate_scheduler_kwargs={agent: dict(scheduler) for agent in observation_spaces},
+        observation_preprocessor=RunningStandardScaler,
+        observation_preprocessor_kwargs=_scaler_kwargs(observation_spaces, cfg.device),
+        state_preprocessor=RunningStandardScaler,
+        state_preprocessor_kwargs=_scaler_kwargs(state_spaces, cfg.device),
+        value_preprocessor=RunningStandardScaler,
+        value_preprocessor_kwargs={agent: {"size": 1, "device": cfg.device} for agent in observation_spaces},
+        grad_norm_clip=cfg.gradient_clip,
+        ratio_clip=cfg.ratio_clip,
+        value_clip=cfg.value_clip,
+        entropy_loss_scale=cfg.entropy_scale,
+        value_loss_scale=cfg.value_loss_scale,
+        time_limit_bootstrap=False,
+        experiment={"write_interval": 0, "checkpoint_interval": 0},  # pyright: ignore[reportArgumentType]
+    )
+
+
+def _scaler_kwargs(spaces: Mapping[str, Box], device: str) -> dict[str, dict[str, Any]]:
+    return {agent: {"size": space, "device": device} for agent, space in spaces.items()}

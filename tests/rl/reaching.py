@@ -1,0 +1,151 @@
+"""A small task that two unlike agents must learn together: their pushes add up and move a point to its goal.
+
+Same interface as `CatchEnv`. Like it, it writes observations into the same buffers in every step, and it gives one
+agent inputs in pixels, which nothing can be learnt from unless they are standardised.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pixel2catch.policy import ActionContract, AgentContract, PolicyContract
+from pixel2catch.rl.config import TrainCfg
+
+EPISODE_STEPS = 12
+
+CONTRACT = PolicyContract(
+    method="reaching",
+    pixel_features=("cx",),
+    agents={
+        "arm": AgentContract(
+            observation=(("distance", 1), ("position", 1), ("last_push", 2)),
+            actions=(ActionContract(mapping="push", scale=0.15, joints=("pan", "idle")),),
+        ),
+        "hand": AgentContract(
+            observation=(("pixel", 1), ("constant", 1)),
+            actions=(ActionContract(mapping="push", scale=0.15, joints=("finger",)),),
+        ),
+    },
+    joint_limits={"pan": (-1.0, 1.0), "idle": (-1.0, 1.0), "finger": (0.0, 1.5)},
+    control_dt=1 / 30,
+    camera={"width": 640.0, "position": (0.0, 0.1, 2.2)},
+    handedness="left",
+)
+
+SMALL = TrainCfg(
+    device="cpu",
+    num_envs=64,
+    rollout_steps=16,
+    transitions=4096,
+    epochs=4,
+    mini_batches=4,
+    hidden=(64, 64),
+    learning_rate=1e-3,
+    final_learning_rate=1e-4,
+)
+
+
+@dataclass(frozen=True)
+class ReachingCfg:
+    """Where to put a NaN: in which step, and into which quantity."""
+
+    bad_step: int = -1
+    bad_quantity: str = ""
+
+
+@dataclass(frozen=True)
+class Observation:
+    policy: dict[str, Tensor]
+    state: Tensor
+
+
+@dataclass(frozen=True)
+class Step:
+    observation: Observation
+    rewards: dict[str, Tensor]
+    terminated: Tensor
+    truncated: Tensor
+
+
+class Statistics:
+    def __init__(self) -> None:
+        self.episodes = self.successes = 0.0
+
+    def pop(self) -> dict[str, float]:
+        rate = self.successes / self.episodes if self.episodes else float("nan")
+        popped = {"success_rate": rate, "episodes": self.episodes}
+        self.episodes = self.successes = 0.0
+        return popped
+
+
+class ReachingEnv:
+    observation_sizes = {"arm": 4, "hand": 2}  # noqa: RUF012
+    state_size = 3
+    action_sizes = {"arm": 2, "hand": 1}  # noqa: RUF012
+
+    def __init__(self, cfg: TrainCfg, task: ReachingCfg | None = None) -> None:
+        self.cfg, self.num_envs, self.device = task or ReachingCfg(), cfg.num_envs, cfg.device
+        self.generator = torch.Generator(cfg.device).manual_seed(cfg.seed)
+        self.statistics = Statistics()
+        self.num_steps, self.is_closed = 0, False
+        self.position, self.goal = self._zeros(), self._zeros()
+        self.time = self._zeros()
+        self.buffers = Observation(
+            {name: self._zeros(size) for name, size in self.observation_sizes.items()}, self._zeros(3)
+        )
+
+    def reset(self) -> Observation:
+        self._restart(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+        return self._observe(self._zeros(2))
+
+    def step(self, actions: dict[str, Tensor]) -> Step:
+        assert all(action.dtype == torch.float32 for action in actions.values())
+        arm, hand = (actions[name].clamp(-1.0, 1.0) for name in ("arm", "hand"))
+        before = (self.position - self.goal).abs()
+        self.position = self.position + 0.15 * (arm[:, 0] + hand[:, 0])
+        now = (self.position - self.goal).abs()
+        self.time += 1
+        succeeded = now < 0.1
+        timed_out = self.time >= EPISODE_STEPS
+        reward = before - now + succeeded.float()
+        rewards = {"arm": reward - 0.02 * arm.square().sum(-1), "hand": reward - 0.02 * hand.square().sum(-1)}
+        done = succeeded | timed_out
+        self.statistics.episodes += float(done.sum())
+        self.statistics.successes += float(succeeded.sum())
+        self._restart(done)
+        self.num_steps += 1
+        step = Step(self._observe(arm), rewards, succeeded, timed_out & ~succeeded)
+        if self.num_steps == self.cfg.bad_step:
+            self._spoil(step)
+        return step
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def _spoil(self, step: Step) -> None:
+        agent, quantity = self.cfg.bad_quantity.split("/")
+        values = {
+            "reward": step.rewards.get(agent),
+            "position": step.observation.policy["arm"][:, 1],
+            "pixel": step.observation.policy["hand"][:, 0],
+            "state": step.observation.state,
+        }
+        values[quantity][3] = float("nan")
+
+    def _restart(self, done: Tensor) -> None:
+        draw = torch.rand(2, self.num_envs, generator=self.generator, device=self.device) * 2 - 1
+        self.goal = torch.where(done, draw[0], self.goal)
+        self.position = torch.where(done, draw[1], self.position)
+        self.time = torch.where(done, 0.0, self.time)
+
+    def _observe(self, arm: Tensor) -> Observation:
+        distance = self.goal - self.position
+        columns = torch.stack((distance, self.position), -1)
+        self.buffers.policy["arm"].copy_(torch.cat((columns, arm), -1))
+        self.buffers.policy["hand"].copy_(torch.stack((320 + 200 * distance, torch.ones_like(distance)), -1))
+        self.buffers.state.copy_(torch.stack((self.position, self.goal, self.time / EPISODE_STEPS), -1))
+        return self.buffers
+
+    def _zeros(self, *size: int) -> Tensor:
+        return torch.zeros(self.num_envs, *size, device=self.device)
