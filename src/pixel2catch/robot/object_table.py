@@ -12,7 +12,7 @@ from pixel2catch.robot.scene import SceneCfg, build_model
 
 GEOM_FIELDS = ("geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound")
 BODY_FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_invweight0")
-DOF_FIELDS = ("dof_invweight0",)
+DOF_FIELDS = ("dof_M0", "dof_length", "dof_invweight0")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """The catalogue of thrown objects: one or two convex parts each.
 
 The body frame of an object has its origin in the centre of mass, so that a thrown object's origin flies the ballistic
-parabola. Differs: the release's cone has its origin at half its height.
+parabola, and its axes along the principal axes of inertia. Differs: the release's cone has its origin at half its height.
 """
 
 from collections.abc import Iterable
@@ -30,28 +30,40 @@ class ObjectSpec:
         name: Its name in the catalogue.
         parts: Convex parts in the body frame; they may overlap.
         mass: Mass [kg].
-        inertia: Inertia about the body origin, which is the centre of mass [kg·m²].
+        inertia: Principal moments of inertia about the axes of the body frame [kg·m²].
     """
 
     name: str
     parts: tuple[ConvexPart, ...]
     mass: float
-    inertia: Float[ndarray, "3 3"]
+    inertia: Float[ndarray, "3"]
 
 
 def _object(name: str, *parts: ConvexPart, overlap: ConvexPart | None = None) -> ObjectSpec:
-    """Centre the parts on their common centre of mass; `overlap` is the part of space that both fill."""
+    """Move the parts into the body frame; `overlap` is the part of space that both fill."""
     solid: VolumeMoments = moments(parts[0])
     for part in parts[1:]:
         solid = solid + moments(part)
     if overlap is not None:
         solid = solid - moments(overlap)
+    inertia = solid.inertia(OBJECT_MASS)
+    axes = _principal_axes(inertia)
     return ObjectSpec(
         name=name,
-        parts=tuple(part.moved(-solid.center()) for part in parts),
+        parts=tuple(part.moved(-solid.center()).turned(axes.T) for part in parts),
         mass=OBJECT_MASS,
-        inertia=solid.inertia(OBJECT_MASS),
+        inertia=np.diag(axes.T @ inertia @ axes).copy(),
     )
+
+
+def _principal_axes(inertia: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
+    """Right-handed principal axes as columns; the given axes where they are principal but for round-off."""
+    off_diagonal = inertia - np.diag(np.diag(inertia))
+    if np.abs(off_diagonal).max() < 2e-3 * np.trace(inertia):
+        return np.eye(3)
+    axes = np.linalg.eigh(inertia).eigenvectors
+    axes[:, 2] *= np.linalg.det(axes)
+    return axes
 
 
 def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
