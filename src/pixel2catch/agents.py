@@ -1,0 +1,113 @@
+"""The two agents, arm and hand, as values of one type; their sum is the single agent.
+
+Sources: observations paper Sec. IV-C, actions Sec. IV-D, rewards Eq. 3 and 4.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pixel2catch.mdp import rewards
+from pixel2catch.mdp.actions import JointCommand, absolute_command, relative_command
+from pixel2catch.mdp.observations import PAPER_TERMS, ObservationTerm
+from pixel2catch.mdp.rewards import RewardTerm, term_values
+from pixel2catch.mdp.snapshot import Transition
+from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+
+ACTION_WEIGHT = -0.01
+"""Weight of the squared action of each agent. Source: paper, Eq. 3 and 4."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyPart:
+    """Consecutive joints with the reward that belongs to them.
+
+    Attributes:
+        joints: Their columns in joint order.
+        reward: Weighted reward terms.
+    """
+
+    joints: slice
+    reward: tuple[RewardTerm, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgentSpec:
+    """One learner: the joints it moves, what it sees, and what it is rewarded for.
+
+    Attributes:
+        name: Name in logs, files and the agents' dictionaries.
+        parts: The body parts that it moves, in joint order; its reward is the sum of theirs.
+        observation: Terms of one observation frame.
+    """
+
+    name: str
+    parts: tuple[BodyPart, ...]
+    observation: tuple[ObservationTerm, ...] = PAPER_TERMS
+
+    @property
+    def joints(self) -> slice:
+        """The agent's columns in joint order."""
+        return slice(self.parts[0].joints.start, self.parts[-1].joints.stop)
+
+    @property
+    def num_joints(self) -> int:
+        """Number of actions."""
+        return self.joints.stop - self.joints.start
+
+    @property
+    def reward_names(self) -> tuple[str, ...]:
+        """Names of the reward terms of all parts, in the order of `reward_terms`."""
+        return tuple(term.name for part in self.parts for term in part.reward)
+
+    def reward_terms(self, transition: Transition) -> Float[Tensor, "num_envs num_terms"]:
+        """Weighted reward terms of all parts; the agent's reward is their sum."""
+        return torch.cat([term_values(part.reward, part.joints, transition) for part in self.parts], dim=-1)
+
+    def __add__(self, other: "AgentSpec") -> "AgentSpec":
+        """One agent over the joints of both, with the sum of both rewards. Source: paper, S-A RL."""
+        return AgentSpec(name="robot", parts=(*self.parts, *other.parts), observation=self.observation)
+
+
+JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
+"""All controlled joints: the joint order of every tensor."""
+
+COMMANDS: tuple[JointCommand, ...] = (*map(relative_command, ARM_JOINTS), *map(absolute_command, HAND_JOINTS))
+"""How the action of each joint becomes its target."""
+
+ARM = AgentSpec(
+    name="arm",
+    parts=(
+        BodyPart(
+            joints=slice(0, len(ARM_JOINTS)),
+            reward=(
+                RewardTerm(function=rewards.elapsed_time, weight=-0.01),
+                RewardTerm(function=rewards.palm_approach, weight=1.0),
+                RewardTerm(function=rewards.success, weight=10.0),
+                RewardTerm(function=rewards.nearness, weight=0.1),
+                RewardTerm(function=rewards.drop, weight=-5.0),
+                RewardTerm(function=rewards.table_contact, weight=-5.0),
+                RewardTerm(function=rewards.action_square, weight=ACTION_WEIGHT),
+            ),
+        ),
+    ),
+)
+
+HAND = AgentSpec(
+    name="hand",
+    parts=(
+        BodyPart(
+            joints=slice(len(ARM_JOINTS), len(JOINTS)),
+            reward=(
+                RewardTerm(function=rewards.palm_approach, weight=0.2),
+                RewardTerm(function=rewards.fingertips_approach, weight=0.2),
+                RewardTerm(function=rewards.success, weight=10.0),
+                RewardTerm(function=rewards.drop, weight=-5.0),
+                RewardTerm(function=rewards.table_contact, weight=-5.0),
+                RewardTerm(function=rewards.action_square, weight=ACTION_WEIGHT),
+            ),
+        ),
+    ),
+)

@@ -1,0 +1,1 @@
+"""The catching environment: it puts scene, simulation, camera and task in order, and nothing else."""

@@ -1,0 +1,295 @@
+"""The catching environment: act, simulate, judge, reset, observe."""
+
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from pixel2catch.agents import COMMANDS
+from pixel2catch.camera.boxes import perturb_box
+from pixel2catch.envs.episodes import EpisodeRecord
+from pixel2catch.envs.statistics import EpisodeStatistics
+from pixel2catch.envs.world import NUM_ARM_JOINTS, CatchWorld, PhysicsLog
+from pixel2catch.mdp.actions import ActionMap
+from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.observations import observe, pixel_columns, privileged_state
+from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, by_joint, sample_parameters
+from pixel2catch.mdp.sensing import BoxStream, SensingCfg, detect
+from pixel2catch.mdp.snapshot import History, Measurement, Privileged, Transition
+from pixel2catch.mdp.terminations import EpisodeCfg, is_ended, is_near
+from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
+from pixel2catch.methods import Method
+from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.robot.objects import SEEN
+from pixel2catch.robot.scene import SceneCfg
+
+
+@dataclass(frozen=True, kw_only=True)
+class CatchEnvCfg:
+    """Everything that defines the task.
+
+    Attributes:
+        scene: What the model is made from.
+        objects: Names of the objects that are thrown.
+        throws: Where from and where to.
+        randomization: What differs from episode to episode.
+        sensing: Noise and delay of camera and encoders.
+        episode: When an episode ends.
+    """
+
+    scene: SceneCfg = field(default_factory=SceneCfg)
+    objects: tuple[str, ...] = SEEN
+    throws: ThrowCfg = field(default_factory=ThrowCfg)
+    randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
+    sensing: SensingCfg = field(default_factory=SensingCfg)
+    episode: EpisodeCfg = field(default_factory=EpisodeCfg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """What the networks see.
+
+    Attributes:
+        policy: Observation of each agent, by name.
+        state: Input of every value network: all observations and what only the simulator knows.
+    """
+
+    policy: dict[str, Float[Tensor, "num_envs _"]]
+    state: Float[Tensor, "num_envs _"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """What one control step returned. Environments that ended have begun anew: `observation` is that of the beginning.
+
+    Attributes:
+        observation: What the networks see next.
+        rewards: Reward of each agent, by name.
+        terminated: Whether the episode ended, time-outs included (paper).
+        truncated: Never: a time-out is a termination.
+        record: The episodes up to this step, before any reset.
+        measurement: What the robot measured, of which `observation` was made.
+        joint_pos_target: The joint targets that were commanded [rad].
+    """
+
+    observation: Observation
+    rewards: dict[str, Float[Tensor, " num_envs"]]
+    terminated: Bool[Tensor, " num_envs"]
+    truncated: Bool[Tensor, " num_envs"]
+    record: EpisodeRecord
+    measurement: Measurement
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]
+
+
+class CatchEnv:
+    """`num_envs` robots that learn to catch; nothing in `step` waits for the device.
+
+    Attributes:
+        num_envs: Number of environments.
+        device: Device of every tensor.
+        observation_sizes: Length of each agent's observation, by name.
+        action_sizes: Number of each agent's actions, by name.
+        state_size: Length of the value networks' input.
+        statistics: Sums over ended episodes.
+    """
+
+    def __init__(
+        self, cfg: CatchEnvCfg, method: Method, *, num_envs: int, device: str = "cpu", seed: int = 0
+    ) -> None:
+        """Build the environments; the first `reset` begins their episodes.
+
+        Args:
+            cfg: The task.
+            method: Which agents act and what they see.
+            num_envs: Number of environments.
+            device: "cpu" or a CUDA device.
+            seed: Seed of everything that is drawn here.
+        """
+        self.cfg, self.method, self.num_envs = cfg, method, num_envs
+        self.world = CatchWorld(cfg.scene, num_envs=num_envs, device=device)
+        self.device = self.world.device
+        self._generator = torch.Generator(self.device).manual_seed(seed)
+        names = self.world.objects.names
+        self._object_ids = torch.tensor([names.index(name) for name in cfg.objects], device=self.device)
+        self._pixel_columns = pixel_columns(method.pixel_features)
+        self._action_map = ActionMap.of(COMMANDS, self.device)
+        noise = cfg.randomization
+        self._action_noise = by_joint(noise.arm_action_noise, noise.hand_action_noise, self.device)
+        reward_names = {agent.name: agent.reward_names for agent in method.agents}
+        self.statistics = EpisodeStatistics(
+            names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
+        )
+        self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
+        observation = self.reset()
+        self.observation_sizes = {name: value.shape[1] for name, value in observation.policy.items()}
+        self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
+        self.state_size = observation.state.shape[1]
+
+    def reset(self) -> Observation:
+        """Begin a new episode in every environment."""
+        self._episode = self._draw_episode()
+        self.world.reset(self._everywhere, self._episode.parameters, self._episode.throw)
+        self.world.forward(self._everywhere)
+        joint_pos, log = self.world.joint_pos, self.world.quiet_log()
+        begun = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        box, _ = self._detect()
+        measurement = self._measure(begun, box)
+        now = self.world.privileged(log)
+        ages = self.cfg.sensing.latency_steps[1] + 1
+        self._senses = _Senses(
+            boxes=BoxStream(box[:, None].repeat(1, ages, 1)),
+            history=History(measurement, measurement, measurement),
+            before=now,
+            now=now,
+        )
+        return self._observe()
+
+    def step(self, actions: dict[str, Float[Tensor, "num_envs _"]]) -> Step:
+        """Act for one control step.
+
+        Args:
+            actions: Action of each agent by name, in [-1, 1]; what lies outside is clipped.
+        """
+        action = torch.cat([actions[agent.name] for agent in self.method.agents], dim=-1).clamp(-1.0, 1.0)
+        target = self._action_map.joint_pos_target(
+            self._disturbed(action), self._senses.history.now.joint_pos
+        )
+        log = self.world.run(target)
+        transition = self._transition(action, log)
+        terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
+        rewards = {name: values.sum(dim=-1) for name, values in terms.items()}
+        terminated = is_ended(transition, self.cfg.episode)
+        record = self._episode.record.advanced(transition, log)
+        self.statistics.add(terminated, record, terms)
+        self._begin(terminated, record)
+        self._sense(terminated, _Command(action=action, joint_pos_target=target), log)
+        return Step(
+            observation=self._observe(),
+            rewards=rewards,
+            terminated=terminated,
+            truncated=torch.zeros_like(terminated),
+            record=record,
+            measurement=self._senses.history.now,
+            joint_pos_target=target,
+        )
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self.world.close()
+
+    def _disturbed(
+        self, action: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """Actions with the episode's bias and fresh noise."""
+        noise = torch.randn(action.shape, generator=self._generator, device=self.device)
+        return action + self._episode.parameters.action_bias + self._action_noise * noise
+
+    def _transition(self, action: Float[Tensor, "num_envs num_joints"], log: PhysicsLog) -> Transition:
+        """What this control step changed."""
+        now, record = self.world.privileged(log), self._episode.record
+        return Transition(
+            before=self._senses.now,
+            now=now,
+            action=action,
+            held_steps=torch.where(is_near(now), record.held_steps + 1, 0),
+            episode_steps=record.steps + 1,
+        )
+
+    def _draw_episode(self) -> "_Episode":
+        """A new episode for every environment; those that need none ignore theirs."""
+        cfg = self.cfg
+        drawn = sample_parameters(
+            cfg.randomization, cfg.sensing, self._object_ids, self.num_envs, self._generator
+        )
+        throw = sample_throws(cfg.throws, self.num_envs, self._generator)
+        return _Episode(parameters=drawn, throw=throw, record=EpisodeRecord.start(drawn.object_id, throw.aim))
+
+    def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
+        """Begin new episodes where one ended, and release the objects that have hovered long enough."""
+        fresh = self._draw_episode()
+        self._episode = select(ended, fresh, replace(self._episode, record=record))
+        self.world.reset(ended, fresh.parameters, fresh.throw)
+        is_released = self._episode.record.steps == self._episode.throw.hover_steps
+        self.world.release(is_released, self._episode.throw.lin_vel)
+        self.world.forward(ended | is_released)
+
+    def _sense(self, begun: Bool[Tensor, " num_envs"], command: "_Command", log: PhysicsLog) -> None:
+        """Look and measure after a control step; nothing of the episode before survives where one has begun."""
+        senses = self._senses
+        detected, is_seen = self._detect()
+        box = select(begun | is_seen, detected, senses.boxes.newest)
+        boxes = select(begun, senses.boxes.filled(box), senses.boxes.pushed(box))
+        joint_pos = self.world.joint_pos
+        started = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        now = self._measure(
+            select(begun, started, command), boxes.delivered(self._episode.parameters.latency)
+        )
+        history = History(senses.history.before, senses.history.now, now)
+        truth = self.world.privileged(log.cleared(begun))
+        self._senses = _Senses(
+            boxes=boxes,
+            history=select(begun, History(now, now, now), history),
+            before=select(begun, truth, senses.now),
+            now=truth,
+        )
+
+    def _detect(self) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
+        """Noisy box of the object in the present image, and whether it was seen at all."""
+        points, is_visible = self.world.surface_points()
+        box, is_seen = detect(points, is_visible, self.cfg.sensing.least_visible)
+        noise = 2.0 * torch.rand(box.shape, generator=self._generator, device=self.device) - 1.0
+        return perturb_box(box, self.cfg.sensing.corner_noise * noise, RGB_CAMERA), is_seen
+
+    def _measure(self, command: "_Command", box: Float[Tensor, "num_envs 4"]) -> Measurement:
+        """What the robot measures now, with the noise of its encoders."""
+        joint_pos = self.world.joint_pos
+        noise = torch.randn(joint_pos.shape, generator=self._generator, device=self.device)
+        joint_pos = joint_pos + self._episode.parameters.joint_bias + self.cfg.sensing.joint_noise * noise
+        palm_pos, palm_quat = palm_pose(joint_pos[:, :NUM_ARM_JOINTS])
+        return Measurement(
+            box=box,
+            joint_pos=joint_pos,
+            joint_pos_target=command.joint_pos_target,
+            palm_pos=palm_pos,
+            palm_quat=palm_quat,
+            action=command.action,
+        )
+
+    def _observe(self) -> Observation:
+        """The inputs of all networks."""
+        senses = self._senses
+        policy = {
+            agent.name: observe(agent.observation, agent.joints, self._pixel_columns, senses.history)
+            for agent in self.method.agents
+        }
+        truth = privileged_state(senses.before, senses.now)
+        return Observation(policy=policy, state=torch.cat((*policy.values(), truth), dim=-1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Episode:
+    """What was drawn for the present episode, and what became of it so far."""
+
+    parameters: EpisodeParameters
+    throw: Throw
+    record: EpisodeRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Command:
+    """What was last commanded."""
+
+    action: Float[Tensor, "num_envs num_joints"]
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Senses:
+    """What was seen and measured up to now."""
+
+    boxes: BoxStream
+    history: History
+    before: Privileged
+    now: Privileged

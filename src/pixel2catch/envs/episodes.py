@@ -1,0 +1,121 @@
+"""What an episode has been so far, environment by environment, on the device."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from pixel2catch.envs.world import PhysicsLog
+from pixel2catch.mdp.snapshot import Transition
+from pixel2catch.mdp.terminations import is_dropped, is_near, is_success
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeRecord:
+    """The present episode of each environment so far.
+
+    Attributes:
+        object_id: Row of the object in the table of objects.
+        aim: Where the throw was aimed at, world frame [m].
+        steps: Control steps.
+        held_steps: Consecutive control steps with the object near the palm, up to now.
+        is_tracked: Whether the palm reached the object (T.R.).
+        is_success: Whether it was held long enough (S.R.).
+        is_palm_contact: Whether the palm itself touched it.
+        is_hand_contact: Whether any part of the hand did.
+        is_dropped: Whether it fell or passed the robot.
+        is_table_contact: Whether the robot touched the table.
+        is_self_contact: Whether the robot touched itself.
+        contact_height: Height of the object at its first contact with the hand [m]; 0 before.
+        contact_steps: Control steps with contact of object and hand.
+        penetration_sum: Deepest overlap of each of them, summed [m].
+        max_penetration: Deepest overlap of the object with anything, over all physics steps [m].
+        max_table_penetration: Likewise of robot and table [m].
+        max_joint_speed: Largest speed of an arm joint, over all physics steps [rad/s].
+        max_torque_share: Largest joint torque as a share of its limit.
+    """
+
+    object_id: Int[Tensor, " num_envs"]
+    aim: Float[Tensor, "num_envs 3"]
+    steps: Int[Tensor, " num_envs"]
+    held_steps: Int[Tensor, " num_envs"]
+    is_tracked: Bool[Tensor, " num_envs"]
+    is_success: Bool[Tensor, " num_envs"]
+    is_palm_contact: Bool[Tensor, " num_envs"]
+    is_hand_contact: Bool[Tensor, " num_envs"]
+    is_dropped: Bool[Tensor, " num_envs"]
+    is_table_contact: Bool[Tensor, " num_envs"]
+    is_self_contact: Bool[Tensor, " num_envs"]
+    contact_height: Float[Tensor, " num_envs"]
+    contact_steps: Int[Tensor, " num_envs"]
+    penetration_sum: Float[Tensor, " num_envs"]
+    max_penetration: Float[Tensor, " num_envs"]
+    max_table_penetration: Float[Tensor, " num_envs"]
+    max_joint_speed: Float[Tensor, " num_envs"]
+    max_torque_share: Float[Tensor, " num_envs"]
+
+    @classmethod
+    def start(cls, object_id: Int[Tensor, " num_envs"], aim: Float[Tensor, "num_envs 3"]) -> "EpisodeRecord":
+        """Records of episodes that have just begun."""
+        none, no, zero = (
+            torch.zeros_like(object_id),
+            torch.zeros_like(object_id, dtype=torch.bool),
+            aim.new_zeros(len(aim)),
+        )
+        return cls(
+            object_id=object_id,
+            aim=aim,
+            steps=none,
+            held_steps=none,
+            is_tracked=no,
+            is_success=no,
+            is_palm_contact=no,
+            is_hand_contact=no,
+            is_dropped=no,
+            is_table_contact=no,
+            is_self_contact=no,
+            contact_height=zero,
+            contact_steps=none,
+            penetration_sum=zero,
+            max_penetration=zero,
+            max_table_penetration=zero,
+            max_joint_speed=zero,
+            max_torque_share=zero,
+        )
+
+    def advanced(self, transition: Transition, log: PhysicsLog) -> "EpisodeRecord":
+        """The records one control step later; `held_steps` and `steps` are those of the transition."""
+        touched = log.is_touching.any(dim=-1)
+        first = touched & ~self.is_hand_contact
+        return replace(
+            self,
+            steps=transition.episode_steps,
+            held_steps=transition.held_steps,
+            is_tracked=self.is_tracked | is_near(transition.now),
+            is_success=self.is_success | is_success(transition),
+            is_palm_contact=self.is_palm_contact | log.is_touching[:, 0],
+            is_hand_contact=self.is_hand_contact | touched,
+            is_dropped=self.is_dropped | is_dropped(transition.now),
+            is_table_contact=self.is_table_contact | log.is_robot_on_table,
+            is_self_contact=self.is_self_contact | log.is_self_contact,
+            contact_height=torch.where(first, transition.now.object_pos[:, 2], self.contact_height),
+            contact_steps=self.contact_steps + touched.long(),
+            penetration_sum=self.penetration_sum + torch.where(touched, log.penetration, 0.0),
+            max_penetration=torch.maximum(self.max_penetration, log.penetration),
+            max_table_penetration=torch.maximum(self.max_table_penetration, log.table_penetration),
+            max_joint_speed=torch.maximum(self.max_joint_speed, log.joint_speed),
+            max_torque_share=torch.maximum(self.max_torque_share, log.torque_share),
+        )
+
+
+FAILURES = ("never_reached", "bounced_off", "dropped", "not_held")
+"""Why an episode without success failed: the palm never came near; it came near and was never touched again within
+three control steps; it was touched longer and fell; time ran out with the object still up."""
+
+
+def failure(record: EpisodeRecord) -> Int[Tensor, " num_envs"]:
+    """Index into `FAILURES` of each episode; meaningless for a success."""
+    lost = torch.where(record.contact_steps <= 3, 1, 2)
+    reached = torch.where(record.is_dropped, lost, 3)
+    return torch.where(record.is_tracked, reached, 0)

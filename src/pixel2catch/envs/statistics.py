@@ -1,0 +1,127 @@
+"""Sums over ended episodes, by object and by landing point, kept on the device until they are asked for."""
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from pixel2catch.envs.episodes import FAILURES, EpisodeRecord, failure
+from pixel2catch.mdp.throws import Range
+
+SHARES = (
+    "is_tracked",
+    "is_success",
+    "is_palm_contact",
+    "is_hand_contact",
+    "is_dropped",
+    "is_table_contact",
+    "is_self_contact",
+)
+SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum")
+MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
+LANDING_BINS = (2, 4)
+"""Bins of the throws' aim along x and y."""
+
+Row = list[float]
+
+
+class EpisodeStatistics:
+    """Sums over the episodes that have ended since the last look, and over the reward terms of every step."""
+
+    def __init__(
+        self,
+        object_names: tuple[str, ...],
+        aim: tuple[Range, Range],
+        reward_names: Mapping[str, tuple[str, ...]],
+        device: torch.device,
+    ) -> None:
+        """Start empty.
+
+        Args:
+            object_names: Names of the objects by row of the object table.
+            aim: Ranges of the throws' aim along x and y [m].
+            reward_names: Names of the reward terms of each agent.
+            device: Where the records are.
+        """
+        self._object_names, self._reward_names = object_names, reward_names
+        self._aim_low = torch.tensor([low for low, _ in aim], device=device)
+        self._aim_width = torch.tensor([high - low for low, high in aim], device=device)
+        num_columns = 1 + len(SHARES) + len(SUMS) + len(FAILURES)
+        self._by_object = torch.zeros(len(object_names), num_columns, device=device)
+        self._by_landing = torch.zeros(LANDING_BINS[0] * LANDING_BINS[1], num_columns, device=device)
+        self._maxima = torch.zeros(len(MAXIMA), device=device)
+        self._rewards = torch.zeros(1 + sum(map(len, reward_names.values())), device=device)
+
+    def add(
+        self,
+        ended: Bool[Tensor, " num_envs"],
+        record: EpisodeRecord,
+        reward_terms: Mapping[str, Float[Tensor, "num_envs _"]],
+    ) -> None:
+        """Add a control step: its reward terms, and the records of the episodes that it ended."""
+        columns = [getattr(record, name).float() for name in (*SHARES, *SUMS)]
+        modes = torch.nn.functional.one_hot(failure(record), len(FAILURES)) * ~record.is_success[:, None]
+        rows = torch.cat((torch.ones_like(columns[0])[:, None], torch.stack(columns, dim=-1), modes), dim=-1)
+        rows = torch.where(ended[:, None], rows, 0.0)
+        self._by_object.index_add_(0, record.object_id, rows)
+        self._by_landing.index_add_(0, self._landing_bin(record.aim), rows)
+        maxima = torch.stack([getattr(record, name) for name in MAXIMA], dim=-1)
+        torch.maximum(self._maxima, torch.where(ended[:, None], maxima, 0.0).amax(dim=0), out=self._maxima)
+        means = torch.cat([values.mean(dim=0) for values in reward_terms.values()])
+        self._rewards += torch.cat((torch.ones_like(means[:1]), means))
+
+    def pop(self) -> dict[str, float]:
+        """Rates and means since the last call, by name; NaN where nothing was counted. Waits for the device once."""
+        buffers = (self._by_object, self._by_landing, self._maxima[None], self._rewards[None])
+        packed = torch.cat([buffer.flatten() for buffer in buffers]).tolist()
+        for buffer in buffers:
+            buffer.zero_()
+        rows: list[Row] = []
+        for buffer in buffers:
+            for _ in range(buffer.shape[0]):
+                rows.append(packed[: buffer.shape[1]])
+                packed = packed[buffer.shape[1] :]
+        num_objects = len(self._object_names)
+        objects, landings, (maxima, rewards) = rows[:num_objects], rows[num_objects:-2], rows[-2:]
+        result = _means([sum(column) for column in zip(*objects, strict=True)])
+        result |= dict(zip(MAXIMA, maxima, strict=True))
+        result |= {
+            f"success_rate/{n}": _means(row)["success_rate"]
+            for n, row in zip(self._object_names, objects, strict=True)
+        }
+        result |= {f"success_rate/landing_{i}": _means(row)["success_rate"] for i, row in enumerate(landings)}
+        names = [
+            f"reward_term/{agent}.{name}" for agent, names in self._reward_names.items() for name in names
+        ]
+        return result | {
+            name: value / max(rewards[0], 1.0) for name, value in zip(names, rewards[1:], strict=True)
+        }
+
+    def _landing_bin(self, aim: Float[Tensor, "num_envs 3"]) -> Int[Tensor, " num_envs"]:
+        across_x, across_y = LANDING_BINS
+        share = ((aim[:, :2] - self._aim_low) / self._aim_width).clamp(0.0, 0.999)
+        return (share[:, 0] * across_x).long() * across_y + (share[:, 1] * across_y).long()
+
+
+def _means(row: Row) -> dict[str, float]:
+    """Rates and means of one row of sums."""
+    episodes = row[0]
+    values = dict(zip((*SHARES, *SUMS), row[1:], strict=False))
+    failures = dict(zip(FAILURES, row[-len(FAILURES) :], strict=True))
+    return {
+        "episodes": episodes,
+        "tracking_rate": _ratio(values["is_tracked"], episodes),
+        "success_rate": _ratio(values["is_success"], episodes),
+        "palm_contact_rate": _ratio(values["is_palm_contact"], episodes),
+        "table_contact_rate": _ratio(values["is_table_contact"], episodes),
+        "self_contact_rate": _ratio(values["is_self_contact"], episodes),
+        "contact_height": _ratio(values["contact_height"], values["is_hand_contact"]),
+        "mean_penetration": _ratio(values["penetration_sum"], values["contact_steps"]),
+        "episode_steps": _ratio(values["steps"], episodes),
+        **{f"failure/{name}": _ratio(count, episodes) for name, count in failures.items()},
+    }
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")

@@ -1,0 +1,293 @@
+"""The robot, the object and the camera in simulation: what `CatchEnv` acts on and reads from."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from pixel2catch.camera.pinhole import camera_center
+from pixel2catch.camera.visibility import is_unoccluded, ray_directions
+from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.randomization import EpisodeParameters
+from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
+from pixel2catch.mdp.throws import GRAVITY, Throw
+from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS, RGB_CAMERA
+from pixel2catch.robot.contact import contact_solref
+from pixel2catch.robot.object_table import ObjectTable, object_table
+from pixel2catch.robot.objects import OBJECTS, surface_points
+from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.sim.simulation import Simulation, make_simulation
+
+JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
+NUM_JOINTS = len(JOINTS)
+NUM_ARM_JOINTS = len(ARM_JOINTS)
+OCCLUDER_GROUPS = (0, 3)
+"""Geom groups that can hide the object: table and floor, robot."""
+
+NUM_SURFACE_POINTS = 64
+"""Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""
+
+MASS_POWER = {
+    "body_mass": 1,
+    "body_subtreemass": 1,
+    "body_inertia": 1,
+    "body_invweight0": -1,
+    "dof_invweight0": -1,
+}
+"""How the object's model fields grow with its mass. All must follow it, or contacts blow up in float32."""
+
+
+class PhysicsLog(NamedTuple):
+    """What happened within one control step: extremes over all of its physics steps.
+
+    Attributes:
+        is_touching: Which of `HAND_PARTS` touched the object.
+        is_robot_on_table: Whether the robot touched the table.
+        is_self_contact: Whether the robot touched itself.
+        penetration: Deepest overlap of the object with anything [m].
+        table_penetration: Deepest overlap of robot and table [m].
+        joint_speed: Largest speed of an arm joint [rad/s].
+        torque_share: Largest joint torque, as a share of its limit.
+    """
+
+    is_touching: Bool[Tensor, "num_envs 5"]
+    is_robot_on_table: Bool[Tensor, " num_envs"]
+    is_self_contact: Bool[Tensor, " num_envs"]
+    penetration: Float[Tensor, " num_envs"]
+    table_penetration: Float[Tensor, " num_envs"]
+    joint_speed: Float[Tensor, " num_envs"]
+    torque_share: Float[Tensor, " num_envs"]
+
+    def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "PhysicsLog":
+        """The log without what happened in the masked environments."""
+        return select(mask, PhysicsLog(*(torch.zeros_like(value) for value in self)), self)
+
+
+@dataclass(frozen=True)
+class _Fields:
+    """Live tensors of the simulation, bound once."""
+
+    qpos: Tensor
+    qvel: Tensor
+    ctrl: Tensor
+    qacc_warmstart: Tensor
+    xfrc_applied: Tensor
+    actuator_force: Tensor
+    sensordata: Tensor
+    site_xpos: Tensor
+    xpos: Tensor
+    xmat: Tensor
+
+
+class CatchWorld:
+    """`num_envs` robots, each with an object that hovers, flies and lands.
+
+    Everything read from it is float32; the simulation keeps its own precision.
+    """
+
+    def __init__(self, scene: SceneCfg, *, num_envs: int, device: str) -> None:
+        """Build the model and its copies.
+
+        Args:
+            scene: What the model is made from.
+            num_envs: Number of environments.
+            device: "cpu" or a CUDA device.
+        """
+        model = build_model(scene)
+        self.simulation: Simulation = make_simulation(model, num_envs, device)
+        self.objects: ObjectTable = object_table(scene)
+        self.num_envs, self.device = num_envs, self.simulation.device
+        self._scene = scene
+        self._decimation = round(CONTROL_DT / scene.physics_dt)
+        self._palm = model.site("palm").id
+        self._tips = [model.site(f"{finger}_tip").id for finger in FINGERS]
+        self._sensors = _sensor_columns(model)
+        self._fields = _Fields(
+            **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
+        )
+        self._joints = _JointTensors.of(self.simulation.dtype, self.device)
+        self._table = {
+            name: torch.as_tensor(rows).to(self.device) for name, rows in self.objects.fields.items()
+        }
+        points = np.stack([surface_points(OBJECTS[name], NUM_SURFACE_POINTS) for name in self.objects.names])
+        self._surface = torch.as_tensor(points).to(self.device, self.simulation.dtype)
+        self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
+
+    @property
+    def joint_pos(self) -> Float[Tensor, "num_envs num_joints"]:
+        """True joint positions [rad]."""
+        return self._fields.qpos[:, :NUM_JOINTS].float()
+
+    def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
+        """Put the masked robots at their start, with new dynamics, and let a new object hover at its release point."""
+        self._set_object(mask, parameters)
+        self._set_gains(mask, parameters)
+        joints = self._joints
+        joint_pos = torch.clamp(joints.home + parameters.joint_offset, joints.lower, joints.upper)
+        fields = self._fields
+        start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
+        fields.qpos.copy_(select(mask, start, fields.qpos))
+        fields.ctrl.copy_(select(mask, joint_pos, fields.ctrl))
+        fields.qvel.masked_fill_(mask[:, None], 0.0)
+        fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
+        weight = GRAVITY * self.simulation.expand("body_mass")[:, self.objects.indices.body]
+        lift = fields.xfrc_applied[:, self.objects.indices.body, 2]
+        lift.copy_(torch.where(mask, weight, lift))
+
+    def release(self, mask: Bool[Tensor, " num_envs"], lin_vel: Float[Tensor, "num_envs 3"]) -> None:
+        """Let the masked objects fly with this velocity [m/s]; nothing carries them any longer."""
+        velocity = self._fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3]
+        velocity.copy_(select(mask, lin_vel.to(velocity), velocity))
+        self._fields.xfrc_applied[:, self.objects.indices.body, 2].masked_fill_(mask, 0.0)
+
+    def forward(self, mask: Bool[Tensor, " num_envs"]) -> None:
+        """Make everything that can be read current after `reset` or `release`."""
+        self.simulation.forward(mask)
+
+    def run(self, joint_pos_target: Float[Tensor, "num_envs num_joints"]) -> PhysicsLog:
+        """Simulate one control step; the servo ramps its command linearly to the target (a first-order hold)."""
+        ctrl = self._fields.ctrl
+        increment = (joint_pos_target.to(ctrl) - ctrl) / self._decimation
+        log = None
+        for _ in range(self._decimation):
+            ctrl.add_(increment)
+            self.simulation.step()
+            log = _merge(log, self._read_log())
+        assert log is not None
+        return log
+
+    def quiet_log(self) -> PhysicsLog:
+        """The log of a control step in which nothing was touched."""
+        return self._read_log().cleared(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+
+    def privileged(self, log: PhysicsLog) -> Privileged:
+        """What only the simulator knows, now; contacts since the last control step come from its log."""
+        fields = self._fields
+        return Privileged(
+            palm_pos=fields.site_xpos[:, self._palm].float(),
+            fingertip_pos=torch.stack([fields.site_xpos[:, tip] for tip in self._tips], dim=1).float(),
+            object_pos=fields.xpos[:, self.objects.indices.body].float(),
+            object_lin_vel=fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3].float(),
+            is_touching=log.is_touching,
+            is_robot_on_table=log.is_robot_on_table,
+        )
+
+    def surface_points(
+        self,
+    ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
+        """Surface points of the object in the world frame [m], and which of them the robot and the table do not hide."""
+        rotation = self._fields.xmat[:, self.objects.indices.body].view(-1, 3, 3)
+        points = (self._surface[self._object_id][:, :, None] * rotation[:, None]).sum(dim=-1)
+        points = points + self._fields.xpos[:, self.objects.indices.body, None]
+        directions = ray_directions(RGB_CAMERA, points)
+        hit = self.simulation.ray(camera_center(RGB_CAMERA, points), directions, OCCLUDER_GROUPS)
+        return points.float(), is_unoccluded(hit)
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self.simulation.close()
+
+    def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:
+        """Shape, inertia and contact of the object."""
+        self._object_id = torch.where(mask, parameters.object_id, self._object_id)
+        rows = self.objects.indices.rows
+        for name, table in self._table.items():
+            value = table[parameters.object_id]
+            factor = parameters.mass_scale.to(value.dtype) ** MASS_POWER.get(name, 0)
+            scaled = value * factor.view(-1, *(1,) * (value.ndim - 1)) if name in MASS_POWER else value
+            self._write(mask, name, rows(name), scaled)
+        stiffness, damping = contact_solref(parameters.restitution, self._scene.physics_dt)
+        solref = torch.stack((torch.full_like(damping, stiffness), damping), dim=-1)
+        self._write(mask, "geom_solref", rows("geom_solref"), solref[:, None])
+        friction = self.simulation.expand("geom_friction")[:, rows("geom_friction"), 0]
+        friction.copy_(select(mask, parameters.friction.to(friction)[:, None].expand_as(friction), friction))
+
+    def _set_gains(self, mask: Tensor, parameters: EpisodeParameters) -> None:
+        """Stiffness and damping of the joint servos: torque = stiffness (target - position) - damping speed."""
+        stiffness = self._joints.stiffness * parameters.stiffness_scale
+        damping = self._joints.damping * parameters.damping_scale
+        gainprm, biasprm = (
+            self.simulation.expand("actuator_gainprm"),
+            self.simulation.expand("actuator_biasprm"),
+        )
+        for target, value in (
+            (gainprm[..., 0], stiffness),
+            (biasprm[..., 1], -stiffness),
+            (biasprm[..., 2], -damping),
+        ):
+            target.copy_(select(mask, value.to(target), target))
+
+    def _write(self, mask: Tensor, name: str, rows: slice, value: Tensor) -> None:
+        """Set rows of a model field in the masked environments."""
+        field = self.simulation.expand(name)[:, rows]
+        field.copy_(select(mask, value.to(field.dtype).expand_as(field), field))
+
+    def _read_log(self) -> PhysicsLog:
+        """Contacts and extremes of the present physics step."""
+        fields = self._fields
+        found = fields.sensordata[:, self._sensors.found] > 0
+        depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
+        hand = len(HAND_PARTS)
+        return PhysicsLog(
+            is_touching=found[:, :hand],
+            is_robot_on_table=found[:, hand + 1],
+            is_self_contact=found[:, hand + 2],
+            penetration=depth[:, hand],
+            table_penetration=depth[:, hand + 1],
+            joint_speed=fields.qvel[:, :NUM_ARM_JOINTS].abs().amax(dim=-1).float(),
+            torque_share=(fields.actuator_force.abs() / self._joints.effort_limit).amax(dim=-1).float(),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _JointTensors:
+    """Constants of the joints in joint order."""
+
+    home: Tensor
+    lower: Tensor
+    upper: Tensor
+    stiffness: Tensor
+    damping: Tensor
+    effort_limit: Tensor
+
+    @classmethod
+    def of(cls, dtype: torch.dtype, device: torch.device) -> "_JointTensors":
+        """Copy the constants to the device."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(
+            **{n: torch.tensor([getattr(j, n) for j in JOINTS], dtype=dtype, device=device) for n in names}
+        )
+
+
+class _SensorColumns(NamedTuple):
+    """Columns of `sensordata`: object with each hand part, object with anything, robot with table, robot with itself."""
+
+    found: slice
+    dist: slice
+
+
+SENSORS = (*(f"object_{part}" for part in HAND_PARTS), "object_any", "robot_table", "robot_self")
+"""Contact sensors of the model, in order; each gives the number of contacts found and the least distance."""
+
+
+def _sensor_columns(model: mujoco.MjModel) -> _SensorColumns:
+    """Where the contact sensors write; they follow each other, two numbers each."""
+    addresses = [int(model.sensor(name).adr[0]) for name in SENSORS]
+    first, last = addresses[0], addresses[-1] + 2
+    if addresses != list(range(first, last, 2)):
+        raise ValueError(
+            f"contact sensors are not consecutive pairs: {dict(zip(SENSORS, addresses, strict=True))}"
+        )
+    return _SensorColumns(found=slice(first, last, 2), dist=slice(first + 1, last, 2))
+
+
+def _merge(log: PhysicsLog | None, step: PhysicsLog) -> PhysicsLog:
+    """Extremes of both: whether ever, and how much at most."""
+    if log is None:
+        return step
+    return PhysicsLog(*(torch.maximum(a, b) for a, b in zip(log, step, strict=True)))

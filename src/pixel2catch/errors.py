@@ -1,0 +1,45 @@
+"""What the package raises for bad input: each message names the value, what is valid, and the fix."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class Pixel2CatchError(Exception):
+    """Base class of all errors that a user can cause and mend."""
+
+
+class UnknownNameError(Pixel2CatchError):
+    """A name that is in no catalogue.
+
+    Args:
+        kind: What was looked up, such as "object" or "method".
+        name: The name that was given.
+        valid: The names that exist.
+    """
+
+    def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
+        """Compose the message from the closest and from all valid names."""
+        names = list(valid)
+        close = get_close_matches(name, names, n=1)
+        hint = f" Did you mean '{close[0]}'?" if close else ""
+        super().__init__(f"unknown {kind} '{name}'.{hint} Valid: {', '.join(names)}.")
+
+
+class InvalidValueError(Pixel2CatchError, ValueError):
+    """A value outside its valid range."""
+
+
+class DeviceUnavailableError(Pixel2CatchError):
+    """A device was asked for that this machine does not have."""
+
+
+class PolicyMismatchError(Pixel2CatchError):
+    """A policy file that does not fit this code, method or robot."""
+
+
+class NonFiniteError(Pixel2CatchError):
+    """A NaN or infinity appeared; the message names the quantity."""
+
+
+class CheckpointError(Pixel2CatchError):
+    """A run folder or checkpoint that cannot be written, read or resumed."""

@@ -1,0 +1,87 @@
+"""From actions in [-1, 1] to joint position targets: one affine map for arm and hand, with other numbers.
+
+Arm: the action is added to the measured joint position (paper, Sec. IV-D). Hand: the action, rescaled to the joint
+limits, is the target.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pixel2catch.robot.constants import CONTROL_DT, JointSpec
+
+SPEED_MARGIN = 0.9
+"""Share of the speed limit that the fastest robot of the randomisation may reach. Source: ours; the rest is for noise."""
+
+FASTEST_GAINS = 1.2 / 0.8
+"""Largest ratio of stiffness to damping, relative to the nominal one. Source: paper, Table I."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCommand:
+    """How one joint's action becomes its target: `anchor * position + offset + scale * action`, within the limits.
+
+    Attributes:
+        anchor: 1 if the action is relative to the measured position, 0 if it is absolute.
+        offset: Target at action 0 of an absolute joint [rad].
+        scale: Target change by action 1 [rad].
+        lower: Lowest target [rad].
+        upper: Highest target [rad].
+    """
+
+    anchor: float
+    offset: float
+    scale: float
+    lower: float
+    upper: float
+
+
+def relative_command(joint: JointSpec) -> JointCommand:
+    """Targets relative to the measured position, such that the joint's speed limit holds.
+
+    A servo with stiffness k and damping d, heavily damped, follows its target with time constant d / k. Its target is
+    ramped to `position + scale` within one control step of length T, so from rest the speed at the end of the step is
+    `scale / T * (1 - exp(-T k / d))`, and less in steady motion. The scale puts that, for the stiffest robot of the
+    randomisation, at `SPEED_MARGIN` of the limit.
+
+    Source: paper (added to the current joint positions); the scale is ours: the paper gives none.
+    Differs: the release adds up to 0.05 rad to the previous target in each of four physics steps, and relies on the
+    simulator's speed limit, which MuJoCo does not have.
+    """
+    rate = FASTEST_GAINS * joint.stiffness / joint.damping
+    scale = SPEED_MARGIN * joint.velocity_limit * CONTROL_DT / (1.0 - math.exp(-rate * CONTROL_DT))
+    return JointCommand(anchor=1.0, offset=0.0, scale=scale, lower=joint.lower, upper=joint.upper)
+
+
+def absolute_command(joint: JointSpec) -> JointCommand:
+    """Targets over the whole range of the joint. Source: paper, Sec. IV-D."""
+    middle, half_range = (joint.upper + joint.lower) / 2, (joint.upper - joint.lower) / 2
+    return JointCommand(anchor=0.0, offset=middle, scale=half_range, lower=joint.lower, upper=joint.upper)
+
+
+@dataclass(frozen=True)
+class ActionMap:
+    """The commands of all joints as rows of a tensor, ready for many environments at once.
+
+    Attributes:
+        table: anchor, offset, scale, lower and upper, one row each.
+    """
+
+    table: Float[Tensor, "5 num_joints"]
+
+    @classmethod
+    def of(cls, commands: tuple[JointCommand, ...], device: torch.device) -> "ActionMap":
+        """Stack the commands of joints in joint order."""
+        rows = [(c.anchor, c.offset, c.scale, c.lower, c.upper) for c in commands]
+        return cls(torch.tensor(rows, dtype=torch.float32, device=device).T.contiguous())
+
+    def joint_pos_target(
+        self, action: Float[Tensor, "num_envs num_joints"], joint_pos: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """Joint targets [rad] of actions, which are clipped to [-1, 1]."""
+        anchor, offset, scale, lower, upper = self.table
+        target = anchor * joint_pos + offset + scale * action.clamp(-1.0, 1.0)
+        return torch.clamp(target, lower, upper)

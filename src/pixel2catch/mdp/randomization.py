@@ -1,0 +1,108 @@
+"""What differs from episode to episode: the object, the dynamics, biases and the latency of the camera.
+
+Source: paper, Table I; release (object friction, biases).
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.mdp.throws import Range, uniform
+from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomizationCfg:
+    """Ranges of uniform draws and standard deviations of Gaussian ones.
+
+    Attributes:
+        arm_gain_scale: Factor on stiffness and, drawn apart, on damping of each arm joint.
+        hand_gain_scale: Likewise of each hand joint.
+        arm_action_noise: Standard deviation of the noise on each arm action.
+        hand_action_noise: Likewise of the hand.
+        arm_action_bias: Standard deviation of an error of each arm action that lasts an episode (release).
+        hand_action_bias: Likewise of the hand (release).
+        initial_joint_noise: Largest deviation of each joint from its start position [rad].
+        mass_scale: Factor on the object's mass and inertia.
+        restitution: Restitution of contacts with the object.
+        friction: Sliding friction of contacts with the object (release).
+    """
+
+    arm_gain_scale: Range = (0.8, 1.2)
+    hand_gain_scale: Range = (0.7, 1.3)
+    arm_action_noise: float = 0.03
+    hand_action_noise: float = 0.02
+    arm_action_bias: float = 0.01
+    hand_action_bias: float = 0.005
+    initial_joint_noise: float = 0.125
+    mass_scale: Range = (0.5, 1.5)
+    restitution: Range = (0.0, 0.5)
+    friction: Range = (0.5, 1.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeParameters:
+    """The draws of one episode in each environment.
+
+    Attributes:
+        object_id: Row of the object in the table of objects.
+        stiffness_scale: Factor on each joint's stiffness.
+        damping_scale: Factor on each joint's damping.
+        action_bias: Error of each action.
+        joint_bias: Error of each encoder [rad].
+        joint_offset: Deviation of each joint from its start position [rad].
+        mass_scale: Factor on the object's mass.
+        restitution: Restitution of contacts with the object.
+        friction: Sliding friction of contacts with the object.
+        latency: Control steps between image and delivered box.
+    """
+
+    object_id: Int[Tensor, " num_envs"]
+    stiffness_scale: Float[Tensor, "num_envs num_joints"]
+    damping_scale: Float[Tensor, "num_envs num_joints"]
+    action_bias: Float[Tensor, "num_envs num_joints"]
+    joint_bias: Float[Tensor, "num_envs num_joints"]
+    joint_offset: Float[Tensor, "num_envs num_joints"]
+    mass_scale: Float[Tensor, " num_envs"]
+    restitution: Float[Tensor, " num_envs"]
+    friction: Float[Tensor, " num_envs"]
+    latency: Int[Tensor, " num_envs"]
+
+
+def sample_parameters(
+    cfg: RandomizationCfg, sensing: SensingCfg, object_ids: Int[Tensor, " num_objects"], num_envs: int,
+    generator: torch.Generator,
+) -> EpisodeParameters:  # fmt: skip
+    """Draw the parameters of one episode per environment, on the generator's device."""
+    device = generator.device
+    num_joints = len(ARM_JOINTS) + len(HAND_JOINTS)
+    gains = (cfg.arm_gain_scale,) * len(ARM_JOINTS) + (cfg.hand_gain_scale,) * len(HAND_JOINTS)
+    offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * num_joints
+    scalars = uniform((cfg.mass_scale, cfg.restitution, cfg.friction), num_envs, generator)
+    first, last = sensing.latency_steps
+
+    def normal() -> Tensor:
+        return torch.randn(num_envs, num_joints, generator=generator, device=device)
+
+    return EpisodeParameters(
+        object_id=object_ids[torch.randint(len(object_ids), (num_envs,), generator=generator, device=device)],
+        stiffness_scale=uniform(gains, num_envs, generator),
+        damping_scale=uniform(gains, num_envs, generator),
+        action_bias=normal() * by_joint(cfg.arm_action_bias, cfg.hand_action_bias, device),
+        joint_bias=normal() * sensing.joint_bias,
+        joint_offset=uniform(offset, num_envs, generator),
+        mass_scale=scalars[:, 0],
+        restitution=scalars[:, 1],
+        friction=scalars[:, 2],
+        latency=torch.randint(first, last + 1, (num_envs,), generator=generator, device=device),
+    )
+
+
+@lru_cache(maxsize=8)
+def by_joint(arm: float, hand: float, device: torch.device) -> Float[Tensor, " num_joints"]:
+    """One value for every arm joint and another for every hand joint, in joint order; copied to the device once."""
+    return torch.cat((torch.full((len(ARM_JOINTS),), arm), torch.full((len(HAND_JOINTS),), hand))).to(device)

@@ -1,0 +1,88 @@
+"""Reward terms: pure functions of a transition. The sign and size of each is in its agent's weight.
+
+Source: paper, Eq. 2-4, unless a term says otherwise.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pixel2catch.mdp.snapshot import Privileged, Transition
+from pixel2catch.mdp.terminations import is_dropped, is_near, is_success, palm_distance
+
+
+@dataclass(frozen=True, kw_only=True)
+class RewardTerm:
+    """A weighted term of an agent's reward.
+
+    Attributes:
+        function: (transition, columns of the agent's joints) -> (num_envs,).
+        weight: Factor, with the sign.
+    """
+
+    function: Callable[[Transition, slice], Float[Tensor, " num_envs"]]
+    weight: float
+
+    @property
+    def name(self) -> str:
+        """The function's name, used in logs and errors."""
+        return self.function.__name__
+
+
+def term_values(
+    terms: tuple[RewardTerm, ...], joints: slice, transition: Transition
+) -> Float[Tensor, "num_envs k"]:
+    """Weighted values of reward terms, one column each; an agent's reward is their sum."""
+    return torch.stack([term.weight * term.function(transition, joints) for term in terms], dim=-1)
+
+
+def elapsed_time(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """One per control step. Source: paper, r_time."""
+    return torch.ones_like(transition.now.object_pos[:, 0])
+
+
+def palm_approach(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """d(t-1) - d(t) between palm and object [m]. Source: paper, Eq. 2."""
+    return palm_distance(transition.before) - palm_distance(transition.now)
+
+
+def fingertips_approach(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """Sum over the fingertips of d(t-1) - d(t) to the object [m]. Source: paper, Eq. 2 and 4."""
+    return (_fingertip_distance(transition.before) - _fingertip_distance(transition.now)).sum(dim=-1)
+
+
+def success(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """One at the step that completes a hold. Source: paper, succ."""
+    return is_success(transition).float()
+
+
+def nearness(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """One while the object is in the palm's reach. Source: paper, app."""
+    return is_near(transition.now).float()
+
+
+def drop(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """One when the object is lost. Source: paper, drop."""
+    return is_dropped(transition.now).float()
+
+
+def table_contact(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """One while the robot touches the table. Source: paper, coll."""
+    return transition.now.is_robot_on_table.float()
+
+
+def action_square(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """Squared norm of the agent's action. Source: paper, Eq. 3 and 4."""
+    return transition.action[:, joints].square().sum(dim=-1)
+
+
+def grasp(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """Share of the five hand parts that touch the object. Source: ours, so that a hold is a grasp."""
+    return transition.now.is_touching.float().mean(dim=-1)
+
+
+def _fingertip_distance(snapshot: Privileged) -> Float[Tensor, "num_envs 4"]:
+    return torch.linalg.vector_norm(snapshot.object_pos[:, None] - snapshot.fingertip_pos, dim=-1)

@@ -1,0 +1,83 @@
+"""One control step as data: what the robot can measure, what only the simulator knows, and what changed.
+
+Policy inputs are computed from `Measurement` alone; value networks and rewards may also see `Privileged`. The split is
+a type, so that no policy can be given what a real robot does not have.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+FINGERS = ("index", "middle", "ring", "thumb")
+HAND_PARTS = ("palm", *FINGERS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """What the robot knows at one control step, in simulation and in the laboratory.
+
+    Attributes:
+        box: Newest delivered bounding box of the object: xmin, ymin, xmax, ymax [px].
+        joint_pos: Joint encoders, arm then hand [rad].
+        joint_pos_target: Joint targets commanded at this step [rad].
+        palm_pos: Palm position by forward kinematics of `joint_pos`, world frame [m].
+        palm_quat: Palm orientation likewise, (w, x, y, z) with w >= 0.
+        action: Last actions of all agents in joint order, in [-1, 1].
+    """
+
+    box: Float[Tensor, "num_envs 4"]
+    joint_pos: Float[Tensor, "num_envs num_joints"]
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]
+    palm_pos: Float[Tensor, "num_envs 3"]
+    palm_quat: Float[Tensor, "num_envs 4"]
+    action: Float[Tensor, "num_envs num_joints"]
+
+
+class History(NamedTuple):
+    """Three consecutive measurements: two observation frames, each with a difference to the step before it."""
+
+    oldest: Measurement
+    before: Measurement
+    now: Measurement
+
+
+@dataclass(frozen=True, kw_only=True)
+class Privileged:
+    """What only the simulator knows at one control step (world frame).
+
+    Attributes:
+        palm_pos: True palm position [m].
+        fingertip_pos: True fingertip positions, in the order of `FINGERS` [m].
+        object_pos: Position of the object's centre [m].
+        object_lin_vel: Its velocity [m/s].
+        is_touching: Which of `HAND_PARTS` touched the object since the step before.
+        is_robot_on_table: Whether the robot touched the table since the step before.
+    """
+
+    palm_pos: Float[Tensor, "num_envs 3"]
+    fingertip_pos: Float[Tensor, "num_envs 4 3"]
+    object_pos: Float[Tensor, "num_envs 3"]
+    object_lin_vel: Float[Tensor, "num_envs 3"]
+    is_touching: Bool[Tensor, "num_envs 5"]
+    is_robot_on_table: Bool[Tensor, " num_envs"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transition:
+    """What one control step changed: the input of every reward and ending.
+
+    Attributes:
+        before: The state that the actions were chosen in.
+        now: The state that they led to.
+        action: The actions in joint order, in [-1, 1].
+        held_steps: Consecutive control steps, this one included, with the object in the palm's reach.
+        episode_steps: Control steps since the start of the episode, this one included.
+    """
+
+    before: Privileged
+    now: Privileged
+    action: Float[Tensor, "num_envs num_joints"]
+    held_steps: Int[Tensor, " num_envs"]
+    episode_steps: Int[Tensor, " num_envs"]

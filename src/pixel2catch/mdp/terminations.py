@@ -1,0 +1,60 @@
+"""When the object is near, held or lost, and when an episode ends."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from pixel2catch.mdp.snapshot import Privileged, Transition
+
+REACH = 0.08
+"""Distance of palm and object under which the object counts as reached [m]. Source: release."""
+
+HOLD_STEPS = 20
+"""Consecutive control steps within `REACH` that make a success. Source: release."""
+
+DROP_HEIGHT = 0.45
+"""Height under which the object is lost [m]. Source: release."""
+
+DROP_X = 0.03
+"""World x under which the object has passed the robot [m]. Source: release."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeCfg:
+    """When an episode ends besides the loss of the object.
+
+    Attributes:
+        max_steps: Control steps after which it ends: 3.0 s (Source: release).
+        ends_on_success: Whether a success ends it (Source: paper; evaluation goes on to test the hold).
+    """
+
+    max_steps: int = 90
+    ends_on_success: bool = True
+
+
+def palm_distance(snapshot: Privileged) -> Float[Tensor, " num_envs"]:
+    """Distance d of palm and object centre [m]. Source: paper, Eq. 2."""
+    return torch.linalg.vector_norm(snapshot.object_pos - snapshot.palm_pos, dim=-1)
+
+
+def is_near(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
+    """Whether the palm has reached the object: the paper's tracking. Source: release, d < 0.08 m."""
+    return palm_distance(snapshot) < REACH
+
+
+def is_success(transition: Transition) -> Bool[Tensor, " num_envs"]:
+    """Whether the object has just been held long enough; true at one step of a hold. Source: release."""
+    return transition.held_steps == HOLD_STEPS
+
+
+def is_dropped(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
+    """Whether the object fell or passed the robot. Source: release."""
+    return (snapshot.object_pos[:, 2] < DROP_HEIGHT) | (snapshot.object_pos[:, 0] < DROP_X)
+
+
+def is_ended(transition: Transition, cfg: EpisodeCfg) -> Bool[Tensor, " num_envs"]:
+    """Success, drop or time-out. Source: paper; a time-out is a termination there, so it is one here."""
+    ended = is_dropped(transition.now) | (transition.episode_steps >= cfg.max_steps)
+    return ended | is_success(transition) if cfg.ends_on_success else ended

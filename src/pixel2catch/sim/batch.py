@@ -1,0 +1,77 @@
+"""The CPU back end: `mujoco.batch`, all cores, float64."""
+
+import os
+from typing import final
+
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Shaped
+from mujoco.batch import Batch
+from torch import Tensor
+
+from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Simulation
+
+_VELOCITY_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
+
+
+@final
+class BatchSimulation(Simulation):
+    """`mujoco.batch.Batch`, one `MjData` per environment.
+
+    Results are bit-identical at any number of threads.
+    """
+
+    def __init__(self, model: mujoco.MjModel, num_envs: int, num_threads: int = 0) -> None:
+        """Create the environments at the model's defaults.
+
+        Args:
+            model: The MuJoCo model.
+            num_envs: Number of environments.
+            num_threads: Threads to use, 0 for all processors.
+        """
+        super().__init__(model, num_envs, torch.device("cpu"), torch.float64)
+        num_threads = num_threads or len(os.sched_getaffinity(0))
+        self._batch = Batch(model, num_envs, min(num_threads, num_envs), persistent=True)
+
+    def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
+        return _as_tensor(self._batch.bind(field))
+
+    def expand(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102
+        return _as_tensor(self._batch.expand(field))
+
+    def step(self) -> None:  # noqa: D102
+        self._batch.step(stage=_VELOCITY_STAGE)
+
+    def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:  # noqa: D102
+        self._batch.forward(None if mask is None else mask.numpy(), stage=_VELOCITY_STAGE)
+
+    def ray(  # noqa: D102
+        self,
+        origin: Float[Tensor, "3"],
+        directions: Float[Tensor, "num_envs num_rays 3"],
+        groups: tuple[int, ...],
+    ) -> Float[Tensor, "num_envs num_rays"]:
+        geomgroup = np.isin(np.arange(MAX_GEOM_GROUPS), groups).astype(np.uint8)
+        distance, _ = self._batch.ray(origin.numpy(), directions.numpy(), geomgroup=geomgroup)
+        return torch.from_numpy(distance)
+
+    def check(self) -> None:
+        """Nothing to do: `Batch` raises as soon as MuJoCo does, and its arrays grow as needed."""
+
+    def close(self) -> None:
+        """Nothing to do: the threads end with the object."""
+
+
+def _as_tensor(array: np.ndarray) -> Tensor:
+    """A tensor on the array's memory; outputs, which NumPy marks read-only, included."""
+    return torch.from_numpy(np.asarray(_Writable(array)))
+
+
+class _Writable:
+    """An array without its read-only flag, which PyTorch's tensors do not have and warn about."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        address, _ = array.__array_interface__["data"]
+        self.__array_interface__ = {**array.__array_interface__, "data": (address, False)}
+        self._owner = array  # keeps the memory alive

@@ -1,0 +1,132 @@
+"""The interface of the two back ends, in MuJoCo's own verbs.
+
+    simulation = make_simulation(model, num_envs=256, device="cpu")
+    qpos, ctrl = simulation.bind("qpos"), simulation.bind("ctrl")
+    qpos[:] = start                 # a state field is live: what is written is the state
+    simulation.forward()            # makes positions, velocities and sensors of that state current
+    for _ in range(steps):
+        ctrl[:] = targets
+        simulation.step()           # one physics step; every bound field is current again
+
+`mujoco.batch` computes in float64 on the CPU, MuJoCo Warp in float32 on the GPU: `dtype` says which, and callers cast
+once, where they take a snapshot.
+"""
+
+from abc import ABC, abstractmethod
+
+import mujoco
+import torch
+from jaxtyping import Bool, Float, Shaped
+from torch import Tensor
+
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, UnknownNameError
+
+MAX_GEOM_GROUPS = mujoco.mjNGROUP
+
+
+class Simulation(ABC):
+    """`num_envs` independent copies of one MuJoCo model on one device.
+
+    Attributes:
+        model: The model that every environment starts from.
+        num_envs: Number of environments.
+        device: Where bound and expanded tensors live.
+        dtype: Their floating-point type.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype
+    ) -> None:
+        """Store what both back ends share.
+
+        Raises:
+            InvalidValueError: If `num_envs` is not positive.
+        """
+        if num_envs < 1:
+            raise InvalidValueError(f"num_envs is {num_envs}; it must be at least 1")
+        self.model = model
+        self.num_envs = num_envs
+        self.device = device
+        self.dtype = dtype
+
+    @abstractmethod
+    def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:
+        """Live tensor of an `MjData` field, named and shaped as in MuJoCo.
+
+        `qpos`, `qvel`, `ctrl` and `qacc_warmstart` are the state: a write takes effect at the next call. Every other
+        field is an output.
+        """
+
+    @abstractmethod
+    def expand(self, field: str) -> Shaped[Tensor, "num_envs ..."]:
+        """Live per-environment values of an `MjModel` field; a write takes effect at the next call."""
+
+    @abstractmethod
+    def step(self) -> None:
+        """Advance every environment by one physics step; bound fields then describe the new state."""
+
+    @abstractmethod
+    def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
+        """Make the bound fields current after writes to the state.
+
+        Args:
+            mask: The environments that were written; all if absent. Others stay as they are.
+        """
+
+    @abstractmethod
+    def ray(
+        self,
+        origin: Float[Tensor, "3"],
+        directions: Float[Tensor, "num_envs num_rays 3"],
+        groups: tuple[int, ...],
+    ) -> Float[Tensor, "num_envs num_rays"]:
+        """Distance to the nearest geom along each ray, in units of the direction's length; -1 where nothing is hit.
+
+        Args:
+            origin: Common origin of all rays, world frame [m].
+            directions: Ray directions, world frame.
+            groups: The geom groups that can be hit.
+        """
+
+    @abstractmethod
+    def check(self) -> None:
+        """Raise if the back end lost contacts or constraints since the last check (synchronises with the host)."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what the back end holds."""
+
+
+def make_simulation(model: mujoco.MjModel, num_envs: int, device: str) -> Simulation:
+    """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N".
+
+    Raises:
+        DeviceUnavailableError: If CUDA is asked for and absent.
+        UnknownNameError: If the device is of another type.
+    """
+    kind = device.split(":")[0]
+    if kind == "cpu":
+        from pixel2catch.sim.batch import BatchSimulation
+
+        return BatchSimulation(model, num_envs)
+    if kind == "cuda":
+        require_cuda(device)
+        from pixel2catch.sim.warp import WarpSimulation
+
+        return WarpSimulation(model, num_envs, device)
+    raise UnknownNameError("device", device, ("cpu", "cuda", "cuda:0", "cuda:1"))
+
+
+def require_cuda(device: str) -> None:
+    """Raise if PyTorch does not see the CUDA device.
+
+    Raises:
+        DeviceUnavailableError: With what is there and what to do.
+    """
+    count = torch.cuda.device_count()
+    index = torch.device(device).index or 0
+    if index >= count:
+        raise DeviceUnavailableError(
+            f"device '{device}' was asked for, but PyTorch {torch.__version__} sees {count} CUDA devices; "
+            "use --device cpu, or install a CUDA build of PyTorch and a driver that it supports"
+        )

@@ -1,0 +1,147 @@
+"""The GPU back end: MuJoCo Warp, float32, each physics step one CUDA graph.
+
+Nothing here copies to the host inside a step. PyTorch and Warp work on the same stream, so that tensors written by one
+are read by the other in order.
+"""
+
+from typing import final
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float, Shaped
+from mujoco_warp._src.types import vec6  # the argument type of mjw.rays
+from torch import Tensor
+
+from pixel2catch.errors import NonFiniteError
+from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Simulation
+
+CONTACTS_PER_ENV = 40
+"""Contacts to allocate per environment, shared by all (ours: twice the mean of the busiest step of a trained policy)."""
+
+CONSTRAINTS_PER_ENV = 160
+"""Constraint rows to allocate per environment (ours: 19 joint frictions, 19 limits, 3 per contact, with room)."""
+
+_HARMLESS = int(mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS)
+
+
+@final
+class WarpSimulation(Simulation):
+    """MuJoCo Warp on one CUDA device (or on Warp's CPU device, which is slow and serves in tests)."""
+
+    def __init__(self, model: mujoco.MjModel, num_envs: int, device: str) -> None:
+        """Put the model on the device and create the environments at its defaults."""
+        super().__init__(model, num_envs, torch.device(device), torch.float32)
+        wp.config.quiet = True
+        self._device = wp.device_from_torch(self.device)
+        if self._device.is_cuda:
+            wp.set_stream(wp.stream_from_torch(torch.cuda.current_stream(self.device)), self._device)
+        with wp.ScopedDevice(self._device):
+            self._model = mjw.put_model(model)
+            self._data = mjw.make_data(model, num_envs, nconmax=CONTACTS_PER_ENV, njmax=CONSTRAINTS_PER_ENV)
+        self._graph: wp.Graph | None = None
+        self._rays: _Rays | None = None
+
+    def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
+        shape = np.shape(getattr(mujoco.MjData(self.model), field))
+        return wp.to_torch(getattr(self._data, field)).view(self.num_envs, *shape)
+
+    def expand(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102
+        array = getattr(self._model, field)
+        if array.shape[0] != self.num_envs:
+            rows = np.repeat(array.numpy(), self.num_envs, axis=0)
+            array = wp.array(rows, dtype=array.dtype, device=self._device)
+            setattr(self._model, field, array)
+            self._graph = None  # it holds the address of the shared values
+        return wp.to_torch(array).view(self.num_envs, *np.shape(getattr(self.model, field)))
+
+    def step(self) -> None:  # noqa: D102
+        if not self._device.is_cuda:
+            self._step()
+            return
+        if self._graph is None:
+            self._graph = self._capture()
+        wp.capture_launch(self._graph)
+
+    def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
+        """Make bound fields current; for every environment, since that is what one launch computes."""
+        with wp.ScopedDevice(self._device):
+            mjw.step1(self._model, self._data)
+
+    def ray(  # noqa: D102
+        self,
+        origin: Float[Tensor, "3"],
+        directions: Float[Tensor, "num_envs num_rays 3"],
+        groups: tuple[int, ...],
+    ) -> Float[Tensor, "num_envs num_rays"]:
+        num_rays = directions.shape[1]
+        if self._rays is None or self._rays.num_rays != num_rays:
+            self._rays = _Rays(self.num_envs, num_rays, self.device)
+        self._rays.cast(self._model, self._data, origin, directions, groups)
+        return self._rays.distance
+
+    def check(self) -> None:
+        """Raise if an environment overflowed its contact or constraint buffers.
+
+        Raises:
+            NonFiniteError: Naming what overflowed, and how many environments lost it.
+        """
+        overflow = wp.to_torch(self._data.overflow) & ~_HARMLESS
+        flags = int(torch.unique(overflow).sum().item()) if bool(overflow.any()) else 0
+        if flags:
+            raise NonFiniteError(
+                f"MuJoCo Warp dropped contacts or constraints ({mjw.OverflowType(flags)!r}) in "
+                f"{int((overflow != 0).sum())} environments; raise CONTACTS_PER_ENV or CONSTRAINTS_PER_ENV"
+            )
+
+    def close(self) -> None:  # noqa: D102
+        self._graph = None
+
+    def _step(self) -> None:
+        """Second half of this step, first half of the next: positions and sensors are then current."""
+        with wp.ScopedDevice(self._device):
+            mjw.step2(self._model, self._data)
+            mjw.step1(self._model, self._data)
+
+    def _capture(self) -> wp.Graph:
+        """Record one physics step; it runs once before, so that every kernel is compiled, and is then undone."""
+        state = {name: self.bind(name).clone() for name in ("qpos", "qvel", "qacc_warmstart", "time")}
+        self._step()
+        for name, value in state.items():
+            self.bind(name).copy_(value)
+        self.forward()
+        with wp.ScopedCapture(self._device) as capture:
+            self._step()
+        return capture.graph
+
+
+class _Rays:
+    """Buffers of one batch of rays, kept because MuJoCo Warp writes into arrays of the caller."""
+
+    def __init__(self, num_envs: int, num_rays: int, device: torch.device) -> None:
+        self.num_rays = num_rays
+        self.distance = torch.zeros(num_envs, num_rays, device=device)
+        self._geomid = torch.zeros(num_envs, num_rays, dtype=torch.int32, device=device)
+        self._normal = torch.zeros(num_envs, num_rays, 3, device=device)
+        self._bodyexclude = torch.full((num_rays,), -1, dtype=torch.int32, device=device)
+
+    def cast(
+        self, model: mjw.Model, data: mjw.Data, origin: Tensor, directions: Tensor, groups: tuple[int, ...]
+    ) -> None:
+        """Cast the rays and leave the result in `distance`."""
+        origins = origin.to(directions).expand_as(directions).contiguous()
+        with wp.ScopedDevice(wp.device_from_torch(directions.device)):
+            mjw.rays(
+                model,
+                data,
+                wp.from_torch(origins, dtype=wp.vec3),
+                wp.from_torch(directions.contiguous(), dtype=wp.vec3),
+                vec6(*(float(group in groups) for group in range(MAX_GEOM_GROUPS))),
+                True,
+                wp.from_torch(self._bodyexclude),
+                wp.from_torch(self.distance),
+                wp.from_torch(self._geomid),
+                wp.from_torch(self._normal, dtype=wp.vec3),
+            )
