@@ -1,7 +1,7 @@
 """A small task that two unlike agents must learn together: their pushes add up and move a point to its goal.
 
-Same interface as `CatchEnv`. Like it, it writes observations into the same buffers in every step, and it gives one
-agent inputs in pixels, which nothing can be learnt from unless they are standardised.
+Same interface as `CatchEnv`. It writes observations into the same buffers in every step, and it gives one
+agent inputs in pixels, which little can be learnt from unless they are standardised.
 """
 
 from dataclasses import dataclass
@@ -9,27 +9,25 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pixel2catch.policy import ActionContract, AgentContract, PolicyContract
+from pixel2catch.policy import AgentContract, PolicyContract
 from pixel2catch.rl.config import TrainCfg
 
 EPISODE_STEPS = 12
+
+PUSH = {"anchor": 1.0, "offset": 0.0, "scale": 0.15, "lower": -1.0, "upper": 1.0}
 
 CONTRACT = PolicyContract(
     method="reaching",
     pixel_features=("cx",),
     agents={
         "arm": AgentContract(
-            observation=(("distance", 1), ("position", 1), ("last_push", 2)),
-            actions=(ActionContract(mapping="push", scale=0.15, joints=("pan", "idle")),),
+            observation=(("distance", 1), ("position", 1), ("last_push", 2)), joints=("pan", "idle")
         ),
-        "hand": AgentContract(
-            observation=(("pixel", 1), ("constant", 1)),
-            actions=(ActionContract(mapping="push", scale=0.15, joints=("finger",)),),
-        ),
+        "hand": AgentContract(observation=(("pixel", 1), ("constant", 1)), joints=("finger",)),
     },
-    joint_limits={"pan": (-1.0, 1.0), "idle": (-1.0, 1.0), "finger": (0.0, 1.5)},
+    commands={"pan": PUSH, "idle": PUSH, "finger": PUSH},
     control_dt=1 / 30,
-    camera={"width": 640.0, "position": (0.0, 0.1, 2.2)},
+    camera={"width": 640.0, "pos": (0.0, 0.1, 2.2)},
     handedness="left",
 )
 

@@ -1,8 +1,8 @@
-"""What training writes and every other command reads: the networks, their input statistics and their contract."""
+"""What training writes and every other command reads: networks, input statistics and their contract."""
 
-from pixel2catch.policy.contract import ActionContract as ActionContract
 from pixel2catch.policy.contract import AgentContract as AgentContract
 from pixel2catch.policy.contract import PolicyContract as PolicyContract
+from pixel2catch.policy.description import contract_of as contract_of
 from pixel2catch.policy.files import write_atomically as write_atomically
 from pixel2catch.policy.networks import HIDDEN as HIDDEN
 from pixel2catch.policy.networks import build_mlp as build_mlp

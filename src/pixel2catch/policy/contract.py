@@ -1,8 +1,8 @@
 """The contract of a policy: everything outside its networks that must be the same wherever it acts.
 
-A policy is a function of numbers. Which numbers, in which order and unit, seen by which camera, and what becomes of
-its outputs is written here, saved beside the networks and compared on loading, so that a policy that does not fit
-fails with the name of the field instead of moving a robot in a wrong way.
+A policy is a function of numbers. Which numbers, in which order and unit, seen by which camera, and what
+becomes of its outputs is written here, saved beside the networks and compared on loading: a policy that does
+not fit fails with the name of the field instead of moving a robot in a wrong way.
 """
 
 import dataclasses
@@ -16,41 +16,21 @@ FORMAT_VERSION = 1
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ActionContract:
-    """A run of joints that share one action mapping.
-
-    Attributes:
-        mapping: Name of the mapping from an action in [-1, 1] to a joint position target.
-        scale: Scale of the mapping [rad], where it has one, else 1.
-        joints: Names of the joints, in the order of the actions.
-    """
-
-    mapping: str
-    scale: float
-    joints: tuple[str, ...]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class AgentContract:
     """Inputs and outputs of one agent's network.
 
     Attributes:
         observation: Name and size of every observation term, in the order of the input vector.
-        actions: The runs of joints, in the order of the output vector.
+        joints: Names of the joints, in the order of the output vector.
     """
 
     observation: tuple[tuple[str, int], ...]
-    actions: tuple[ActionContract, ...]
+    joints: tuple[str, ...]
 
     @property
     def num_inputs(self) -> int:
         """Length of the observation vector."""
         return sum(size for _, size in self.observation)
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the joints, in the order of the output vector."""
-        return tuple(joint for action in self.actions for joint in action.joints)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -61,9 +41,9 @@ class PolicyContract:
         method: Name of the method.
         pixel_features: Names of the pixel features, in their order within a frame.
         agents: The agents by name.
-        joint_limits: Lower and upper limit [rad] of every controlled joint by name.
+        commands: How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad].
         control_dt: Time between two actions [s].
-        camera: The camera by field: size [px], intrinsics [px], position [m] and orientation in the world frame.
+        camera: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation.
         handedness: "left" or "right": which hand is on the arm.
         format_version: Version of the file format.
     """
@@ -71,7 +51,7 @@ class PolicyContract:
     method: str
     pixel_features: tuple[str, ...]
     agents: dict[str, AgentContract]
-    joint_limits: dict[str, tuple[float, float]]
+    commands: dict[str, dict[str, float]]
     control_dt: float
     camera: dict[str, float | tuple[float, ...]]
     handedness: str
@@ -99,7 +79,6 @@ class PolicyContract:
         values["agents"] = {
             name: _agent(agent, f"agents.{name}.") for name, agent in values["agents"].items()
         }
-        values["joint_limits"] = {name: (low, high) for name, (low, high) in values["joint_limits"].items()}
         values["camera"] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in values["camera"].items()
@@ -122,10 +101,7 @@ class PolicyContract:
 def _agent(data: Mapping[str, Any], where: str) -> AgentContract:
     values = _fields(AgentContract, data, where)
     values["observation"] = tuple((name, size) for name, size in values["observation"])
-    actions = [_fields(ActionContract, action, f"{where}actions.") for action in values["actions"]]
-    values["actions"] = tuple(
-        ActionContract(**{**action, "joints": tuple(action["joints"])}) for action in actions
-    )
+    values["joints"] = tuple(values["joints"])
     return AgentContract(**values)
 
 

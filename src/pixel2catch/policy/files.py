@@ -8,8 +8,8 @@ from pathlib import Path
 def write_atomically(contents: Mapping[Path, bytes]) -> None:
     """Write one or several files; when any write fails, all the files keep their old content.
 
-    Every file is first written completely beside its place (`<name>.tmp`) and flushed to the disk; only then are the
-    old ones replaced. A full disk or a kill in between leaves the old files as they were.
+    Every file is first written completely beside its place (`<name>.tmp`) and flushed to the disk; only then
+    are the old ones replaced. A full disk or a kill in between leaves the old files as they were.
 
     Args:
         contents: The new content of each file. The folders must exist.

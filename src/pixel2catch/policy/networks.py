@@ -1,5 +1,6 @@
 """The networks of policies and value functions."""
 
+import itertools
 from collections.abc import Sequence
 
 import torch
@@ -10,7 +11,7 @@ HIDDEN = (512, 256, 128)
 """Sizes of the hidden layers of every network. Source: paper, Sec. IV-E."""
 
 INPUT_CLIP = 5.0
-"""Standardised inputs are clipped to ± this many standard deviations. Source: release (skrl's RunningStandardScaler)."""
+"""Standardised inputs are clipped to ± this many standard deviations. Source: release (skrl)."""
 
 
 def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> nn.Sequential:
@@ -25,7 +26,7 @@ def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN)
     """
     sizes = [num_inputs, *hidden]
     layers: list[nn.Module] = []
-    for size, next_size in zip(sizes, sizes[1:], strict=False):
+    for size, next_size in itertools.pairwise(sizes):
         layers += [nn.Linear(size, next_size), nn.ELU()]
     return nn.Sequential(*layers, nn.Linear(sizes[-1], num_outputs))
 

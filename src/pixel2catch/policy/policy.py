@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import safetensors.torch
 import torch
@@ -39,6 +39,10 @@ class Policy(nn.Module):
                 for name, agent in contract.agents.items()
             }
         )
+
+    def network(self, agent: str) -> AgentNetwork:
+        """Return the network of an agent."""
+        return cast(AgentNetwork, self.agents[agent])
 
     @torch.no_grad()
     def act(

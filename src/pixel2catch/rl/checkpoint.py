@@ -1,4 +1,4 @@
-"""Checkpoints: the full state of learning, so that an interrupted training goes on as if nothing had happened.
+"""Checkpoints: the full state of learning, so that a training goes on as if it had not been interrupted.
 
 The environments are not part of it: a resumed training begins with new episodes.
 """

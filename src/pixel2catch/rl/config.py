@@ -11,8 +11,9 @@ from pixel2catch.policy import HIDDEN
 class TrainCfg:
     """Configuration of a training run; the defaults are the preset `fast`.
 
-    Source: paper, Sec. IV-E, and the release for what the paper leaves open. Differs: batch size and learning-rate
-    schedule of `fast` and `cpu` are ours (experiments: the KL rule hardly ever lowers the rate with big batches).
+    Source: paper, Sec. IV-E, and the release for what the paper leaves open.
+    Differs: batch size and learning-rate schedule of `fast` and `cpu` are ours: with big batches the KL rule
+    hardly ever lowers the rate, and training stalls.
     """
 
     num_envs: int = 8192
@@ -38,11 +39,11 @@ class TrainCfg:
     kl_target: float = 0.016
     """KL divergence that the "kl" schedule aims at. Source: paper, Sec. IV-E."""
     discount: float = 0.99
-    """Discount factor γ of a control step. Source: paper, Sec. IV-E."""
+    """Discount factor (gamma) of a control step. Source: paper, Sec. IV-E."""
     gae_lambda: float = 0.95
-    """λ of the generalised advantage estimate. Source: release."""
+    """Lambda of the generalised advantage estimate. Source: release."""
     ratio_clip: float = 0.2
-    """Clip ε of the probability ratio. Source: paper, Sec. IV-E."""
+    """Clip (epsilon) of the probability ratio. Source: paper, Sec. IV-E."""
     value_clip: float = 0.2
     """Clip of the change of a (standardised) value in an update. Source: release."""
     value_loss_scale: float = 2.0
@@ -70,7 +71,7 @@ class TrainCfg:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
         if self.rollout_transitions % self.mini_batches:
             raise InvalidValueError(
-                f"num_envs × rollout_steps = {self.rollout_transitions} transitions cannot be split into "
+                f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
                 f"{self.mini_batches} equal mini-batches; change one of the three."
             )
 

@@ -42,7 +42,8 @@ class TrainingConsole:
             left = (self._total - row["transitions"]) / max(row["transitions_per_second"], 1e-9)
             share = f"{100 * row['transitions'] / self._total:.1f} %"
             self.say(
-                f"{share} · {row['transitions'] / 1e6:.2f} M transitions · {line} · {max(left, 0.0):.0f} s left"
+                f"{share} · {row['transitions'] / 1e6:.2f} M transitions · {line}"
+                f" · {max(left, 0.0):.0f} s left"
             )
 
     def say(self, text: str) -> None:

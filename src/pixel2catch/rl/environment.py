@@ -22,7 +22,7 @@ class Observation(Protocol):
 
 @runtime_checkable
 class Step(Protocol):
-    """Result of a control step. Finished environments are reset already; `observation` is the new episode's."""
+    """Result of a control step. Where an episode ended, `observation` is that of the next one."""
 
     @property
     def observation(self) -> Observation:

@@ -23,7 +23,7 @@ def check_rollout(learner: Learner, contract: PolicyContract) -> dict[str, float
     """
     totals: dict[str, Tensor] = {}
     for agent in learner.agents:
-        memory, mappo = learner.mappo.memories[agent], learner.mappo
+        memory, mappo = learner.memories[agent], learner.mappo
         totals[f"reward of agent '{agent}'"] = memory.get_tensor_by_name("rewards").mean((0, 1))
         columns = memory.get_tensor_by_name("observations").sum((0, 1))
         columns = columns + mappo._current_next_observations[agent].sum(0)
@@ -44,9 +44,9 @@ def check_update(learner: Learner, losses: Mapping[str, float]) -> None:
     """
     totals = {f"loss or metric '{name}'": torch.tensor(value) for name, value in losses.items()}
     for agent in learner.agents:
-        for role, model in learner.mappo.models[agent].items():
-            norms = torch._foreach_norm([parameter.detach() for parameter in model.parameters()])
-            totals[f"parameters of the {role} network of agent '{agent}'"] = torch.stack(norms).cpu()
+        for role, model in learner.models[agent].items():
+            norm = torch.nn.utils.get_total_norm([parameter.detach() for parameter in model.parameters()])
+            totals[f"parameters of the {role} network of agent '{agent}'"] = norm.cpu()
     _raise_if_not_finite(totals)
 
 

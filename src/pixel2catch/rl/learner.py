@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -11,6 +11,8 @@ from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.environment import Environment, Observation, Step
 from pixel2catch.rl.mappo import build_mappo
+from pixel2catch.rl.memory import RolloutMemory
+from pixel2catch.rl.models import GaussianPolicy, ValueFunction
 
 
 class Learner:
@@ -21,6 +23,8 @@ class Learner:
         self.cfg = cfg
         self.mappo = build_mappo(cfg, env)
         self.agents = tuple(env.action_sizes)
+        self.models = cast(dict[str, dict[str, GaussianPolicy | ValueFunction]], self.mappo.models)
+        self.memories = cast(dict[str, RolloutMemory], self.mappo.memories)
         self._never = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=cfg.device)
 
     @torch.no_grad()
@@ -37,7 +41,7 @@ class Learner:
     ) -> None:
         """Remember a transition.
 
-        A time-out ends the episode like any other end (paper): skrl would let advantages leak across `truncated`.
+        A time-out ends the episode like any other end (paper): skrl lets advantages leak across `truncated`.
 
         Args:
             policy: Policy inputs before the step, by agent.
@@ -52,7 +56,7 @@ class Learner:
             actions=actions,
             rewards={agent: step.rewards[agent].unsqueeze(-1) for agent in self.agents},
             next_observations=step.observation.policy,
-            next_states=self._states(step.observation),
+            next_states=dict.fromkeys(self.agents, step.observation.state),
             terminated=dict.fromkeys(self.agents, is_done),
             truncated=dict.fromkeys(self.agents, self._never),
             infos={},
@@ -74,7 +78,7 @@ class Learner:
 
     def discard_rollout(self) -> None:
         """Forget the transitions since the last update."""
-        for memory in self.mappo.memories.values():
+        for memory in self.memories.values():
             memory.reset()
 
     @torch.no_grad()
@@ -82,8 +86,8 @@ class Learner:
         """Copy mean networks and input statistics into a `Policy` on the CPU."""
         policy = Policy(contract, self.cfg.hidden)
         for agent in self.agents:
-            target, scaler = policy.agents[agent], self.mappo._observation_preprocessor[agent]
-            target.network.load_state_dict(self.mappo.policies[agent].network.state_dict())
+            target, scaler = policy.network(agent), self.mappo._observation_preprocessor[agent]
+            target.network.load_state_dict(self.models[agent]["policy"].network.state_dict())
             target.input_mean.copy_(scaler.running_mean)
             target.input_std.copy_(scaler.running_variance.float().sqrt() + scaler.epsilon)
         return policy.eval()
@@ -105,8 +109,8 @@ class Learner:
         scheduler = self.mappo.schedulers[agent]
         return self.mappo.checkpoint_modules[agent] | ({"scheduler": scheduler} if scheduler else {})
 
-    def _states(self, observation: Observation) -> dict[str, Tensor]:
-        return dict.fromkeys(self.agents, observation.state)
+    def _states(self, observation: Observation) -> dict[str, Tensor | None]:
+        return {agent: observation.state for agent in self.agents}
 
     def _set_learning_rate(self, progress: float) -> None:
         first, last = self.cfg.learning_rate, self.cfg.final_learning_rate

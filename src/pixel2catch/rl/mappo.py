@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from gymnasium import Space
 from gymnasium.spaces import Box
 from skrl.multi_agents.torch.mappo import MAPPO, MAPPO_CFG
 from skrl.resources.preprocessors.torch import RunningStandardScaler
@@ -18,8 +19,8 @@ from pixel2catch.rl.models import GaussianPolicy, ValueFunction
 def build_mappo(cfg: TrainCfg, env: Environment) -> MAPPO:
     """Build models, memories and the learner; one agent is as good as two.
 
-    skrl writes no files here, and its own tracking of rewards, which waits for the device at every step, is off:
-    both hang on the write and checkpoint intervals.
+    skrl writes no files here, and its own tracking of rewards, which waits for the device at every step, is
+    off: both hang on the write and checkpoint intervals.
     """
     agents = list(env.action_sizes)
     observation_spaces = {agent: _unbounded(env.observation_sizes[agent]) for agent in agents}
@@ -48,17 +49,17 @@ def build_mappo(cfg: TrainCfg, env: Environment) -> MAPPO:
     return mappo
 
 
-def _unbounded(size: int) -> Box:
+def _unbounded(size: int) -> Space[Any]:
     return Box(-np.inf, np.inf, (size,), dtype=np.float32)
 
 
 def _mappo_cfg(
-    cfg: TrainCfg, observation_spaces: Mapping[str, Box], state_spaces: Mapping[str, Box]
+    cfg: TrainCfg, observation_spaces: Mapping[str, Space[Any]], state_spaces: Mapping[str, Space[Any]]
 ) -> MAPPO_CFG:
     """Translate the configuration.
 
-    Every `…_kwargs` is given by agent: skrl takes an empty dictionary for one whose agents are missing. `rollouts` is
-    1 because the loop calls `post_interaction` once a rollout, when the memory is full.
+    Every `…_kwargs` is given by agent: skrl takes an empty dictionary for one whose agents are missing.
+    `rollouts` is 1 because the loop calls `post_interaction` once a rollout, when the memory is full.
     """
     is_adaptive = cfg.schedule == "kl"
     scheduler = {"kl_threshold": cfg.kl_target, "min_lr": cfg.final_learning_rate} if is_adaptive else {}
@@ -87,5 +88,5 @@ def _mappo_cfg(
     )
 
 
-def _scaler_kwargs(spaces: Mapping[str, Box], device: str) -> dict[str, dict[str, Any]]:
+def _scaler_kwargs(spaces: Mapping[str, Space[Any]], device: str) -> dict[str, dict[str, Any]]:
     return {agent: {"size": space, "device": device} for agent, space in spaces.items()}

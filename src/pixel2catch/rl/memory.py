@@ -10,13 +10,13 @@ from torch import Tensor
 class RolloutMemory(Memory):
     """Memory of one rollout.
 
-    skrl's own random memory permutes on the host and copies the indices of every tensor of every mini-batch to the
-    device; this one permutes on the device and gathers a mini-batch when it is needed.
+    skrl's own random memory permutes on the host and copies the indices of every tensor of every mini-batch
+    to the device; this one permutes on the device and gathers a mini-batch when it is needed.
     """
 
-    def sample(
+    def sample(  # pyright: ignore[reportIncompatibleMethodOverride] (an iterator is all that skrl needs)
         self, names: list[str], *, batch_size: int, mini_batches: int = 1, sequence_length: int = 1
-    ) -> Iterator[list[Tensor]]:  # pyright: ignore[reportIncompatibleMethodOverride] (skrl iterates only)
+    ) -> Iterator[list[Tensor]]:
         """Yield random mini-batches which together hold every transition once.
 
         Args:

@@ -22,7 +22,7 @@ class CsvLog:
         """Open the file.
 
         Args:
-            path: The file. Rows that it holds already are kept up to `transitions`: what came later is repeated.
+            path: The file. Rows that it holds are kept up to `transitions`: what came later is repeated.
             transitions: Progress from which the training goes on.
         """
         self._path = path

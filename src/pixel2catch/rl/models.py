@@ -25,7 +25,9 @@ class GaussianPolicy(GaussianMixin, Model):
         self.network = build_mlp(self.num_observations, self.num_actions, cfg.hidden)
         self.log_std = nn.Parameter(torch.full((self.num_actions,), cfg.initial_log_std))
 
-    def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[Tensor, dict[str, Any]]:
+    def compute(  # pyright: ignore[reportIncompatibleMethodOverride] (the mixin passes it by position)
+        self, inputs: dict[str, Any], role: str = ""
+    ) -> tuple[Tensor, dict[str, Any]]:
         """Return mean and log standard deviation for standardised observations."""
         return self.network(inputs["observations"]), {"log_std": self.log_std}
 
@@ -39,6 +41,8 @@ class ValueFunction(DeterministicMixin, Model):
         DeterministicMixin.__init__(self)
         self.network = build_mlp(self.num_states, 1, cfg.hidden)
 
-    def compute(self, inputs: dict[str, Any], role: str = "") -> tuple[Tensor, dict[str, Any]]:
+    def compute(  # pyright: ignore[reportIncompatibleMethodOverride] (the mixin passes it by position)
+        self, inputs: dict[str, Any], role: str = ""
+    ) -> tuple[Tensor, dict[str, Any]]:
         """Return the value for standardised states."""
         return self.network(inputs["states"]), {}

@@ -25,7 +25,8 @@ class RunFolder:
     """Files of a run.
 
     `config.json` resolved configuration · `sessions.json` versions, revision, hardware of every start ·
-    `metrics.csv` and TensorBoard events · `checkpoint.pt` to resume · `policy/` to use · `summary.json` how it ended.
+    `metrics.csv` and TensorBoard events · `checkpoint.pt` to resume · `policy/` to use ·
+    `summary.json` how it ended.
     """
 
     path: Path

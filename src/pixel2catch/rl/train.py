@@ -27,14 +27,14 @@ class TrainResult:
     """How a training ended.
 
     Attributes:
-        status: "finished", or "interrupted" by Ctrl-C or a termination signal.
+        status: "finished", or "interrupted" by Ctrl-C or a termination signal; "failed" is only in the file.
         transitions: Transitions learnt from.
         seconds: Wall-clock time over all sessions [s].
         policy: Folder of the policy.
         metrics: The last row of metrics.
     """
 
-    status: Literal["finished", "interrupted"]
+    status: Literal["failed", "interrupted", "finished"]
     transitions: int
     seconds: float
     policy: Path
@@ -53,7 +53,7 @@ def train(
 
     Args:
         cfg: The configuration.
-        make_env: Makes the environment from num_envs, device and seed of the configuration. Closed at the end.
+        make_env: Makes the environment from num_envs, device and seed of the configuration; closed here.
         contract: What the policy will need to act elsewhere.
         out_dir: The run folder; see `RunFolder` for its files.
         resume: Go on from the checkpoint in `out_dir`.
@@ -93,7 +93,7 @@ class _Training:
 
     def run(self) -> TrainResult:
         """Train to the end, and write down how it ended whatever happens."""
-        status = "failed"
+        status: Literal["failed", "interrupted", "finished"] = "failed"
         try:
             with contextlib.ExitStack() as stack:
                 log = stack.enter_context(_Log(self.cfg, self.folder, self.progress.transitions))
@@ -170,9 +170,9 @@ class _Training:
                 f"the end of the training could not be written to '{self.folder.path}': {error}. "
                 "An earlier checkpoint there is still good: free some space and go on with --resume."
             ) from error
-        minutes = self.progress.seconds / 60
+        transitions, minutes = self.progress.transitions, self.progress.seconds / 60
         log.console.say(
-            f"{status}: {self.progress.transitions:,} transitions in {minutes:.1f} min; policy in '{self.folder.policy}'"
+            f"{status}: {transitions:,} transitions in {minutes:.1f} min; policy in '{self.folder.policy}'"
             + ("; go on with --resume" if status == "interrupted" else "")
         )
 

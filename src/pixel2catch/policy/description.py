@@ -1,0 +1,56 @@
+"""Writes the contract of a method down from the values that define it."""
+
+import dataclasses
+
+import torch
+
+from pixel2catch.agents import COMMANDS, JOINTS, AgentSpec
+from pixel2catch.mdp.observations import Frame, pixel_columns
+from pixel2catch.mdp.snapshot import Measurement
+from pixel2catch.methods import Method
+from pixel2catch.policy.contract import AgentContract, PolicyContract
+from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+
+
+def contract_of(method: Method, handedness: str) -> PolicyContract:
+    """Return what a policy of this method expects and promises.
+
+    Args:
+        method: The method.
+        handedness: "left" or "right": which hand is on the arm.
+    """
+    return PolicyContract(
+        method=method.name,
+        pixel_features=method.pixel_features,
+        agents={agent.name: _agent_contract(agent, method) for agent in method.agents},
+        commands={
+            joint.name: dataclasses.asdict(command) for joint, command in zip(JOINTS, COMMANDS, strict=True)
+        },
+        control_dt=CONTROL_DT,
+        camera=dataclasses.asdict(RGB_CAMERA),
+        handedness=handedness,
+    )
+
+
+def _agent_contract(agent: AgentSpec, method: Method) -> AgentContract:
+    """Two consecutive frames, oldest first, as `mdp.observations.observe` puts them."""
+    blank = _blank_measurement()
+    columns = pixel_columns(method.pixel_features)
+    frame = Frame(before=blank, now=blank, joints=agent.joints, pixel_columns=columns)
+    sizes = [(term.__name__, term(frame).shape[-1]) for term in agent.observation]
+    return AgentContract(
+        observation=tuple((f"{name}[{when}]", size) for when in ("t-1", "t") for name, size in sizes),
+        joints=tuple(joint.name for joint in JOINTS[agent.joints]),
+    )
+
+
+def _blank_measurement() -> Measurement:
+    joints = torch.zeros(1, len(JOINTS))
+    return Measurement(
+        box=torch.zeros(1, 4),
+        joint_pos=joints,
+        joint_pos_target=joints,
+        palm_pos=torch.zeros(1, 3),
+        palm_quat=torch.zeros(1, 4),
+        action=joints,
+    )
