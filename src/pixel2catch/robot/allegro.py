@@ -174,5 +174,5 @@ def _set_block_inertia(body: mujoco.MjsBody, link: HandLink) -> None:
     x, y, z = 0.0196, 0.0275, link.length
     body.explicitinertial = True
     body.mass = link.mass
-    body.ipos = (0, 0, z / 2)
+    body.ipos, body.iquat = (0, 0, z / 2), (1, 0, 0, 0)
     body.inertia = [link.mass / 12 * s for s in (y * y + z * z, x * x + z * z, x * x + y * y)]

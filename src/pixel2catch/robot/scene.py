@@ -183,6 +183,7 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
     body.add_freejoint(name="object_joint")
     body.explicitinertial = True
     body.mass = thrown.mass
+    body.ipos, body.iquat = (0, 0, 0), (1, 0, 0, 0)  # left unset, MuJoCo takes the body's pose for them
     body.inertia = thrown.inertia
     for i in range(MAX_PARTS):
         body.add_geom(
