@@ -1,0 +1,41 @@
+# Targets are listed by `make help`. The environment in .venv follows the pins of requirements*.txt.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+PINS := requirements.txt requirements-dev.txt pyproject.toml
+
+MAKEFLAGS += --no-print-directory
+.DEFAULT_GOAL := help
+.PHONY: setup catch test check format help
+.DELETE_ON_ERROR:
+
+setup: $(READY) ## make .venv from the pinned versions (once; again when they change)
+
+$(READY): $(PINS)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make setup PYTHON=python3.12")'
+	@echo "Setting up $(VENV) from the pinned versions (one to three minutes) ..."
+	@$(PYTHON) -m venv --clear $(VENV)
+	@$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.txt -r requirements-dev.txt
+	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
+
+catch: $(READY) ## catch a thrown object with the shipped policy
+	@$(BIN)/pixel2catch catch
+
+test: $(READY) ## run the tests
+	@$(BIN)/pytest
+
+check: $(READY) ## formatting, lint, types, import rules, spelling
+	@$(BIN)/ruff format --check --quiet .
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/basedpyright --level error
+	@$(BIN)/lint-imports --no-logo
+	@$(BIN)/codespell
+
+format: $(READY) ## format the code and mend what ruff can mend
+	@$(BIN)/ruff format --quiet .
+	@$(BIN)/ruff check --fix --quiet .
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1 - /p' $(MAKEFILE_LIST)
