@@ -53,7 +53,7 @@ class PolicyContract:
     agents: dict[str, AgentContract]
     commands: dict[str, dict[str, float]]
     control_dt: float
-    camera: dict[str, float | tuple[float, ...]]
+    camera: dict[str, int | float | tuple[float, ...]]
     handedness: str
     format_version: int = FORMAT_VERSION
 

@@ -5,6 +5,8 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from pixel2catch.rl.metrics import Row
+
 
 class TrainingConsole:
     """Shows progress towards a number of transitions."""
@@ -33,7 +35,7 @@ class TrainingConsole:
         self._task = self._bar.add_task("", total=total, completed=transitions)
         self._bar.start()
 
-    def report(self, row: dict[str, float]) -> None:
+    def report(self, row: Row) -> None:
         """Show the metrics of an update."""
         line = describe(row)
         self._bar.update(self._task, completed=row["transitions"], description=line)
@@ -55,7 +57,7 @@ class TrainingConsole:
         self._bar.stop()
 
 
-def describe(row: dict[str, float]) -> str:
+def describe(row: Row) -> str:
     """Put the metrics that tell most into one short line: speed, rates and mean rewards."""
     parts = [f"{row['transitions_per_second'] / 1e3:.1f} k/s"]
     for name, value in row.items():

@@ -9,7 +9,8 @@ from torch.utils.tensorboard import SummaryWriter
 from pixel2catch.policy import write_atomically
 
 METRICS_FILE = "metrics.csv"
-Row = dict[str, float]
+Row = dict[str, int | float]
+"""Metrics of one update by name; `transitions` is the abscissa."""
 
 
 class CsvLog:

@@ -1,0 +1,279 @@
+"""Whole trainings of a small task, and everything that can get in their way."""
+
+import csv
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from reaching import CONTRACT, SMALL, Observation, ReachingCfg, ReachingEnv, Step
+
+from pixel2catch.errors import CheckpointError, DeviceUnavailableError, NonFiniteError, PolicyMismatchError
+from pixel2catch.policy import AgentContract, Policy, PolicyContract
+from pixel2catch.rl import TrainCfg, train
+from pixel2catch.rl.metrics import CsvLog
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with open(folder / "metrics.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@contextmanager
+def full_disk(limit: int = 0) -> Iterator[None]:
+    """No file can grow beyond the limit [bytes], as on a full disk."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+class SoloEnv(ReachingEnv):
+    """The same task for one agent that sees and does everything."""
+
+    observation_sizes = {"robot": 6}  # noqa: RUF012
+    action_sizes = {"robot": 3}  # noqa: RUF012
+
+    def __init__(self, cfg: TrainCfg) -> None:
+        super().__init__(cfg)
+        self.buffers = Observation({"arm": self._zeros(4), "hand": self._zeros(2)}, self._zeros(3))
+
+    def step(self, actions: dict[str, torch.Tensor]) -> Step:
+        step = super().step({"arm": actions["robot"][:, :2], "hand": actions["robot"][:, 2:]})
+        return dataclasses.replace(step, rewards={"robot": sum(step.rewards.values())})
+
+    def _observe(self, arm: torch.Tensor) -> Observation:
+        both = super()._observe(arm)
+        return Observation({"robot": torch.cat((both.policy["arm"], both.policy["hand"]), -1)}, both.state)
+
+
+SOLO_CONTRACT = dataclasses.replace(
+    CONTRACT,
+    agents={"robot": AgentContract(observation=(("all", 6),), joints=("pan", "idle", "finger"))},
+)
+
+
+@pytest.mark.parametrize(
+    ("make_env", "contract"),
+    [(ReachingEnv, CONTRACT), (SoloEnv, SOLO_CONTRACT)],
+    ids=["two agents", "one agent"],
+)
+def test_it_learns(make_env: type[ReachingEnv], contract: PolicyContract, tmp_path: Path) -> None:
+    """Both agents must push towards the goal: random pushes reach it in half of the episodes."""
+    cfg = dataclasses.replace(SMALL, transitions=24 * 1024)
+    result = train(cfg, make_env, contract, tmp_path / "run")
+    assert float(rows(tmp_path / "run")[0]["success_rate"]) < 0.65
+    assert result.metrics["success_rate"] > 0.97
+    assert all(result.metrics[f"action_std/{agent}"] < 1.0 for agent in contract.agents)
+    env = make_env(dataclasses.replace(cfg, seed=9))
+    policy, observation = Policy.load(result.policy), env.reset()
+    for _ in range(50):
+        observation = env.step(policy.act(observation.policy)).observation
+    assert env.statistics.pop()["success_rate"] > 0.97
+    assert env.num_steps == 50
+
+
+def test_run_folder(tmp_path: Path) -> None:
+    result = train(SMALL, ReachingEnv, CONTRACT, tmp_path / "run")
+    assert result.status == "finished"
+    assert [int(row["transitions"]) for row in rows(tmp_path / "run")] == [1024, 2048, 3072, 4096]
+    config = json.loads((tmp_path / "run/config.json").read_text())
+    assert config["train"] == {**dataclasses.asdict(SMALL), "hidden": [64, 64]}
+    assert config["env"] == {"bad_step": -1, "bad_quantity": ""}
+    assert config["policy"] == CONTRACT.to_dict()
+    session = json.loads((tmp_path / "run/sessions.json").read_text())[0]
+    assert session["versions"]["torch"] == torch.__version__
+    summary = json.loads((tmp_path / "run/summary.json").read_text())
+    assert summary["status"] == "finished"
+    assert summary["transitions"] == 4096
+    assert 0 < summary["seconds"] < 100
+    assert list((tmp_path / "run").glob("events.out.tfevents.*"))
+    assert Policy.load(result.policy).contract == CONTRACT
+    assert not list((tmp_path / "run").rglob("*.tmp"))
+
+
+def test_same_seed_same_policy(tmp_path: Path) -> None:
+    weights = [
+        Policy.load(train(cfg, ReachingEnv, CONTRACT, tmp_path / name).policy).state_dict()[
+            "agents.arm.network.0.weight"
+        ]
+        for name, cfg in (("a", SMALL), ("b", SMALL), ("c", dataclasses.replace(SMALL, seed=1)))
+    ]
+    assert torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[0], weights[2])
+
+
+def test_resumed_training_equals_an_uninterrupted_one(tmp_path: Path) -> None:
+    """With environments that begin anew at the same points, as a resumed training begins new episodes."""
+
+    class RestartingEnv(ReachingEnv):
+        def step(self, actions: dict[str, torch.Tensor]) -> Step:
+            step = super().step(actions)
+            if self.num_steps % (2 * SMALL.rollout_steps) == 0:
+                self.generator.manual_seed(SMALL.seed)
+                self.reset()
+            return step
+
+    one_go = train(SMALL, RestartingEnv, CONTRACT, tmp_path / "one_go")
+    half = dataclasses.replace(SMALL, transitions=2048, final_learning_rate=5.5e-4)
+    train(half, RestartingEnv, CONTRACT, tmp_path / "halves")
+    resumed = train(SMALL, RestartingEnv, CONTRACT, tmp_path / "halves", resume=True)
+    expected, found = (Policy.load(result.policy).state_dict() for result in (one_go, resumed))
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    assert [row["transitions"] for row in rows(tmp_path / "halves")] == ["1024", "2048", "3072", "4096"]
+    assert resumed.seconds > 0
+    assert len(json.loads((tmp_path / "halves/sessions.json").read_text())) == 2
+
+
+def test_resume_drops_what_is_repeated(tmp_path: Path) -> None:
+    log = CsvLog(tmp_path / "metrics.csv")
+    for transitions in (10, 20, 30):
+        log.write({"transitions": transitions, "reward": 0.5})
+    resumed = CsvLog(tmp_path / "metrics.csv", transitions=20)
+    resumed.write({"transitions": 30, "reward": 0.25, "extra": 1.0})
+    expected = "transitions,reward,extra\n10,0.5,\n20,0.5,\n30,0.25,1\n"
+    assert (tmp_path / "metrics.csv").read_text() == expected
+
+
+def test_a_run_folder_is_not_overwritten(tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match="no checkpoint to resume; start without --resume"):
+        train(SMALL, ReachingEnv, CONTRACT, tmp_path, resume=True)
+    train(SMALL, ReachingEnv, CONTRACT, tmp_path)
+    with pytest.raises(CheckpointError, match="holds a run already; name another folder, or add --resume"):
+        train(SMALL, ReachingEnv, CONTRACT, tmp_path)
+
+
+def test_damaged_or_foreign_checkpoints(tmp_path: Path) -> None:
+    train(SMALL, ReachingEnv, CONTRACT, tmp_path)
+    with pytest.raises(PolicyMismatchError, match="method: policy 'reaching', here 'other'"):
+        train(SMALL, ReachingEnv, dataclasses.replace(CONTRACT, method="other"), tmp_path, resume=True)
+    with pytest.raises(CheckpointError, match=r"(?s)does not fit this configuration.*size mismatch"):
+        train(dataclasses.replace(SMALL, hidden=(64, 32)), ReachingEnv, CONTRACT, tmp_path, resume=True)
+    checkpoint = tmp_path / "checkpoint.pt"
+    checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
+    with pytest.raises(CheckpointError, match="is damaged"):
+        train(SMALL, ReachingEnv, CONTRACT, tmp_path, resume=True)
+
+
+def test_environment_that_does_not_fit(tmp_path: Path) -> None:
+    few = dataclasses.replace(SMALL, num_envs=32)
+    with pytest.raises(PolicyMismatchError, match=r"num_envs: .* say 32, the environment 64"):
+        train(few, lambda _: ReachingEnv(SMALL), CONTRACT, tmp_path / "a")
+    with pytest.raises(PolicyMismatchError, match="observation_sizes"):
+        train(SMALL, ReachingEnv, SOLO_CONTRACT, tmp_path / "b")
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without CUDA")
+def test_missing_gpu(tmp_path: Path) -> None:
+    with pytest.raises(DeviceUnavailableError, match="use 'cpu'"):
+        train(dataclasses.replace(SMALL, device="cuda"), ReachingEnv, CONTRACT, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "step", "name"),
+    [
+        ("hand/reward", 20, "reward of agent 'hand'"),
+        ("arm/position", 20, "observation term 'position' of agent 'arm'"),
+        ("hand/pixel", 32, "observation term 'pixel' of agent 'hand'"),
+        ("any/state", 17, "value input"),
+    ],
+)
+def test_nan_is_named_and_never_learnt_from(quantity: str, step: int, name: str, tmp_path: Path) -> None:
+    """The first update is of good steps, the second of steps 17 to 32; the checkpoint is of the first."""
+    cfg = dataclasses.replace(SMALL, checkpoint_seconds=0.0)
+    task = ReachingCfg(bad_step=step, bad_quantity=quantity)
+    with pytest.raises(NonFiniteError, match=name):
+        train(cfg, partial(ReachingEnv, task=task), CONTRACT, tmp_path)
+    assert json.loads((tmp_path / "summary.json").read_text())["status"] == "failed"
+    assert all(tensor.isfinite().all() for tensor in Policy.load(tmp_path / "policy").state_dict().values())
+    resumed = train(cfg, ReachingEnv, CONTRACT, tmp_path, resume=True)
+    assert resumed.transitions == 4096
+    assert len(rows(tmp_path)) == 4
+
+
+def test_nan_in_the_networks_is_named(tmp_path: Path) -> None:
+    """A learning rate that is far too high breaks the parameters, not the observations."""
+    cfg = dataclasses.replace(SMALL, learning_rate=1e30, final_learning_rate=1e30)
+    with pytest.raises(NonFiniteError, match=r"(policy|value) network of agent 'arm'"):
+        train(cfg, ReachingEnv, CONTRACT, tmp_path)
+
+
+class FillingEnv(ReachingEnv):
+    """The disk is full from the first step on."""
+
+    def step(self, actions: dict[str, torch.Tensor]) -> Step:
+        resource = pytest.importorskip("resource")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))
+        return super().step(actions)
+
+
+def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Training goes on and says so; the old checkpoint and policy stay valid; the end is an error."""
+    train(SMALL, ReachingEnv, CONTRACT, tmp_path)
+    before = {
+        path: path.read_bytes() for path in (tmp_path / "checkpoint.pt", *(tmp_path / "policy").iterdir())
+    }
+    longer = dataclasses.replace(SMALL, transitions=8192, checkpoint_seconds=0.0)
+    message = r"could not be written.*earlier checkpoint there is still good"
+    with full_disk(limit=-1), pytest.raises(CheckpointError, match=message):
+        train(longer, FillingEnv, CONTRACT, tmp_path, resume=True)
+    assert "warning: could not write checkpoint" in capsys.readouterr().out
+    assert before == {path: path.read_bytes() for path in before}
+    assert not list(tmp_path.rglob("*.tmp"))
+    assert train(longer, ReachingEnv, CONTRACT, tmp_path, resume=True).transitions == 8192
+
+
+def test_metrics_survive_a_full_disk(tmp_path: Path) -> None:
+    log = CsvLog(tmp_path / "metrics.csv")
+    log.write({"transitions": 10})
+    with full_disk(limit=20):
+        log.write({"transitions": 20})
+        for transitions in (30, 40):
+            with pytest.raises(OSError, match=r"File too large|no space"):
+                log.write({"transitions": transitions})
+    assert (tmp_path / "metrics.csv").read_text() == "transitions\n10\n20\n"
+    log.write({"transitions": 60})
+    assert [row["transitions"] for row in rows(tmp_path)] == ["10", "20", "30", "40", "60"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption(number: signal.Signals, tmp_path: Path) -> None:
+    """One Ctrl-C in the middle of a training: checkpoint, policy, summary, and it can go on."""
+    script = (
+        "import dataclasses, pathlib, sys, reaching, pixel2catch.rl as rl\n"
+        "cfg = dataclasses.replace(reaching.SMALL, transitions=10**9, report_seconds=0.0)\n"
+        "result = rl.train(cfg, reaching.ReachingEnv, reaching.CONTRACT, pathlib.Path(sys.argv[1]))\n"
+        "print('status', result.status)\n"
+    )
+    paths = [str(Path(__file__).parent), str(Path(__file__).parents[2] / "src"), *sys.path]
+    command = [sys.executable, "-c", script, str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    assert process.stdout is not None
+    assert "transitions" in process.stdout.readline()
+    process.send_signal(number)
+    started = time.monotonic()
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert time.monotonic() - started < 20
+    assert "status interrupted" in output
+    assert "go on with --resume" in output
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["status"] == "interrupted"
+    assert summary["transitions"] >= 1024
+    assert Policy.load(tmp_path / "policy").contract == CONTRACT
+    cfg = dataclasses.replace(SMALL, transitions=summary["transitions"] + 1024)
+    resumed = train(cfg, ReachingEnv, CONTRACT, tmp_path, resume=True)
+    assert resumed.transitions == summary["transitions"] + 1024

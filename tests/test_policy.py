@@ -1,0 +1,165 @@
+"""The policy file and its contract."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from pixel2catch.camera.features import PIXEL_FEATURES
+from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.methods import METHODS, Method
+from pixel2catch.policy import Policy, PolicyContract, build_mlp, contract_of
+
+METHOD = METHODS["proposed"]
+CONTRACT = contract_of(METHOD, "left")
+
+
+@pytest.fixture
+def policy() -> Policy:
+    torch.manual_seed(0)
+    policy = Policy(CONTRACT, hidden=(8, 8))
+    for name in CONTRACT.agents:
+        policy.network(name).input_mean.normal_()
+        policy.network(name).input_std.uniform_(0.5, 2.0)
+    return policy
+
+
+def observations(scale: float = 1.0) -> dict[str, torch.Tensor]:
+    return {name: scale * torch.randn(5, agent.num_inputs) for name, agent in CONTRACT.agents.items()}
+
+
+def test_network_of_the_paper() -> None:
+    sizes = [tuple(layer.weight.shape) for layer in build_mlp(50, 6) if isinstance(layer, torch.nn.Linear)]
+    assert sizes == [(512, 50), (256, 512), (128, 256), (6, 128)]
+    assert [type(layer) for layer in build_mlp(50, 6)][1::2] == [torch.nn.ELU] * 3
+
+
+def test_action_by_hand() -> None:
+    """One input 7 with mean 3 and deviation 2 is 2; ELU(0.5 * 2 - 3) = e^-2 - 1; times -0.5 plus 0.25."""
+    contract = dataclasses.replace(
+        CONTRACT,
+        agents={
+            "arm": dataclasses.replace(
+                CONTRACT.agents["arm"], observation=(("x", 1),), joints=("elbow_joint",)
+            )
+        },
+    )
+    policy = Policy(contract, hidden=(1,))
+    network = policy.network("arm")
+    network.input_mean.fill_(3.0)
+    network.input_std.fill_(2.0)
+    for parameter, value in zip(network.parameters(), (0.5, -3.0, -0.5, 0.25), strict=True):
+        torch.nn.init.constant_(parameter, value)
+    act = policy.act({"arm": torch.tensor([[7.0], [1e9], [-1e9]])})["arm"][:, 0]
+    clipped = [0.5 * 5 - 3, 0.5 * -5 - 3]
+    expected = [-0.5 * (torch.tensor(x).exp() - 1) + 0.25 for x in (-2.0, *clipped)]
+    torch.testing.assert_close(act, torch.tensor(expected))
+    torch.nn.init.constant_(list(network.parameters())[-1], 10.0)
+    assert policy.act({"arm": torch.zeros(2, 1)})["arm"].tolist() == [[1.0], [1.0]]
+
+
+def test_save_and_load(policy: Policy, tmp_path: Path) -> None:
+    policy.save(tmp_path / "run/policy")
+    loaded = Policy.load(tmp_path / "run/policy")
+    assert loaded.contract == CONTRACT
+    inputs = observations()
+    expected, actions = policy.act(inputs), loaded.act(inputs)
+    assert all(torch.equal(expected[name], actions[name]) for name in ("arm", "hand"))
+    assert {path.name for path in (tmp_path / "run/policy").iterdir()} == {
+        "policy.safetensors",
+        "policy.json",
+    }
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_contract_of_every_method(method: Method) -> None:
+    contract = contract_of(method, "right")
+    joints = [joint for agent in contract.agents.values() for joint in agent.joints]
+    assert joints == list(contract.commands)
+    assert len(joints) == 19
+    for agent in contract.agents.values():
+        terms = dict(agent.observation)
+        assert terms["pixels[t]"] == terms["pixels[t-1]"] == len(method.pixel_features)
+        assert terms["last_action[t]"] == len(agent.joints)
+    assert set(contract.pixel_features) <= set(PIXEL_FEATURES)
+    assert PolicyContract.from_dict(json.loads(json.dumps(contract.to_dict()))) == contract
+
+
+def test_sizes_of_the_paper() -> None:
+    """Paper, Sec. IV-C: 25 numbers a frame for the arm, 39 for the hand, two frames."""
+    assert {name: agent.num_inputs for name, agent in CONTRACT.agents.items()} == {"arm": 50, "hand": 78}
+
+
+def test_a_mismatch_names_the_fields() -> None:
+    CONTRACT.require(contract_of(METHOD, "left"))
+    other = dataclasses.replace(contract_of(METHODS["only_wh"], "right"), control_dt=0.02)
+    with pytest.raises(PolicyMismatchError) as error:
+        CONTRACT.require(other)
+    message = str(error.value)
+    assert "method: policy 'proposed', here 'only_wh'" in message
+    assert "control_dt: policy 0.0333" in message
+    assert "handedness: policy 'left', here 'right'" in message
+    assert "agents.arm.observation" in message
+    assert "camera" not in message
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format_version": 99}, "'format_version' is 99, this code reads 1"),
+        ({"camera": None}, "field 'camera' is missing"),
+        ({"colour": "red"}, "field 'colour' is unknown"),
+        ({"hidden": None}, "field 'hidden' is missing"),
+        ({"hidden": [8, 9]}, r"tensor 'agents.arm.network.2.weight' should have shape \(9, 8\)"),
+    ],
+)
+def test_a_bad_file_names_the_field(
+    change: dict[str, object], message: str, policy: Policy, tmp_path: Path
+) -> None:
+    policy.save(tmp_path)
+    text = json.loads((tmp_path / "policy.json").read_text()) | change
+    text = {name: value for name, value in text.items() if value is not None}
+    rewrite(tmp_path, json.dumps(text))
+    with pytest.raises(PolicyMismatchError, match=message):
+        Policy.load(tmp_path)
+
+
+def test_damage(policy: Policy, tmp_path: Path) -> None:
+    with pytest.raises(PolicyMismatchError, match="no policy in"):
+        Policy.load(tmp_path)
+    policy.save(tmp_path)
+    weights = (tmp_path / "policy.safetensors").read_bytes()
+    (tmp_path / "policy.json").write_text("{}")
+    with pytest.raises(PolicyMismatchError, match="not of the same save"):
+        Policy.load(tmp_path)
+    policy.save(tmp_path)
+    (tmp_path / "policy.safetensors").write_bytes(weights[:-100])
+    with pytest.raises(PolicyMismatchError, match="is damaged"):
+        Policy.load(tmp_path)
+
+
+def test_a_full_disk_leaves_the_old_policy(policy: Policy, tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    policy.save(tmp_path)
+    before = policy.state_dict()["agents.arm.network.0.weight"].clone()
+    torch.nn.init.zeros_(next(policy.network("arm").parameters()))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            policy.save(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert torch.equal(Policy.load(tmp_path).state_dict()["agents.arm.network.0.weight"], before)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def rewrite(folder: Path, text: str) -> None:
+    """Change the contract in both files, as a consistent save of another version would have."""
+    from safetensors.torch import load_file, save_file
+
+    tensors = load_file(folder / "policy.safetensors")
+    save_file(tensors, folder / "policy.safetensors", metadata={"policy": text})
+    (folder / "policy.json").write_text(text)
