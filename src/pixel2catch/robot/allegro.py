@@ -82,6 +82,9 @@ LEFT_HAND: dict[str, tuple[HandLink, ...]] = {
 LINK_RADIUS = 0.012
 """Radius of the finger capsules [m]. Source: ours, between half the thickness (9.8 mm) and half the width (13.8 mm)."""
 
+THUMB_START = 0.016
+"""Start of the capsule of `thumb_link_2` [m]: nearer to its joint it would touch the palm in the start pose. Source: ours."""
+
 THUMB_ROOT = Capsule(start=(-0.012, 0.004, 0.012), end=(-0.022, -0.002, 0.026), radius=0.014)
 """Housing of the thumb's first two joints in `thumb_link_0`, left hand. Source: ours."""
 
@@ -161,7 +164,8 @@ def _add_link_shape(body: mujoco.MjsBody, link: HandLink, index: int, handedness
     else:
         is_tip = index == 3
         end = link.length - (LINK_RADIUS if is_tip else 0.0)
-        capsule = Capsule(start=(0, 0, 0), end=(0, 0, end), radius=LINK_RADIUS)
+        start = THUMB_START if body.name == "thumb_link_2" else 0.0
+        capsule = Capsule(start=(0, 0, start), end=(0, 0, end), radius=LINK_RADIUS)
         add_capsule(body, body.name, capsule, mass=link.mass, rgba=TIP_RGBA if is_tip else DARK_RGBA)
 
 

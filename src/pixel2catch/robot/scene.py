@@ -23,7 +23,7 @@ from pixel2catch.robot.constants import (
     JointSpec,
     quat_multiply,
 )
-from pixel2catch.robot.contact import contact_solref
+from pixel2catch.robot.contact import SOLIMP, contact_solref
 from pixel2catch.robot.objects import MAX_PARTS, OBJECTS, ObjectSpec
 from pixel2catch.robot.ur5e import add_arm, dh_pose
 
@@ -33,6 +33,9 @@ NO_PART = "no_part"
 
 OBJECT_START = (2.65, 0.0, 0.8)
 """Position of the object in `qpos0` [m]: the middle of the throw's release points."""
+
+OBJECT_BOUND = 0.1
+"""Half an edge of a cube about the body origin that holds every object [m]."""
 
 CONTACT_DATA = sum(
     1 << int(field) for field in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_DIST)
@@ -51,6 +54,7 @@ class SceneCfg:
         visuals: Whether to add lights, textures and what is only seen.
         object_friction: Sliding friction of the object; randomised per environment by the release.
         object_restitution: Speed after over speed before an impact; randomised per environment.
+        object_solimp: Impedance of a contact with the object.
     """
 
     handedness: Handedness = "left"
@@ -58,6 +62,7 @@ class SceneCfg:
     visuals: bool = False
     object_friction: float = 1.0
     object_restitution: float = 0.25
+    object_solimp: tuple[float, float, float, float, float] = SOLIMP
 
 
 def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
@@ -85,11 +90,19 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
 
 
 def build_model(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjModel:
-    """Compile the scene with one object."""
+    """Compile the scene with one object; every object gives the same layout, so that its fields can be exchanged."""
     model = build_spec(cfg, object_name).compile()
-    is_part = model.geom_bodyid == model.body("object").id
-    model.geom_sameframe[is_part] = 0  # or MuJoCo would skip a geom_pos that differs per environment
+    _open_layout(model)
     return model
+
+
+def _open_layout(model: mujoco.MjModel) -> None:
+    """Undo what MuJoCo derives from one object's geoms: shortcuts of its frames, and its bounding-volume tree."""
+    body = model.body("object")
+    model.geom_sameframe[model.geom_bodyid == body.id] = 0
+    first = int(model.body_bvhadr[body.id])
+    nodes = slice(first, first + int(model.body_bvhnum[body.id]))
+    model.bvh_aabb[nodes] = (0.0, 0.0, 0.0, OBJECT_BOUND, OBJECT_BOUND, OBJECT_BOUND)
 
 
 def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s") -> None:
@@ -100,6 +113,7 @@ def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s"
     """
     spec = build_spec(cfg, object_name)
     model = spec.compile()
+    _open_layout(model)
     suffix = Path(path).suffix
     if suffix == ".xml":
         Path(path).write_text(spec.to_xml(), encoding="utf-8")
@@ -118,7 +132,6 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.iterations = 10
     option.ls_iterations = 20
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # its tree is of one object's geoms and gains nothing
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
@@ -196,6 +209,7 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
             priority=1,
             friction=(cfg.object_friction, 0.005, 0.0001),
             solref=contact_solref(cfg.object_restitution, cfg.physics_dt),
+            solimp=cfg.object_solimp,
         )
 
 
