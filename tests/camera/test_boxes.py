@@ -19,10 +19,18 @@ def test_box_of_visible_points():
     assert box_of_points(pixels, is_visible, RGB_CAMERA).tolist() == [[10.0, 20.0, 30.0, 40.0]]
 
 
-def test_box_is_cut_by_the_image():
-    pixels = torch.tensor([[[-5.0, 470.0], [12.0, 490.0]]])
-    box = box_of_points(pixels, torch.ones(1, 2, dtype=torch.bool), RGB_CAMERA)
-    assert box.tolist() == [[0.0, 470.0, 12.0, 480.0]]
+def test_a_box_that_the_image_cuts_ends_at_its_edge():
+    pixels = torch.tensor(
+        [[[20.0, 470.0], [25.0, 475.0], [50.0, 490.0]], [[-9.0, 4.0], [3.0, 5.0], [-2.0, -8.0]]]
+    )
+    box = box_of_points(pixels, torch.ones(2, 3, dtype=torch.bool), RGB_CAMERA)
+    # The point below the image bounds neither left nor right; the point beyond the corner bounds nothing.
+    assert box.tolist() == [[20.0, 470.0, 25.0, 480.0], [0.0, 5.0, 3.0, 5.0]]
+
+
+def test_all_points_off_the_image_is_a_zero_box():
+    pixels = torch.tensor([[[20.0, 490.0], [-5.0, 300.0]]])
+    assert box_of_points(pixels, torch.ones(1, 2, dtype=torch.bool), RGB_CAMERA).tolist() == [[0.0] * 4]
 
 
 def test_nothing_visible_is_a_zero_box_even_with_points_at_infinity():

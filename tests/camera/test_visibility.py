@@ -1,7 +1,7 @@
 import torch
 
 from pixel2catch.camera.pinhole import project
-from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions, visible_fraction
+from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions
 from pixel2catch.robot.constants import RGB_CAMERA
 
 
@@ -22,7 +22,3 @@ def test_in_view_is_on_the_image_and_in_front():
     pixels, depth = project(RGB_CAMERA, points)
     assert (depth[0] > 0).tolist() == [True, False, True, True]
     assert is_in_view(RGB_CAMERA, pixels, depth).tolist() == [[True, False, False, False]]
-
-
-def test_visible_fraction():
-    assert visible_fraction(torch.tensor([[True, False, False, False], [True] * 4])).tolist() == [0.25, 1.0]

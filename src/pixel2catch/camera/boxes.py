@@ -12,21 +12,33 @@ def box_of_points(
     is_visible: Bool[Tensor, "num_envs num_points"],
     camera: CameraSpec,
 ) -> Float[Tensor, "num_envs 4"]:
-    """Return the smallest box around the visible points, clipped to the image.
+    """Return the smallest box around the part of the visible points that is on the image.
+
+    A point below the image moves the lower edge of the box to the image's, but bounds neither left nor right:
+    the object may be narrower where the image ends. The same holds for the other sides.
 
     Args:
         pixels: Projected points [px], on or off the image.
-        is_visible: Which of them count (`visibility.is_in_view`, `visibility.is_unoccluded`).
+        is_visible: Which of them are in front of the camera and not hidden.
         camera: The camera, for the size of the image.
 
     Returns:
-        Boxes [px]; (0, 0, 0, 0) where no point is visible.
+        Boxes [px]; (0, 0, 0, 0) where no visible point is on the image.
     """
-    counts = is_visible.unsqueeze(-1)
-    lower = torch.where(counts, pixels, torch.inf).amin(-2)
-    upper = torch.where(counts, pixels, -torch.inf).amax(-2)
-    box = clip_box(torch.cat([lower, upper], dim=-1), camera)
-    return torch.where(is_visible.any(-1, keepdim=True), box, 0.0)
+    u, v = pixels.unbind(-1)
+    is_in_columns = is_visible & (u >= 0.0) & (u <= camera.width)
+    is_in_rows = is_visible & (v >= 0.0) & (v <= camera.height)
+    xmin, xmax = _extent(u, is_in_rows)
+    ymin, ymax = _extent(v, is_in_columns)
+    box = clip_box(torch.stack([xmin, ymin, xmax, ymax], dim=-1), camera)
+    return torch.where((is_in_columns & is_in_rows).any(-1, keepdim=True), box, 0.0)
+
+
+def _extent(
+    values: Float[Tensor, "num_envs num_points"], counts: Bool[Tensor, "num_envs num_points"]
+) -> tuple[Float[Tensor, " num_envs"], Float[Tensor, " num_envs"]]:
+    """Return the smallest and the largest value that counts."""
+    return torch.where(counts, values, torch.inf).amin(-1), torch.where(counts, values, -torch.inf).amax(-1)
 
 
 def box_of_mask(

@@ -1,11 +1,10 @@
 """Which surface points of the object the camera sees.
 
 One ray runs from the camera to each point; whoever owns the geometry casts it (`Simulation.ray`) against the
-robot and the table, and hands back the distances. The object itself is not cast against: its far side projects
-into its own outline.
+robot and the table, and hands back the distances. The object itself is not cast against: its far side
+projects into its own outline.
 """
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -38,8 +37,3 @@ def is_in_view(
     """Return whether each projected point lies in front of the camera and on the image."""
     u, v = pixels.unbind(-1)
     return (depth > 0.0) & (u >= 0.0) & (u <= camera.width) & (v >= 0.0) & (v <= camera.height)
-
-
-def visible_fraction(is_visible: Bool[Tensor, "num_envs num_points"]) -> Float[Tensor, " num_envs"]:
-    """Return the share of visible points, in [0, 1]."""
-    return is_visible.to(torch.get_default_dtype()).mean(-1)

@@ -29,6 +29,9 @@ GL_BACKENDS = ("egl", "osmesa")
 
 OBJECT_BODY = "object"
 
+DRAWN_GROUPS = (0, 1, 2, 3)
+"""Geom groups in a picture: table and floor, object, what is only seen, robot."""
+
 _PROBE = """
 import importlib, sys, mujoco
 context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(8, 8)
@@ -65,7 +68,7 @@ class View:
 RGB_VIEW = View(camera="rgb")
 """What the robot's camera sees."""
 
-OUTSIDE_VIEW = View(lookat=(1.0, 0.0, 1.15), distance=3.2, azimuth=110.0, elevation=-14.0)
+OUTSIDE_VIEW = View(lookat=(1.3, 0.0, 1.05), distance=3.6, azimuth=105.0, elevation=-12.0)
 """Robot, table and the whole throw, from the side."""
 
 
@@ -105,7 +108,7 @@ def _draws(backend: str) -> bool:
 class Renderer:
     """Draws one model from one view; close it, or use it as a context manager.
 
-    Fast settings: no multisampling, a shadow map of 1024 pixels, no shadows on request.
+    Fast settings: no multisampling, a shadow map of 1024 pixels, and shadows only where asked for.
 
     Args:
         model: The model; it is copied, its drawing settings are not touched.
@@ -127,7 +130,7 @@ class Renderer:
         self._data = mujoco.MjData(self._model)
         self._camera = _camera(self._model, view)
         self._option = mujoco.MjvOption()
-        self._option.geomgroup[:] = (1, 1, 1, 1, 0, 0)
+        self._option.geomgroup[:] = [group in DRAWN_GROUPS for group in range(mujoco.mjNGROUP)]
         self._option.sitegroup[:] = 0
         self._scene = mujoco.MjvScene(self._model, maxgeom=1000)
         self._flags = {mujoco.mjtRndFlag.mjRND_SHADOW: shadows, mujoco.mjtRndFlag.mjRND_REFLECTION: False}
