@@ -1,0 +1,62 @@
+"""Entry point of the command line: parses, runs one command, and reports errors in one line."""
+
+import importlib.metadata
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Union
+
+import tyro
+
+from pixel2catch.cli.scene import Scene
+from pixel2catch.cli.train import Train
+from pixel2catch.errors import Pixel2CatchError
+
+COMMANDS = (Train, Scene)
+
+DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
+
+'pixel2catch COMMAND --help' explains a command, 'pixel2catch --version' prints the version."""
+
+EXIT_ERROR = 2
+"""Exit status of an error that the user can mend."""
+
+EXIT_INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status.
+
+    Args:
+        args: Arguments; those of the process if absent.
+    """
+    args = sys.argv[1:] if args is None else args
+    if list(args) == ["--version"]:
+        print(f"pixel2catch {importlib.metadata.version('pixel2catch')}")
+        return 0
+    try:
+        _parse(args).run()
+    except (Pixel2CatchError, OSError) as error:
+        if isinstance(error, BrokenPipeError):
+            return 0
+        print(f"pixel2catch: error: {error}", file=sys.stderr)
+        return EXIT_ERROR
+    except KeyboardInterrupt:
+        print("pixel2catch: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    return 0
+
+
+def _parse(args: Sequence[str]):  # noqa: ANN202 (one of COMMANDS)
+    names = [Annotated[command, tyro.conf.subcommand(command.__name__.lower())] for command in COMMANDS]
+    return tyro.cli(
+        Union[*names],  # type: ignore[valid-type]
+        prog="pixel2catch",
+        description=DESCRIPTION,
+        args=args,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

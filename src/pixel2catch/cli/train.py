@@ -1,0 +1,106 @@
+"""`pixel2catch train`: learn a policy."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from pixel2catch.rl import TrainCfg
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Train:
+    """Train a policy. What is not given comes from the preset.
+
+    Attributes:
+        method: What to train: proposed, journal, only_wh, only_center, single_agent.
+        preset: Starting values: fast (one big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
+        device: Where to simulate and learn: cpu, cuda, cuda:1, ... Default: cuda where there is one.
+        out: Folder of the run. Default: runs/METHOD-seedSEED.
+        resume: Go on from the last checkpoint in that folder.
+        seed: Seed of networks, exploration and environments.
+        num_envs: Environments that are simulated side by side.
+        transitions: Length of the training: control steps, summed over the environments.
+        rollout_steps: Control steps of every environment between two updates.
+        epochs: Passes over a rollout in an update.
+        mini_batches: Gradient steps a pass.
+        schedule: How the learning rate changes: linear over the transitions, or kl adaptive.
+        learning_rate: Learning rate at the start.
+        final_learning_rate: Learning rate at the end (linear), or its lower bound (kl).
+        kl_target: KL divergence that the kl schedule aims at.
+        discount: Discount factor of a control step.
+        gae_lambda: Lambda of the generalised advantage estimate.
+        ratio_clip: Clip of the probability ratio.
+        value_clip: Clip of the change of a value in an update.
+        value_loss_scale: Weight of the value loss.
+        entropy_scale: Weight of the entropy bonus.
+        gradient_clip: Largest norm of an agent's gradient.
+        hidden: Sizes of the hidden layers.
+        initial_log_std: Logarithm of the standard deviation of the actions at the start.
+        checkpoint_seconds: Time between two checkpoints [s].
+        report_seconds: Time between two report lines where there is no terminal [s].
+    """
+
+    method: Positional[str] = "proposed"
+    preset: Literal["fast", "cpu", "paper"] | None = None
+    device: str | None = None
+    out: Path | None = None
+    resume: bool = False
+    seed: int | None = None
+    num_envs: int | None = None
+    transitions: int | None = None
+    rollout_steps: int | None = None
+    epochs: int | None = None
+    mini_batches: int | None = None
+    schedule: Literal["linear", "kl"] | None = None
+    learning_rate: float | None = None
+    final_learning_rate: float | None = None
+    kl_target: float | None = None
+    discount: float | None = None
+    gae_lambda: float | None = None
+    ratio_clip: float | None = None
+    value_clip: float | None = None
+    value_loss_scale: float | None = None
+    entropy_scale: float | None = None
+    gradient_clip: float | None = None
+    hidden: tuple[int, ...] | None = None
+    initial_log_std: float | None = None
+    checkpoint_seconds: float | None = None
+    report_seconds: float | None = None
+
+    def run(self) -> None:
+        """Train to the end."""
+        from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+        from pixel2catch.methods import find_method
+        from pixel2catch.policy import contract_of
+        from pixel2catch.rl import train
+
+        method, cfg, task = find_method(self.method), self.resolve(), CatchEnvCfg()
+
+        def make_env(cfg: "TrainCfg") -> CatchEnv:
+            return CatchEnv(task, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed)
+
+        out = self.out or Path("runs") / f"{method.name}-seed{cfg.seed}"
+        train(cfg, make_env, contract_of(method, task.scene.handedness), out, resume=self.resume)
+
+    def resolve(self) -> "TrainCfg":
+        """Return the preset with what was given on the command line.
+
+        Raises:
+            DeviceUnavailableError: If CUDA was asked for and is absent.
+            InvalidValueError: If no training is possible with the values.
+        """
+        import torch
+
+        from pixel2catch.rl import TrainCfg, preset
+        from pixel2catch.sim.simulation import require_cuda
+
+        device = self.device or ("cuda" if torch.cuda.is_available() else "cpu")
+        if device.startswith("cuda"):
+            require_cuda(device)
+        cfg = preset(self.preset or ("fast" if device.startswith("cuda") else "cpu"))
+        names = {field.name for field in dataclasses.fields(TrainCfg)}
+        given: dict[str, Any] = {n: v for n, v in vars(self).items() if n in names and v is not None}
+        return dataclasses.replace(cfg, **given | {"device": device})
