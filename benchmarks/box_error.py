@@ -43,7 +43,7 @@ def print_errors(errors: dict[str, BoxErrors]) -> None:
 
 
 def print_shares(hit: BoxErrors) -> None:
-    """Against what a detector sees that needs a number of pixels: how often the two disagree, of frames with hits."""
+    """Print how often a threshold on the share disagrees with a detector that needs so many pixels."""
     print(f"\nLeast visible share of the points, {len(hit.error)} frames in which a ray is stopped")
     print(f"{'share':>6}" + "".join(f"{f'>= {pixels} px: missed, ghosts':>28}" for pixels in LEAST_PIXELS))
     for share in SHARES:

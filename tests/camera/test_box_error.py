@@ -1,4 +1,4 @@
-"""The box of the surface points against the box of the rendered object: the claim that training needs no renderer."""
+"""The box of the surface points against that of the rendered object: training needs no renderer."""
 
 import pytest
 import torch
@@ -9,9 +9,7 @@ from pixel2catch.evaluation.rendering import find_gl_backend
 from pixel2catch.robot.objects import OBJECTS
 
 NUM_POINTS = 64
-FRAMES_PER_OBJECT = 40
-POINTED = ("cone", "triang")
-"""Shapes with points so sharp that the renderer's last pixel, which must be covered in its middle, comes late."""
+FRAMES_PER_OBJECT = 45
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -23,20 +21,28 @@ def opengl() -> None:
 
 
 @pytest.fixture(scope="module")
-def errors() -> dict[str, BoxErrors]:
-    return {
-        name: compare(name, sample_frames(FRAMES_PER_OBJECT, seed), NUM_POINTS)
-        for seed, name in enumerate(OBJECTS)
-    }
+def frames() -> dict[str, torch.Tensor]:
+    return {name: sample_frames(FRAMES_PER_OBJECT, seed) for seed, name in enumerate(OBJECTS)}
 
 
-def test_unoccluded_boxes_agree_within_a_pixel(errors: dict[str, BoxErrors]):
-    free = {name: each.select(~each.is_hit & ~each.is_cut) for name, each in errors.items()}
-    assert sum(len(each.error) for each in free.values()) >= 450
-    for name, each in free.items():
-        tolerance = 1.5 if any(word in name for word in POINTED) else 1.0
-        assert (each.num_pixels > 0).all()
-        assert each.worst_edge.max() <= tolerance, name
+@pytest.fixture(scope="module")
+def errors(frames: dict[str, torch.Tensor]) -> dict[str, BoxErrors]:
+    return {name: compare(name, frames[name], NUM_POINTS) for name in OBJECTS}
+
+
+def test_unoccluded_boxes_agree_within_a_pixel(errors: dict[str, BoxErrors], frames: dict[str, torch.Tensor]):
+    """The tip of a cone or prism can be too thin to cover the middle of a pixel; finer pixels show it."""
+    num_free = num_thin = 0
+    for name, each in errors.items():
+        is_free = ~each.is_hit & ~each.is_cut
+        is_thin = is_free & (each.worst_edge > 1.0)
+        assert (each.num_pixels[is_free] > 0).all()
+        if is_thin.any():
+            fine = compare(name, frames[name][is_thin], NUM_POINTS, magnification=4)
+            assert fine.worst_edge.max() <= 0.5, name
+        num_free, num_thin = num_free + int(is_free.sum()), num_thin + int(is_thin.sum())
+    assert num_free >= 500
+    assert num_thin <= 0.01 * num_free
 
 
 def test_errors_have_no_bias(errors: dict[str, BoxErrors]):
@@ -44,13 +50,6 @@ def test_errors_have_no_bias(errors: dict[str, BoxErrors]):
     everything = BoxErrors.concatenate(list(errors.values()))
     mean = everything.select(~everything.is_hit & ~everything.is_cut).error.mean(0)
     assert ((mean[:2] + mean[2:]) / 2).abs().max() < 0.05
-
-
-def test_pointed_shapes_agree_with_a_finer_rendering():
-    fine = compare("cone_l", sample_frames(45, 1), NUM_POINTS, magnification=4)
-    fine = fine.select(~fine.is_hit & ~fine.is_cut)
-    assert len(fine.error) >= 20
-    assert fine.worst_edge.max() <= 0.5
 
 
 def test_occluded_boxes_are_close(errors: dict[str, BoxErrors]):

@@ -10,7 +10,14 @@ from pixel2catch.camera.pinhole import camera_center, project
 from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
 
 AT_ORIGIN = CameraSpec(
-    width=640, height=480, fx=600.0, fy=500.0, cx=320.0, cy=240.0, pos=(0.0,) * 3, quat=(1.0, 0.0, 0.0, 0.0)
+    width=640,
+    height=480,
+    fx=600.0,
+    fy=500.0,
+    cx=320.0,
+    cy=240.0,
+    pos=(0.0, 0.0, 0.0),
+    quat=(1.0, 0.0, 0.0, 0.0),
 )
 
 

@@ -49,9 +49,10 @@ def box_of_mask(
     Returns:
         Boxes [px], (0, 0, 0, 0) for an empty mask; and whether any pixel was true.
     """
-    spans = [_span(mask.any(-2)), _span(mask.any(-1))]
-    box = torch.stack([spans[0][0], spans[1][0], spans[0][1], spans[1][1]], dim=-1)
-    is_seen = mask.flatten(1).any(-1)
+    columns, rows = mask.any(-2), mask.any(-1)
+    (xmin, xmax), (ymin, ymax) = _span(columns), _span(rows)
+    box = torch.stack([xmin, ymin, xmax, ymax], dim=-1)
+    is_seen = rows.any(-1)
     return torch.where(is_seen.unsqueeze(-1), box, 0.0), is_seen
 
 

@@ -126,7 +126,7 @@ def compare(
     is_comparable = is_rendered & (is_visible & in_view).any(-1)
     return BoxErrors(
         error=torch.where(is_comparable[:, None], box - rendered / magnification, 0.0),
-        num_pixels=mask.sum((-2, -1)) // magnification**2,
+        num_pixels=mask.count_nonzero((-2, -1)) // magnification**2,
         visible_fraction=(is_visible & in_view).float().mean(-1),
         is_hit=~is_visible.all(-1),
         is_cut=~in_view.all(-1),
@@ -157,7 +157,8 @@ def _path(
 
 def _palm_target(arm: Float[Tensor, "num_frames 6"]) -> Float[Tensor, "num_frames 3"]:
     """Where a held object's centre is, in front of the palm [m]."""
-    pos, (w, x, y, z) = (values if i == 0 else values.unbind(-1) for i, values in enumerate(palm_pose(arm)))
+    pos, quat = palm_pose(arm)
+    w, x, y, z = quat.unbind(-1)
     normal = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], dim=-1)
     return pos + HELD_DISTANCE * normal
 

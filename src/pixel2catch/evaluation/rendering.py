@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import av
 import mujoco
@@ -165,7 +165,7 @@ class Renderer:
             self._gl.free()
         self._drawing = self._gl = None
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Renderer":
         """Return the renderer itself."""
         return self
 
@@ -247,7 +247,7 @@ class VideoWriter:
             self._container.mux(self._stream.encode())
         self._container.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "VideoWriter":
         """Return the writer itself."""
         return self
 
