@@ -136,7 +136,9 @@ def main() -> None:
                     errors = [drop(setting, e, on) for e in RESTITUTIONS]
                     print(name, f"{on:5s}", " ".join(f"{mean:+.2f} ({worst:.2f})" for mean, worst in errors))
                 result = throw(setting, args.throws)
-                print(name, "throw", " ".join(f"{key} {value:.2f}" for key, value in result.items()), flush=True)
+                print(
+                    name, "throw", " ".join(f"{key} {value:.2f}" for key, value in result.items()), flush=True
+                )
 
 
 if __name__ == "__main__":

@@ -46,11 +46,17 @@ def _joint_matrices() -> np.ndarray:
     for d, a, alpha in UR5E_DH:
         after.append(_pose_matrix((a, 0.0, d), (np.cos(alpha / 2), np.sin(alpha / 2), 0.0, 0.0)))
     before[0] = _pose_matrix(ROBOT_BASE_POS, ROBOT_BASE_QUAT) @ np.diag((-1.0, -1.0, 1.0, 1.0))
-    after[-1] = after[-1] @ _pose_matrix(HAND_MOUNT_POS, HAND_MOUNT_QUAT) @ _pose_matrix(PALM_POS, (1.0, 0.0, 0.0, 0.0))
+    after[-1] = (
+        after[-1]
+        @ _pose_matrix(HAND_MOUNT_POS, HAND_MOUNT_QUAT)
+        @ _pose_matrix(PALM_POS, (1.0, 0.0, 0.0, 0.0))
+    )
     constant, cosine = np.diag((0.0, 0.0, 1.0, 1.0)), np.diag((1.0, 1.0, 0.0, 0.0))
     sine = np.zeros((4, 4))
     sine[0, 1], sine[1, 0] = -1.0, 1.0
-    return np.stack([[b @ part @ a for b, a in zip(before, after, strict=True)] for part in (constant, cosine, sine)])
+    return np.stack(
+        [[b @ part @ a for b, a in zip(before, after, strict=True)] for part in (constant, cosine, sine)]
+    )
 
 
 def _sign_matrices() -> np.ndarray:
@@ -85,7 +91,9 @@ def _multiply(left: Tensor, right: Tensor) -> Tensor:
     return (left.unsqueeze(-1) * right.unsqueeze(-3)).sum(-2)
 
 
-def palm_pose(joint_pos: Float[Tensor, "num_envs 6"]) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
+def palm_pose(
+    joint_pos: Float[Tensor, "num_envs 6"],
+) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
     """Pose of the palm in the world frame.
 
     Args:
@@ -103,7 +111,9 @@ def palm_pose(joint_pos: Float[Tensor, "num_envs 6"]) -> tuple[Float[Tensor, "nu
     return pose[:, :3, 3], _quaternion(pose, table)
 
 
-def _quaternion(pose: Float[Tensor, "num_envs 4 4"], table: Float[Tensor, "4 4 16"]) -> Float[Tensor, "num_envs 4"]:
+def _quaternion(
+    pose: Float[Tensor, "num_envs 4 4"], table: Float[Tensor, "4 4 16"]
+) -> Float[Tensor, "num_envs 4"]:
     """Rotation part as a quaternion with w >= 0, from the row of 4 q qᵀ with the largest diagonal entry."""
     products = (table * pose.reshape(-1, 1, 1, 16)).sum(-1)
     diagonal = products.diagonal(dim1=-2, dim2=-1)

@@ -24,6 +24,7 @@ from pixel2catch.robot.constants import (
     quat_multiply,
 )
 from pixel2catch.robot.contact import SOLIMP, contact_solref
+from pixel2catch.robot.looks import add_looks
 from pixel2catch.robot.objects import MAX_PARTS, OBJECTS, ObjectSpec
 from pixel2catch.robot.ur5e import add_arm, dh_pose
 
@@ -34,11 +35,15 @@ NO_PART = "no_part"
 OBJECT_START = (2.65, 0.0, 0.8)
 """Position of the object in `qpos0` [m]: the middle of the throw's release points."""
 
+FLOOR_BIT = 2
+"""Contact bit of the floor: only the object falls on it. Robot, table and object share bit 1."""
+
 OBJECT_BOUND = 0.1
 """Half an edge of a cube about the body origin that holds every object [m]."""
 
 CONTACT_DATA = sum(
-    1 << int(field) for field in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_DIST)
+    1 << int(field)
+    for field in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_DIST)
 )
 REDUCE_MINDIST = 1
 """Of several contacts a sensor reports the deepest."""
@@ -81,11 +86,13 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     spec.modelname = "pixel2catch"
     _set_options(spec, cfg)
     _add_surroundings(spec)
-    wrist = add_arm(spec, visuals=cfg.visuals)
+    wrist = add_arm(spec)
     add_hand(wrist, dh_pose(UR5E_DH[-1])[0], cfg.handedness)
     _add_servos(spec)
     _add_object(spec, cfg, OBJECTS[object_name])
     _add_contact_rules(spec)
+    if cfg.visuals:
+        add_looks(spec, cfg.handedness)
     return spec
 
 
@@ -135,13 +142,22 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
-    """Floor, table and the camera."""
+    """Floor, table and the camera. Floor and table are bodies of their own, which the broad phase tells apart."""
     world = spec.worldbody
-    world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(4, 4, 0.1), rgba=(0.55, 0.57, 0.60, 1))
+    world.add_body(name="floor").add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(4, 4, 0.1),
+        rgba=(0.55, 0.57, 0.60, 1),
+        contype=FLOOR_BIT,
+        conaffinity=FLOOR_BIT,
+    )
     x, y, top = TABLE.center
     half = (TABLE.size[0] / 2, TABLE.size[1] / 2, TABLE.thickness / 2)
     pos = (x, y, top - half[2])
-    world.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=half, rgba=(0.66, 0.50, 0.34, 1))
+    world.add_body(name="table").add_geom(
+        name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=half, rgba=(0.66, 0.50, 0.34, 1)
+    )
     camera = RGB_CAMERA
     world.add_camera(
         name="rgb",
@@ -150,7 +166,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
         resolution=(camera.width, camera.height),
         sensor_size=(camera.width * 1e-5, camera.height * 1e-5),
         focal_pixel=(camera.fx, camera.fy),
-        principal_pixel=(camera.cx - camera.width / 2, camera.cy - camera.height / 2),
+        principal_pixel=(camera.width / 2 - camera.cx, camera.height / 2 - camera.cy),  # the renderer's sign
     )
 
 
@@ -205,6 +221,8 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
             meshname=f"{thrown.name}_part_{i}" if i < len(thrown.parts) else NO_PART,
             rgba=OBJECT_RGBA,
             group=1,
+            contype=1 | FLOOR_BIT,
+            conaffinity=1 | FLOOR_BIT,
             condim=3,
             priority=1,
             friction=(cfg.object_friction, 0.005, 0.0001),

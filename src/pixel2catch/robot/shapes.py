@@ -67,13 +67,17 @@ class VolumeMoments:
     def __add__(self, other: "VolumeMoments") -> "VolumeMoments":
         """Moments of two disjoint solids."""
         return VolumeMoments(
-            volume=self.volume + other.volume, first=self.first + other.first, second=self.second + other.second
+            volume=self.volume + other.volume,
+            first=self.first + other.first,
+            second=self.second + other.second,
         )
 
     def __sub__(self, other: "VolumeMoments") -> "VolumeMoments":
         """Moments of a solid without a part of it."""
         return VolumeMoments(
-            volume=self.volume - other.volume, first=self.first - other.first, second=self.second - other.second
+            volume=self.volume - other.volume,
+            first=self.first - other.first,
+            second=self.second - other.second,
         )
 
     def center(self) -> Float[ndarray, "3"]:
@@ -114,7 +118,9 @@ def polygon(num_corners: int, edge: float) -> Float[ndarray, "num_corners 2"]:
     return edge / (2 * np.sin(pi / num_corners)) * np.column_stack((np.cos(angles), np.sin(angles)))
 
 
-def _ring(radius: float, z: float, num_points: int = RING_POINTS, turn: float = 0.0) -> Float[ndarray, "num_points 3"]:
+def _ring(
+    radius: float, z: float, num_points: int = RING_POINTS, turn: float = 0.0
+) -> Float[ndarray, "num_points 3"]:
     """A circle [m] at height z, enlarged so that corners and edge midpoints err alike; `turn` in point spacings."""
     angles = 2 * pi * (np.arange(num_points) + turn) / num_points
     outer = 2 * radius / (1 + cos(pi / num_points))
@@ -137,7 +143,9 @@ def capsule(radius: float, length: float) -> ConvexPart:
     caps = []
     for latitude, num_points in rings:
         angle = np.radians(latitude)
-        ring = _ring(radius * np.cos(angle), length / 2 + radius * np.sin(angle), num_points, turn=latitude / 64)
+        ring = _ring(
+            radius * np.cos(angle), length / 2 + radius * np.sin(angle), num_points, turn=latitude / 64
+        )
         caps += [ring, ring * (1, 1, -1)]
     pole = length / 2 + radius
     return ConvexPart(vertices=np.concatenate((*caps, [(0, 0, pole), (0, 0, -pole)])))

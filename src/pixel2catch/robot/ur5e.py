@@ -23,11 +23,7 @@ from pixel2catch.robot.constants import (
 ROBOT_GROUP = 3
 """Geom group of everything of the robot that collides."""
 
-VISUAL_GROUP = 2
-"""Geom group of what is only seen."""
-
 TUBE_RGBA = (0.78, 0.79, 0.80, 1.0)
-CAP_RGBA = (0.16, 0.42, 0.66, 1.0)
 FLANGE_RGBA = (0.35, 0.36, 0.38, 1.0)
 
 
@@ -50,9 +46,7 @@ LINKS: tuple[tuple[str, tuple[Capsule, ...]], ...] = (
     ("shoulder_link", (Capsule(start=(0, 0, 0.06), end=(0, -0.045, 0.1625), radius=0.06),)),
     (
         "upper_arm_link",
-        (
-            Capsule(start=(0, 0, 0.136), end=(-0.425, 0, 0.136), radius=0.055),
-        ),
+        (Capsule(start=(0, 0, 0.136), end=(-0.425, 0, 0.136), radius=0.055),),
     ),
     (
         "forearm_link",
@@ -70,20 +64,8 @@ LINKS: tuple[tuple[str, tuple[Capsule, ...]], ...] = (
 BASE_CAPSULE = Capsule(start=(0, 0, 0.02), end=(0, 0, 0.03), radius=0.07)
 """Foot of the arm in `base_link`."""
 
-CAPS: dict[str, tuple[Capsule, ...]] = {
-    "shoulder_link": (Capsule(start=(0, 0.055, 0.1625), end=(0, 0.066, 0.1625), radius=0.056),),
-    "upper_arm_link": (
-        Capsule(start=(0, 0, 0.185), end=(0, 0, 0.196), radius=0.053),
-        Capsule(start=(-0.425, 0, 0.185), end=(-0.425, 0, 0.196), radius=0.053),
-    ),
-    "forearm_link": (Capsule(start=(0, 0, -0.044), end=(0, 0, -0.034), radius=0.045),),
-    "wrist_1_link": (Capsule(start=(0, 0, 0.172), end=(0, 0, 0.18), radius=0.038),),
-    "wrist_2_link": (Capsule(start=(0, 0, 0.138), end=(0, 0, 0.146), radius=0.038),),
-}
-"""Blue lids of the joints: cylinders, seen only."""
 
-
-def add_arm(spec: mujoco.MjSpec, *, visuals: bool) -> mujoco.MjsBody:
+def add_arm(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     """Add the arm to the world and return its last link, on which `tool0` sits."""
     base = spec.worldbody.add_body(name="base_link", pos=ROBOT_BASE_POS, quat=ROBOT_BASE_QUAT)
     add_capsule(base, "base_link", BASE_CAPSULE, mass=0.0, rgba=TUBE_RGBA)
@@ -93,9 +75,9 @@ def add_arm(spec: mujoco.MjSpec, *, visuals: bool) -> mujoco.MjsBody:
         body.add_joint(name=joint.name, axis=(0, 0, 1))
         for i, capsule in enumerate(capsules):
             rgba = FLANGE_RGBA if name == "wrist_3_link" else TUBE_RGBA
-            add_capsule(body, name if i == 0 else f"{name}_{i}", capsule, mass=mass if i == 0 else 0.0, rgba=rgba)
-        if visuals:
-            _add_lids(body, CAPS.get(name, ()))
+            add_capsule(
+                body, name if i == 0 else f"{name}_{i}", capsule, mass=mass if i == 0 else 0.0, rgba=rgba
+            )
         parent, (pos, quat) = body, dh_pose(row)
     parent.add_site(name="tool0", pos=pos, quat=quat, size=(0.004, 0.004, 0.004), group=4)
     return parent
@@ -120,17 +102,3 @@ def add_capsule(
         rgba=rgba,
         group=ROBOT_GROUP,
     )
-
-
-def _add_lids(body: mujoco.MjsBody, lids: tuple[Capsule, ...]) -> None:
-    for lid in lids:
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            fromto=(*lid.start, *lid.end),
-            size=(lid.radius, 0, 0),
-            mass=0.0,
-            rgba=CAP_RGBA,
-            group=VISUAL_GROUP,
-            contype=0,
-            conaffinity=0,
-        )
