@@ -70,6 +70,7 @@ class Step:
         terminated: Whether the episode ended, time-outs included (paper).
         truncated: Never: a time-out is a termination.
         record: The episodes up to this step, before any reset.
+        log: What happened within this step, likewise.
         measurement: What the robot measured, of which `observation` was made.
         joint_pos_target: The joint targets that were commanded [rad].
     """
@@ -79,6 +80,7 @@ class Step:
     terminated: Bool[Tensor, " num_envs"]
     truncated: Bool[Tensor, " num_envs"]
     record: EpisodeRecord
+    log: PhysicsLog
     measurement: Measurement
     joint_pos_target: Float[Tensor, "num_envs num_joints"]
 
@@ -171,6 +173,7 @@ class CatchEnv:
             terminated=terminated,
             truncated=torch.zeros_like(terminated),
             record=record,
+            log=log,
             measurement=self._senses.history.now,
             joint_pos_target=target,
         )
