@@ -29,7 +29,7 @@ test: $(READY) ## run the tests
 check: $(READY) ## formatting, lint, types, import rules, spelling
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/ruff check --quiet .
-	@$(BIN)/basedpyright --level error
+	@$(BIN)/basedpyright --pythonpath $(BIN)/python
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/codespell
 

@@ -1,0 +1,118 @@
+"""The rules of the house that a program can check."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "pixel2catch"
+MAX_FILE_LINES = 300
+MAX_FUNCTION_LINES = 45
+
+
+@cache
+def parse(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def python_files(*folders: str) -> list[Path]:
+    return sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+def ids(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def configurations(tree: ast.Module) -> Iterator[ast.ClassDef]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef) and node.name.endswith("Cfg"):
+            yield node
+
+
+def field_names(configuration: ast.ClassDef) -> list[str]:
+    declared = (node for node in configuration.body if isinstance(node, ast.AnnAssign))
+    return [
+        node.target.id
+        for node in declared
+        if isinstance(node.target, ast.Name) and "ClassVar" not in ast.unparse(node.annotation)
+    ]
+
+
+def decorator_keywords(node: ast.ClassDef) -> set[str]:
+    calls = (decorator for decorator in node.decorator_list if isinstance(decorator, ast.Call))
+    return {ast.unparse(keyword) for call in calls for keyword in call.keywords}
+
+
+def names_read(tree: ast.AST) -> set[str]:
+    """Attributes that the code reads; a configuration that only validates a value does not use it."""
+    if isinstance(tree, ast.FunctionDef) and tree.name == "__post_init__":
+        return set()
+    own = {tree.attr} if isinstance(tree, ast.Attribute) and isinstance(tree.ctx, ast.Load) else set()
+    return own.union(*(names_read(child) for child in ast.iter_child_nodes(tree)))
+
+
+@cache
+def all_names_read() -> frozenset[str]:
+    return frozenset().union(*(names_read(parse(path)) for path in python_files("src")))
+
+
+def test_every_configuration_field_is_read():
+    unread = [
+        f"{ids(path)}: {configuration.name}.{name}"
+        for path in python_files("src")
+        for configuration in configurations(parse(path))
+        for name in field_names(configuration)
+        if name not in all_names_read()
+    ]
+    assert not unread, "nothing reads these fields: use them or delete them"
+
+
+def test_configurations_are_frozen_and_keyword_only():
+    loose = [
+        f"{ids(path)}: {configuration.name}"
+        for path in python_files("src")
+        for configuration in configurations(parse(path))
+        if not {"frozen=True", "kw_only=True"} <= decorator_keywords(configuration)
+    ]
+    assert not loose, "decorate these with @dataclass(frozen=True, kw_only=True)"
+
+
+@pytest.mark.parametrize("path", python_files("src", "tests", "benchmarks"), ids=ids)
+def test_files_and_functions_are_short(path: Path):
+    num_lines = len(path.read_text(encoding="utf-8").splitlines())
+    assert num_lines < MAX_FILE_LINES
+    for node in ast.walk(parse(path)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            assert (node.end_lineno or 0) - node.lineno + 1 < MAX_FUNCTION_LINES, node.name
+
+
+def documented_commands() -> list[str]:
+    """The lines in README.md's code blocks that begin with `pixel2catch`."""
+    blocks = re.findall(r"^```\w*\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    return [line.split("#")[0].strip() for line in lines if line.startswith("pixel2catch ")]
+
+
+@cache
+def help_text(subcommand: str) -> str:
+    run = "import sys; from pixel2catch.cli.main import main; sys.exit(main())"
+    command = [sys.executable, "-c", run, subcommand, "--help"]
+    environment = os.environ | {"COLUMNS": "200", "NO_COLOR": "1"}
+    result = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert result.returncode == 0, f"pixel2catch has no command '{subcommand}':\n{result.stderr}"
+    return result.stdout
+
+
+@pytest.mark.skipif(not (SOURCE / "cli" / "main.py").exists(), reason="there is no command line yet")
+@pytest.mark.parametrize("command", documented_commands())
+def test_documented_command_exists(command: str):
+    _, subcommand, *_ = command.split()
+    known = set(re.findall(r"--[\w.-]+", help_text(subcommand)))
+    assert set(re.findall(r"--[\w.-]+", command)) <= known
