@@ -1,0 +1,43 @@
+"""On the GPU the camera's functions neither synchronise with the host nor break a CUDA graph."""
+
+import pytest
+import torch
+
+from pixel2catch.camera.boxes import box_of_points, hold_box, perturb_box
+from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features, select_features
+from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions
+from pixel2catch.robot.constants import RGB_CAMERA
+
+
+def see(points: torch.Tensor, hit: torch.Tensor, previous: torch.Tensor) -> torch.Tensor:
+    """Every function of the camera in one pass, from points to features."""
+    pixels, depth = project(RGB_CAMERA, points)
+    is_visible = is_unoccluded(hit) & is_in_view(RGB_CAMERA, pixels, depth)
+    is_visible = is_visible & (ray_directions(RGB_CAMERA, points).norm(dim=-1) > 0)
+    box = hold_box(box_of_points(pixels, is_visible, RGB_CAMERA), is_visible.any(-1), previous)
+    box = perturb_box(box, torch.ones_like(box), RGB_CAMERA)
+    return select_features(pixel_features(previous, box, RGB_CAMERA), PIXEL_FEATURES)
+
+
+def inputs(device: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand(64, 32, 3, generator=generator) + torch.tensor([0.5, -0.5, 0.8])
+    hit = 2.0 * torch.rand(64, 32, generator=generator) - 0.5
+    previous = torch.tensor([100.0, 100.0, 120.0, 130.0]).repeat(64, 1)
+    return points.to(device), hit.to(device), previous.to(device)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_a_cuda_graph_computes_the_same_as_the_cpu():
+    arguments = inputs("cuda")
+    see(*arguments)  # makes the constants
+    torch.cuda.set_sync_debug_mode("error")
+    see(*arguments)
+    torch.cuda.set_sync_debug_mode("default")
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        captured = see(*arguments)
+    graph.replay()
+    torch.testing.assert_close(captured.cpu(), see(*inputs("cpu")), atol=1e-3, rtol=1e-5)
