@@ -2,12 +2,17 @@
 
 import copy
 import dataclasses
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 import torch
 from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Step
+from skrl.multi_agents.torch.mappo import MAPPO
+from skrl.resources.schedulers.torch import KLAdaptiveLR
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.rl import gradient_step
 from pixel2catch.rl.config import PRESETS, TrainCfg, preset
 from pixel2catch.rl.learner import Learner
 from pixel2catch.rl.memory import RolloutMemory
@@ -71,6 +76,101 @@ def test_mini_batches_hold_every_transition_once() -> None:
     drawn = torch.cat(batches)[:, 0]
     assert drawn.tolist() != sorted(drawn.tolist())
     assert sorted(drawn.tolist()) == list(range(24))
+
+
+class OrderedMemory(RolloutMemory):
+    """Draws mini-batches from a generator of its own, so that two learners see the same ones."""
+
+    def sample(
+        self, names: list[str], *, batch_size: int, mini_batches: int = 1, sequence_length: int = 1
+    ) -> Iterator[list[torch.Tensor]]:
+        with torch.random.fork_rng():
+            torch.manual_seed(self.memory_index)
+            yield from super().sample(names, batch_size=batch_size, mini_batches=mini_batches)
+
+
+@pytest.mark.parametrize("schedule", ["linear", "kl"])
+def test_update_is_that_of_skrl(schedule: str) -> None:
+    """Three updates by skrl's own method and by ours give the same networks, statistics and losses."""
+    cfg = dataclasses.replace(
+        SMALL, schedule=schedule, entropy_scale=0.01, kl_target=0.004, gradient_clip=0.5
+    )
+    outcomes = []
+    for is_ours in (True, False):
+        torch.manual_seed(0)
+        learner = Learner(cfg, ReachingEnv(cfg))
+        for memory in learner.memories.values():
+            memory.__class__ = OrderedMemory
+        update = learner.mappo.update if is_ours else skrl_update(learner)
+        env = ReachingEnv(cfg)
+        losses = []
+        for seed in range(3):
+            torch.manual_seed(seed)
+            roll_out(learner, env)
+            for agent in learner.agents:
+                update(timestep=0, timesteps=0, uid=agent)
+            tracked = {name.lower(): values[-1] for name, values in learner.mappo.tracking_data.items()}
+            names = (
+                ("policy_loss/{}", "value_loss/{}")
+                if is_ours
+                else ("loss / policy loss ({})", "loss / value loss ({})")
+            )
+            losses += [tracked[name.format(agent)] for name in names for agent in learner.agents]
+        weights = [
+            tensor
+            for agent in learner.state_dict().values()
+            for name in ("policy", "value", "value_preprocessor")
+            for tensor in agent[name].values()
+        ]
+        outcomes.append((losses, weights))
+    assert outcomes[0][0] == pytest.approx(outcomes[1][0], rel=1e-3, abs=1e-5)
+    for ours, theirs in zip(outcomes[0][1], outcomes[1][1], strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+def test_captured_steps_equal_eager_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    cfg = dataclasses.replace(SMALL, device="cuda")
+    outcomes = []
+    for num_eager_steps in (3, 10**9):
+        monkeypatch.setattr(gradient_step, "NUM_EAGER_STEPS", num_eager_steps)
+        torch.manual_seed(0)
+        learner, env = Learner(cfg, ReachingEnv(cfg)), ReachingEnv(cfg)
+        for progress in (0.0, 0.5):
+            roll_out(learner, env)
+            metrics = learner.update(progress)
+        outcomes.append((metrics, learner.export(CONTRACT).state_dict()))
+    assert outcomes[0][0] == pytest.approx(outcomes[1][0], rel=1e-4)
+    for name, tensor in outcomes[0][1].items():
+        torch.testing.assert_close(tensor, outcomes[1][1][name])
+
+
+def skrl_update(learner: Learner) -> Callable[..., None]:
+    """Give a learner the optimisers and schedules of skrl, and return skrl's update."""
+    cfg, mappo = learner.cfg, learner.mappo
+    settings = {
+        "learning_epochs": cfg.epochs,
+        "mini_batches": cfg.mini_batches,
+        "discount_factor": cfg.discount,
+        "gae_lambda": cfg.gae_lambda,
+        "ratio_clip": cfg.ratio_clip,
+        "value_clip": cfg.value_clip,
+        "value_loss_scale": cfg.value_loss_scale,
+        "entropy_loss_scale": cfg.entropy_scale,
+        "grad_norm_clip": cfg.gradient_clip,
+    }
+    for name, value in settings.items():
+        setattr(mappo.cfg, name, dict.fromkeys(learner.agents, value))
+    for agent, models in learner.models.items():
+        parameters = [*models["policy"].parameters(), *models["value"].parameters()]
+        optimizer = torch.optim.Adam(parameters, lr=cfg.learning_rate)
+        mappo.optimizers[agent] = mappo.checkpoint_modules[agent]["optimizer"] = optimizer
+        if cfg.schedule == "kl":
+            mappo.schedulers[agent] = KLAdaptiveLR(
+                optimizer, kl_threshold=cfg.kl_target, min_lr=cfg.final_learning_rate
+            )
+    return partial(MAPPO.update, mappo)
 
 
 def test_exploration_is_recorded_unclipped(learner: Learner) -> None:

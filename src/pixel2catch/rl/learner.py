@@ -1,4 +1,4 @@
-"""Learner: skrl's MAPPO behind the five verbs that the training loop needs."""
+"""Learner: MAPPO behind the few verbs that the training loop needs."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +10,7 @@ from torch import Tensor
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.environment import Environment, Observation, Step
+from pixel2catch.rl.graph_mappo import METRICS
 from pixel2catch.rl.mappo import build_mappo
 from pixel2catch.rl.memory import RolloutMemory
 from pixel2catch.rl.models import GaussianPolicy, ValueFunction
@@ -93,41 +94,31 @@ class Learner:
         return policy.eval()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that learning goes on from: networks, optimisers, statistics and schedules."""
+        """Return everything that learning goes on from: networks, optimisers and statistics, by agent."""
         return {
-            agent: {name: module.state_dict() for name, module in self._modules(agent).items()}
-            for agent in self.agents
+            agent: {name: module.state_dict() for name, module in modules.items()}
+            for agent, modules in self.mappo.checkpoint_modules.items()
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what `state_dict` returned."""
-        for agent in self.agents:
-            for name, module in self._modules(agent).items():
+        for agent, modules in self.mappo.checkpoint_modules.items():
+            for name, module in modules.items():
                 module.load_state_dict(state[agent][name])
-
-    def _modules(self, agent: str) -> dict[str, Any]:
-        scheduler = self.mappo.schedulers[agent]
-        return self.mappo.checkpoint_modules[agent] | ({"scheduler": scheduler} if scheduler else {})
+            self.mappo.steps[agent].on_restored()
 
     def _states(self, observation: Observation) -> dict[str, Tensor | None]:
         return {agent: observation.state for agent in self.agents}
 
     def _set_learning_rate(self, progress: float) -> None:
         first, last = self.cfg.learning_rate, self.cfg.final_learning_rate
-        for optimizer in self.mappo.optimizers.values():
-            for group in optimizer.param_groups:
-                group["lr"] = first + (last - first) * min(progress, 1.0)
+        for step in self.mappo.steps.values():
+            step.learning_rate.fill_(first + (last - first) * min(progress, 1.0))
 
     def _pop_metrics(self) -> dict[str, float]:
         tracked = {name: values[-1] for name, values in self.mappo.tracking_data.items()}
         self.mappo.tracking_data.clear()
-        metrics = {}
-        for agent in self.agents:
-            metrics[f"policy_loss/{agent}"] = tracked[f"Loss / Policy loss ({agent})"]
-            metrics[f"value_loss/{agent}"] = tracked[f"Loss / Value loss ({agent})"]
-            metrics[f"action_std/{agent}"] = tracked[f"Policy / Standard deviation ({agent})"]
-            metrics[f"learning_rate/{agent}"] = self.mappo.optimizers[agent].param_groups[0]["lr"]
-        return metrics
+        return {f"{name}/{agent}": tracked[f"{name}/{agent}"] for agent in self.agents for name in METRICS}
 
 
 @contextmanager

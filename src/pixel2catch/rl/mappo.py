@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Box
-from skrl.multi_agents.torch.mappo import MAPPO, MAPPO_CFG
+from skrl.multi_agents.torch.mappo import MAPPO_CFG
 from skrl.resources.preprocessors.torch import RunningStandardScaler
-from skrl.resources.schedulers.torch import KLAdaptiveLR
 
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.environment import Environment
+from pixel2catch.rl.graph_mappo import GraphMAPPO
 from pixel2catch.rl.memory import RolloutMemory
 from pixel2catch.rl.models import GaussianPolicy, ValueFunction
 
 
-def build_mappo(cfg: TrainCfg, env: Environment) -> MAPPO:
+def build_mappo(cfg: TrainCfg, env: Environment) -> GraphMAPPO:
     """Build models, memories and the learner; one agent is as good as two.
 
     skrl writes no files here, and its own tracking of rewards, which waits for the device at every step, is
@@ -34,7 +34,8 @@ def build_mappo(cfg: TrainCfg, env: Environment) -> MAPPO:
         for agent in agents
     }
     memory_size = {"memory_size": cfg.rollout_steps, "num_envs": env.num_envs, "device": cfg.device}
-    mappo = MAPPO(
+    mappo = GraphMAPPO(
+        cfg,
         possible_agents=agents,
         models=models,
         memories={agent: RolloutMemory(**memory_size) for agent in agents},
@@ -59,30 +60,18 @@ def _mappo_cfg(
     """Translate the configuration.
 
     Every `…_kwargs` is given by agent: skrl takes an empty dictionary for one whose agents are missing.
-    `rollouts` is 1 because the loop calls `post_interaction` once a rollout, when the memory is full.
+    `rollouts` is 1 because the loop calls `post_interaction` once a rollout, when the memory is full. What
+    only skrl's own update would read is left out.
     """
-    is_adaptive = cfg.schedule == "kl"
-    scheduler = {"kl_threshold": cfg.kl_target, "min_lr": cfg.final_learning_rate} if is_adaptive else {}
     return MAPPO_CFG(
         rollouts=1,
-        learning_epochs=cfg.epochs,
-        mini_batches=cfg.mini_batches,
-        discount_factor=cfg.discount,
-        gae_lambda=cfg.gae_lambda,
-        learning_rate=cfg.learning_rate,
-        learning_rate_scheduler=KLAdaptiveLR if is_adaptive else None,
-        learning_rate_scheduler_kwargs={agent: dict(scheduler) for agent in observation_spaces},
+        learning_rate_scheduler_kwargs={agent: {} for agent in observation_spaces},
         observation_preprocessor=RunningStandardScaler,
         observation_preprocessor_kwargs=_scaler_kwargs(observation_spaces, cfg.device),
         state_preprocessor=RunningStandardScaler,
         state_preprocessor_kwargs=_scaler_kwargs(state_spaces, cfg.device),
         value_preprocessor=RunningStandardScaler,
         value_preprocessor_kwargs={agent: {"size": 1, "device": cfg.device} for agent in observation_spaces},
-        grad_norm_clip=cfg.gradient_clip,
-        ratio_clip=cfg.ratio_clip,
-        value_clip=cfg.value_clip,
-        entropy_loss_scale=cfg.entropy_scale,
-        value_loss_scale=cfg.value_loss_scale,
         time_limit_bootstrap=False,
         experiment={"write_interval": 0, "checkpoint_interval": 0},  # pyright: ignore[reportArgumentType]
     )

@@ -1,5 +1,6 @@
 """skrl's views of the networks: a Gaussian policy and a value function."""
 
+import math
 from typing import Any
 
 import gymnasium
@@ -21,7 +22,7 @@ class GaussianPolicy(GaussianMixin, Model):
         Model.__init__(
             self, observation_space=observation_space, action_space=action_space, device=cfg.device
         )
-        GaussianMixin.__init__(self)
+        GaussianMixin.__init__(self, clip_log_std=False)
         self.network = build_mlp(self.num_observations, self.num_actions, cfg.hidden)
         self.log_std = nn.Parameter(torch.full((self.num_actions,), cfg.initial_log_std))
 
@@ -30,6 +31,15 @@ class GaussianPolicy(GaussianMixin, Model):
     ) -> tuple[Tensor, dict[str, Any]]:
         """Return mean and log standard deviation for standardised observations."""
         return self.network(inputs["observations"]), {"log_std": self.log_std}
+
+    def log_prob(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """Return the logarithm of the probability density of actions, (num_envs, 1)."""
+        error = (actions - self.network(observations)) * (-self.log_std).exp()
+        return -(0.5 * error.square() + self.log_std + 0.5 * math.log(2.0 * math.pi)).sum(-1, keepdim=True)
+
+    def entropy(self) -> Tensor:
+        """Return the entropy of an action."""
+        return (self.log_std + 0.5 * math.log(2.0 * math.pi * math.e)).sum()
 
 
 class ValueFunction(DeterministicMixin, Model):

@@ -1,0 +1,118 @@
+"""One gradient step of PPO on a mini-batch, replayed as a CUDA graph where there is CUDA.
+
+The step is some two hundred small kernels. Launched one by one they keep the GPU waiting for the host most of
+the time (8,192 environments x 16 steps on one H100: 180 ms an update, of which the GPU works 65;
+as graphs 74 ms).
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from pixel2catch.rl.config import TrainCfg
+from pixel2catch.rl.models import GaussianPolicy, ValueFunction
+
+NUM_EAGER_STEPS = 3
+"""Steps before the graph is captured: libraries set themselves up in the first. Source: torch's manual."""
+
+
+class Batch(NamedTuple):
+    """A mini-batch; observations, states, values and returns are standardised."""
+
+    observations: Tensor
+    states: Tensor
+    actions: Tensor
+    log_prob: Tensor
+    values: Tensor
+    returns: Tensor
+    advantages: Tensor
+
+
+class GradientStep:
+    """Takes gradient steps for one agent.
+
+    Attributes:
+        optimizer: Adam, with its learning rate in a tensor, so that a captured step sees it change.
+        totals: Sums of policy loss, value loss and KL divergence over the steps since they were put to zero.
+    """
+
+    def __init__(self, cfg: TrainCfg, policy: GaussianPolicy, value: ValueFunction) -> None:
+        """Prepare for the parameters of one agent's models."""
+        self._cfg, self._policy, self._value = cfg, policy, value
+        self._parameters = [*policy.parameters(), *value.parameters()]
+        self._is_cuda = cfg.device.startswith("cuda")
+        rate = torch.tensor(cfg.learning_rate, device=cfg.device)
+        self.optimizer = torch.optim.Adam(self._parameters, lr=rate, fused=True, capturable=self._is_cuda)
+        self.totals = torch.zeros(3, device=cfg.device)
+        self._batch: Batch | None = None
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._num_steps = 0
+
+    @property
+    def learning_rate(self) -> Tensor:
+        """Learning rate, to be changed in place."""
+        return self.optimizer.param_groups[0]["lr"]
+
+    @property
+    def action_std(self) -> Tensor:
+        """Standard deviation of the actions, averaged over them."""
+        return self._policy.log_std.detach().exp().mean()
+
+    def take(self, batch: Batch) -> None:
+        """Take one step; nothing waits for the device."""
+        if self._batch is None:
+            self._batch = Batch(*(tensor.clone() for tensor in batch))
+        else:
+            for static, tensor in zip(self._batch, batch, strict=True):
+                static.copy_(tensor)
+        if self._is_cuda and self._graph is None and self._num_steps >= NUM_EAGER_STEPS:
+            self._graph = self._capture(self._batch)
+        if self._graph is not None:
+            self._graph.replay()
+        elif self._is_cuda:
+            self._step_aside(self._batch)
+        else:
+            self._step(self._batch)
+        self._num_steps += 1
+
+    def on_restored(self) -> None:
+        """Forget what depends on the optimiser's former state, or on the device that the new is from."""
+        self._graph, self._num_steps = None, 0
+        for group in self.optimizer.param_groups:
+            group["capturable"] = self._is_cuda
+
+    def _step(self, batch: Batch) -> None:
+        """Source: PPO with clipped ratio and clipped values, as in skrl (`MAPPO.update`)."""
+        cfg = self._cfg
+        log_prob = self._policy.log_prob(batch.observations, batch.actions)
+        log_ratio = log_prob - batch.log_prob
+        ratio = log_ratio.exp()
+        clipped_ratio = ratio.clip(1.0 - cfg.ratio_clip, 1.0 + cfg.ratio_clip)
+        policy_loss = -torch.min(batch.advantages * ratio, batch.advantages * clipped_ratio).mean()
+        change = self._value.network(batch.states) - batch.values
+        values = batch.values + change.clip(-cfg.value_clip, cfg.value_clip)
+        value_loss = cfg.value_loss_scale * nn.functional.mse_loss(batch.returns, values)
+        entropy_loss = -cfg.entropy_scale * self._policy.entropy()
+        self.optimizer.zero_grad()
+        (policy_loss + value_loss + entropy_loss).backward()
+        nn.utils.clip_grad_norm_(self._parameters, cfg.gradient_clip)
+        self.optimizer.step()
+        with torch.no_grad():
+            kl = (ratio - 1.0 - log_ratio).mean()
+            self.totals += torch.stack((policy_loss.detach(), value_loss.detach(), kl))
+
+    def _step_aside(self, batch: Batch) -> None:
+        """Step on another stream, as capturing requires of the steps before it."""
+        stream = torch.cuda.Stream()
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            self._step(batch)
+        torch.cuda.current_stream().wait_stream(stream)
+
+    def _capture(self, batch: Batch) -> torch.cuda.CUDAGraph:
+        graph = torch.cuda.CUDAGraph()
+        self.optimizer.zero_grad()
+        with torch.cuda.graph(graph):
+            self._step(batch)
+        return graph
