@@ -106,7 +106,9 @@ def help_text(subcommand: str) -> str:
     command = [sys.executable, "-c", run, subcommand, "--help"]
     environment = os.environ | {"COLUMNS": "200", "NO_COLOR": "1"}
     result = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-    assert result.returncode == 0, f"pixel2catch has no command '{subcommand}':\n{result.stderr}"
+    assert result.returncode == 0, result.stderr
+    # An unknown command followed by --help prints the general help, without an error.
+    assert f"pixel2catch {subcommand} " in result.stdout, f"pixel2catch has no command '{subcommand}'"
     return result.stdout
 
 
