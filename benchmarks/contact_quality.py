@@ -1,12 +1,14 @@
-"""How good is the object's contact: restitution, penetration and step cost for time steps, integrators and flags.
+"""How good is the object's contact: restitution, penetration and step cost for time steps, integrators and
+flags.
 
 Two experiments for every setting:
 
-* drop: a sphere falls 0.4 m on the table and on the palm; the speeds before and after the first impact give the
-  restitution. Drops differ in height by less than a step's travel, so that impacts fall anywhere within a step.
-* throw: a 5 cm cube hits the open palm and fingers at 4.5 m/s, turned and shifted at random; the deepest contact over
-  all physics steps of 0.15 s is its penetration. A throw tunnels when the cube is behind the hand at the end although it
-  touched it in front.
+* drop: a sphere falls 0.4 m on the table and on the palm; the speeds before and after the first impact give
+  the restitution. Drops differ in height by less than a step's travel, so that impacts fall anywhere within a
+  step.
+* throw: a 5 cm cube hits the open palm and fingers at 4.5 m/s, turned and shifted at random; the deepest
+  contact over all physics steps of 0.15 s is its penetration. A throw tunnels when the cube is behind the
+  hand at the end although it touched it in front.
 
 Run: python benchmarks/contact_quality.py
 """

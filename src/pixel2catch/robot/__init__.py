@@ -1,1 +1,1 @@
-"""The robot, the thrown objects and their scene as data and as a MuJoCo model. Depends on nothing else here."""
+"""The robot, the thrown objects and their scene as data and as a MuJoCo model."""

@@ -1,7 +1,8 @@
 """The Allegro hand as a chain of bodies with capsules for fingers and a box for the palm.
 
-Hand frame: z to the fingertips, x out of the palm; the fingers curl towards x. The left hand has its index finger at
-negative y; the right hand is its mirror image in y. Numbers: release, equal to the public descriptions of the hand.
+Hand frame: z to the fingertips, x out of the palm; the fingers curl towards x. The left hand has its index
+finger at negative y; the right hand is its mirror image in y. Numbers: release, equal to the public
+descriptions of the hand.
 """
 
 from dataclasses import dataclass
@@ -48,7 +49,7 @@ class HandLink:
 
 
 def _finger(y: float, z: float, tilt: float) -> tuple[HandLink, ...]:
-    """Index, middle or ring finger at height `z`, shifted to `y` and tilted outwards by `tilt` about x [rad]."""
+    """Index, middle or ring finger with its root at (0, y, z) [m], tilted by `tilt` about x [rad]."""
     root = HandLink(
         pos=(0, y, z), quat=(cos(tilt / 2), sin(tilt / 2), 0, 0), axis=None, length=0.0164, mass=0.0119
     )
@@ -77,13 +78,16 @@ LEFT_HAND: dict[str, tuple[HandLink, ...]] = {
         HandLink(pos=(0, 0, 0.0514), length=0.0423, mass=0.0556),
     ),
 }
-"""Links of each finger from the palm to the tip. Source: release; left and right cross-checked with public descriptions."""
+"""Links of each finger from the palm to the tip. Source: release; cross-checked with public descriptions."""
 
 LINK_RADIUS = 0.012
-"""Radius of the finger capsules [m]. Source: ours, between half the thickness (9.8 mm) and half the width (13.8 mm)."""
+"""Radius of the finger capsules [m]. Source: ours, between half the thickness, 9.8 mm, and width, 13.8 mm."""
 
 THUMB_START = 0.016
-"""Start of the capsule of `thumb_link_2` [m]: nearer to its joint it would touch the palm in the start pose. Source: ours."""
+"""Start of the capsule of `thumb_link_2` [m].
+
+Source: ours; nearer to its joint the capsule would touch the palm in the start pose with reset noise.
+"""
 
 THUMB_ROOT = Capsule(start=(-0.012, 0.004, 0.012), end=(-0.022, -0.002, 0.026), radius=0.014)
 """Housing of the thumb's first two joints in `thumb_link_0`, left hand. Source: ours."""

@@ -1,8 +1,8 @@
 """Numbers of the robot, the table and the camera, each with its source.
 
-Lengths in metres, angles in radians, quaternions (w, x, y, z). World frame: z up, x from the robot towards the
-thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configuration, "UR" the DH parameters and masses
-that Universal Robots publishes for the UR5e.
+Lengths in metres, angles in radians, quaternions (w, x, y, z). World frame: z up, x from the robot towards
+the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configuration, "UR" the DH parameters
+and masses that Universal Robots publishes for the UR5e.
 """
 
 from dataclasses import dataclass
@@ -87,8 +87,8 @@ def _hand(name: str, lower: float, upper: float, home: float = 0.0) -> JointSpec
 HAND_ARMATURE = 1e-3
 """Reflected inertia of a hand drive [kg·m²].
 
-Source: ours; task and release give none. It is the order of magnitude of a small rotor behind the hand's reduction of
-about 1:369, and it keeps a finger struck by the object from being lighter than the object.
+Source: ours; task and release give none. It is the order of magnitude of a small rotor behind the hand's
+reduction of about 1:369, and it keeps a finger struck by the object from being lighter than the object.
 """
 
 ARM_JOINTS: tuple[JointSpec, ...] = (
@@ -101,8 +101,8 @@ ARM_JOINTS: tuple[JointSpec, ...] = (
 )
 """Arm joints from base to flange.
 
-Source: start pose, limits, speed and effort: release (its limits of pan and wrists are whole degrees); shoulder lift,
-elbow and the upper limit of wrist 1: UR; servo, friction and armature: identified (release).
+Source: start pose, limits, speed and effort: release (its limits of pan and wrists are whole degrees);
+shoulder lift, elbow and the upper limit of wrist 1: UR; servo, friction and armature: identified (release).
 """
 
 HAND_JOINTS: tuple[JointSpec, ...] = (
@@ -118,8 +118,8 @@ HAND_JOINTS: tuple[JointSpec, ...] = (
 )
 """Hand joints: three of each finger (the abduction joint is fixed at 0), four of the thumb.
 
-Source: limits, servo, friction and effort: release; lower limit of thumb joint 0: task (the joint itself reaches
--0.105); speed: public descriptions of the Allegro hand.
+Source: limits, servo, friction and effort: release; lower limit of thumb joint 0: task (the joint itself
+reaches -0.105); speed: public descriptions of the Allegro hand.
 """
 
 FINGERS = ("index", "middle", "ring", "thumb")
@@ -131,8 +131,8 @@ ROBOT_BASE_POS: Vec3 = (0.0, 0.0, 0.821)
 ROBOT_BASE_QUAT: Quat = (0.0, 0.0, 0.0, 1.0)
 """Orientation of `base_link`: turned by 180° about z. Source: release.
 
-UR's `base_link` is itself turned by 180° about z against the frame that the DH parameters start from. The two turns
-cancel: the DH base frame is parallel to the world frame, and pan = π points the arm along +x.
+UR's `base_link` is itself turned by 180° about z against the frame that the DH parameters start from. The two
+turns cancel: the DH base frame is parallel to the world frame, and pan = π points the arm along +x.
 """
 
 UR5E_DH: tuple[tuple[float, float, float], ...] = (
@@ -143,7 +143,7 @@ UR5E_DH: tuple[tuple[float, float, float], ...] = (
     (0.0997, 0.0, -pi / 2),
     (0.0996, 0.0, 0.0),
 )
-"""Standard DH parameters (d [m], a [m], α [rad]) of the six joints. Source: UR."""
+"""Standard DH parameters (d [m], a [m], alpha [rad]) of the six joints. Source: UR."""
 
 UR5E_LINK_MASSES = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
 """Masses of the six moving links [kg]. Source: UR."""
@@ -152,7 +152,7 @@ HAND_MOUNT_POS: Vec3 = (0.0, 0.0097, 0.0074)
 """Hand frame in the flange frame `tool0`. Source: release."""
 
 HAND_MOUNT_QUAT: Quat = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
-"""Orientation of the hand frame in `tool0`: hand x along tool0's y, hand y along -x, z along z. Source: release."""
+"""Orientation of the hand frame in `tool0`: hand x along its y, hand y along its -x. Source: release."""
 
 PALM_POS: Vec3 = (0.0113, 0.0, 0.0526)
 """The point called palm, the centre of the palm's surface, in the hand frame. Source: release."""

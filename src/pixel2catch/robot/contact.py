@@ -8,8 +8,9 @@ from torch import Tensor
 PUSH_OUT = 0.2
 """Share of a penetration that is removed in one physics step: it decays with a time constant of 5 steps.
 
-Source: ours, `benchmarks/contact_quality.py`. More decays faster, but an object that is found deep in the surface is then
-thrown out: a restitution is met up to half of this share, by where in a step the impact falls.
+Source: ours, `benchmarks/contact_quality.py`. More decays faster, but an object that is found deep in the
+surface is then thrown out: a restitution is met up to half of this share, by where in a step the impact
+falls.
 """
 
 SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
@@ -22,8 +23,9 @@ Value = TypeVar("Value", float, ndarray, Tensor)
 def contact_solref(restitution: Value, physics_dt: float) -> tuple[Value, Value]:
     """Stiffness and damping of a contact, as the two negative numbers of a direct `solref`.
 
-    A step changes the normal velocity v at depth p by dt (b |v| + k p). With b = (1 + e - PUSH_OUT / 2) / dt and
-    k = PUSH_OUT / dt², and depths spread evenly over the way of one step, the mean velocity after the impact is e |v|.
+    A step changes the normal velocity v at depth p by dt (b |v| + k p). With b = (1 + e - PUSH_OUT / 2) / dt
+    and k = PUSH_OUT / dt², and depths spread evenly over the way of one step, the mean velocity after the
+    impact is e |v|.
 
     Args:
         restitution: e, speed after over speed before the impact; a number, or an array or tensor of them.

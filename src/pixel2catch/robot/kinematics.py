@@ -1,7 +1,7 @@
 """Pose of the palm from the arm's joint positions: a product of six homogeneous matrices, batched in torch.
 
-No call copies between host and device and no value is looked at, so it runs inside CUDA graphs (after one call outside,
-which makes the constants).
+No call copies between host and device and no value is looked at, so it runs inside CUDA graphs (after one
+call outside, which makes the constants).
 """
 
 from functools import cache
@@ -39,7 +39,8 @@ def _pose_matrix(pos: Vec3, quat: Quat) -> np.ndarray:
 def _joint_matrices() -> np.ndarray:
     """Matrices (3, 6, 4, 4): K, C, S with joint i's transform = K_i + cos(q_i) C_i + sin(q_i) S_i.
 
-    The transform is before_i Rz(q_i) after_i; the base is before the first joint, the mount and the palm after the last.
+    The transform is before_i Rz(q_i) after_i; the base is before the first joint, the mount and the palm
+    after the last.
     """
     before = [np.eye(4) for _ in UR5E_DH]
     after = []
@@ -59,8 +60,8 @@ def _joint_matrices() -> np.ndarray:
     )
 
 
-def _sign_matrices() -> np.ndarray:
-    """Tensor (4, 4, 16): row i, entry j of 4 q_i q_j as a linear map of the homogeneous matrix (rotation and 1)."""
+def _product_maps() -> np.ndarray:
+    """Tensor (4, 4, 16): the products 4 q_i q_j as linear maps of the entries of the homogeneous matrix."""
     table = np.zeros((4, 4, 4, 4))
     for i in range(3):
         for j in range(3):
@@ -82,12 +83,12 @@ def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor
     """The joint matrices and the quaternion table on a device."""
     return (
         torch.as_tensor(_joint_matrices(), dtype=dtype, device=device),
-        torch.as_tensor(_sign_matrices(), dtype=dtype, device=device),
+        torch.as_tensor(_product_maps(), dtype=dtype, device=device),
     )
 
 
 def _multiply(left: Tensor, right: Tensor) -> Tensor:
-    """Matrix products (..., 4, 4) summed elementwise, so that reduced-precision matrix units cannot be chosen."""
+    """Matrix products (..., 4, 4), summed elementwise to stay clear of reduced-precision matrix units."""
     return (left.unsqueeze(-1) * right.unsqueeze(-3)).sum(-2)
 
 

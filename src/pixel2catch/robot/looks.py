@@ -1,4 +1,4 @@
-"""What is only seen: lights, sky, textures and the parts between the links. Nothing here collides or has mass."""
+"""What is only seen: lights, sky, textures and the parts between the links; none collides or has mass."""
 
 import mujoco
 
@@ -104,6 +104,7 @@ def _add_textures(spec: mujoco.MjSpec) -> None:
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     floor = spec.geom("floor")
     floor.size, floor.material, floor.rgba = (0, 0, 0.1), "floor", (1, 1, 1, 1)  # size 0: without end
+    floor.castshadow = False  # it would speckle itself
 
 
 def _add_pedestal(spec: mujoco.MjSpec) -> None:

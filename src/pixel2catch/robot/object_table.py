@@ -1,4 +1,4 @@
-"""What differs between the models of two objects, as stacked arrays: rows to write into per-environment model fields."""
+"""What differs between the models of two objects: rows to write into per-environment model fields."""
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,8 @@
 """The catalogue of thrown objects: one or two convex parts each.
 
-The body frame of an object has its origin in the centre of mass, so that a thrown object's origin flies the ballistic
-parabola, and its axes along the principal axes of inertia. Differs: the release's cone has its origin at half its height.
+The body frame of an object has its origin in the centre of mass, so that a thrown object's origin flies the
+ballistic parabola, and its axes along the principal axes of inertia. Differs: the release's cone has its
+origin at half its height.
 """
 
 from collections.abc import Iterable
@@ -19,7 +20,7 @@ OBJECT_MASS = 0.03
 """Mass of every object [kg]. Source: release."""
 
 MAX_PARTS = 2
-"""Convex parts of an object's body in the model; an object with fewer hides the rest inside its first part."""
+"""Convex parts of an object's body in the model; one that is not needed hides inside the first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,8 +151,8 @@ def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
 def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[ndarray, "num_points 3"]:
     """Points on the surface of an object, body frame [m].
 
-    The first points are all vertices, whose projections bound the outline exactly; the others are spread over the outer
-    surface, equally per area. Points of one part inside the other are left out.
+    The first points are all vertices, whose projections bound the outline exactly; the others are spread over
+    the outer surface, equally per area. Points of one part inside the other are left out.
 
     Args:
         spec: The object.

@@ -1,4 +1,4 @@
-"""The scene as a MuJoCo model: arm, hand, table, floor, one thrown object, the camera, servos and contact sensors.
+"""The scene as a MuJoCo model: robot, table, floor, one thrown object, camera, servos, contact sensors.
 
 The model of every object has the same layout; only the values of a few fields differ (`object_table.py`).
 """
@@ -97,14 +97,14 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
 
 
 def build_model(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjModel:
-    """Compile the scene with one object; every object gives the same layout, so that its fields can be exchanged."""
+    """Compile the scene with one object; the layout is the same for all, so that fields can be exchanged."""
     model = build_spec(cfg, object_name).compile()
     _open_layout(model)
     return model
 
 
 def _open_layout(model: mujoco.MjModel) -> None:
-    """Undo what MuJoCo derives from one object's geoms: shortcuts of its frames, and its bounding-volume tree."""
+    """Undo what MuJoCo derives from one object's geoms: shortcuts of frames, and a bounding-volume tree."""
     body = model.body("object")
     model.geom_sameframe[model.geom_bodyid == body.id] = 0
     first = int(model.body_bvhadr[body.id])
@@ -113,7 +113,7 @@ def _open_layout(model: mujoco.MjModel) -> None:
 
 
 def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s") -> None:
-    """Write the model as a self-contained .xml or a binary .mjb.
+    """Write the model as a self-contained .xml, of six digits, or as an exact, binary .mjb.
 
     Raises:
         InvalidValueError: If the path ends otherwise.
@@ -142,7 +142,7 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
-    """Floor, table and the camera. Floor and table are bodies of their own, which the broad phase tells apart."""
+    """Floor, table and the camera; floor and table are bodies of their own, for the broad phase."""
     world = spec.worldbody
     world.add_body(name="floor").add_geom(
         name="floor",

@@ -1,8 +1,8 @@
 """Convex shapes as vertex arrays, and their mass properties.
 
-Frames: every shape is centred on its bounding box; axes of revolution and prisms are along z. Round shapes are
-polyhedra of at most 64 vertices. Their radius is enlarged so that inside and outside errors of the outline are equal:
-0.2 mm on the rings of cylinders and cones, 0.7 mm on the spheres of radius 0.04.
+Frames: every shape is centred on its bounding box; axes of revolution and prisms are along z. Round shapes
+are polyhedra of at most 64 vertices. Their radius is enlarged so that inside and outside errors of the
+outline are equal: 0.2 mm on the rings of cylinders and cones, 0.7 mm on the spheres of radius 0.04.
 """
 
 from dataclasses import dataclass
@@ -121,7 +121,7 @@ def polygon(num_corners: int, edge: float) -> Float[ndarray, "num_corners 2"]:
 def _ring(
     radius: float, z: float, num_points: int = RING_POINTS, turn: float = 0.0
 ) -> Float[ndarray, "num_points 3"]:
-    """A circle [m] at height z, enlarged so that corners and edge midpoints err alike; `turn` in point spacings."""
+    """A circle [m] at height z, enlarged so that corners and edges err alike; `turn` in point spacings."""
     angles = 2 * pi * (np.arange(num_points) + turn) / num_points
     outer = 2 * radius / (1 + cos(pi / num_points))
     return np.column_stack((outer * np.cos(angles), outer * np.sin(angles), np.full(num_points, z)))
@@ -138,7 +138,7 @@ def cone(radius: float, height: float) -> ConvexPart:
 
 
 def capsule(radius: float, length: float) -> ConvexPart:
-    """A cylinder of this length along z between two half-spheres: rings at latitudes of 0°, 32° and 64°, and the poles."""
+    """A cylinder of this length along z between half-spheres of rings at 0°, 32° and 64° and a pole."""
     rings = ((0.0, 16), (32.0, 10), (64.0, 5))
     caps = []
     for latitude, num_points in rings:

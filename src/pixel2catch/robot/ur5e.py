@@ -1,8 +1,8 @@
 """The UR5e as a chain of bodies with capsules for its links.
 
-Body i stands at the end of the DH chain of its predecessors and turns about its own z axis, so that a child is placed by
-(a, 0, d) and Rx(α) of its parent's row. Dimensions of the tubes, world and link inertias are ours: UR publishes masses,
-and each link's mass is spread evenly over its first capsule.
+Body i stands at the end of the DH chain of its predecessors and turns about its own z axis, so that a child
+is placed by (a, 0, d) and Rx(α) of its parent's row. Dimensions of the tubes, world and link inertias are
+ours: UR publishes masses, and each link's mass is spread evenly over its first capsule.
 """
 
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ LINKS: tuple[tuple[str, tuple[Capsule, ...]], ...] = (
     ("wrist_2_link", (Capsule(start=(0, 0, 0.02), end=(0, 0, 0.0997), radius=0.042),)),
     ("wrist_3_link", (Capsule(start=(0, 0, 0.045), end=(0, 0, 0.0626), radius=0.037),)),
 )
-"""Links from the shoulder to the flange with their collision capsules. Source: ours, after the arm's drawings."""
+"""Links from the shoulder to the flange with their collision capsules. Source: ours: approximate sizes."""
 
 BASE_CAPSULE = Capsule(start=(0, 0, 0.02), end=(0, 0, 0.03), radius=0.07)
 """Foot of the arm in `base_link`."""

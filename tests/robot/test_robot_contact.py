@@ -1,0 +1,64 @@
+"""Contact of the object: restitution by drops, and quiet rest."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+from pixel2catch.robot.contact import PUSH_OUT, contact_solref
+from pixel2catch.robot.scene import SceneCfg, build_model
+
+HOME = np.array([joint.home for joint in (*ARM_JOINTS, *HAND_JOINTS)])
+TABLE_SPOT = np.array((-0.25, 0.2, 0.81))
+PALM_SPOT = np.array((0.44, 0.1333, 1.3915))
+PALM_NORMAL = np.array((0.20791, 0.0, 0.97815))
+
+
+def restitution_of_a_drop(
+    model: mujoco.MjModel, spot: np.ndarray, normal: np.ndarray, height: float
+) -> float:
+    """Normal speed after over before the first impact of a sphere."""
+    data = mujoco.MjData(model)
+    data.qpos[:19] = data.ctrl[:] = HOME
+    data.qpos[19:22] = spot + np.array((0.0, 0.0, 0.04 + height))
+    lowest, highest = 0.0, 0.0
+    for _ in range(int(0.37 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        speed = data.qvel[19:22] @ normal
+        if speed < lowest:
+            lowest, highest = speed, 0.0
+        highest = max(highest, speed)
+    return highest / -lowest
+
+
+@pytest.mark.parametrize("rate", [120, 240])
+@pytest.mark.parametrize("on", ["table", "palm"])
+@pytest.mark.parametrize("restitution", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+def test_drops_bounce_with_the_given_restitution(restitution, on, rate):
+    """Mean over the phase of the impact within a step; at 0 the push-out of deep hits adds about 0.1."""
+    model = build_model(SceneCfg(physics_dt=1 / rate, object_restitution=restitution), "sphere_l")
+    spot, normal = (TABLE_SPOT, np.array((0.0, 0, 1))) if on == "table" else (PALM_SPOT, PALM_NORMAL)
+    heights = 0.4 + np.arange(12) / 12 * 2.8 / rate
+    mean = np.mean([restitution_of_a_drop(model, spot, normal, height) for height in heights])
+    assert mean == pytest.approx(restitution, abs=0.13 if restitution == 0.0 else 0.05)
+
+
+@pytest.mark.parametrize("rate", [120, 240])
+def test_object_rests_quietly(rate):
+    model = build_model(SceneCfg(physics_dt=1 / rate), "cube_s")
+    data = mujoco.MjData(model)
+    data.qpos[:19] = data.ctrl[:] = HOME
+    data.qpos[19:22] = TABLE_SPOT + np.array((0.0, 0.0, 0.025))
+    mujoco.mj_step(model, data, rate)
+    assert np.linalg.norm(data.qvel[19:25]) < 1e-3
+    assert data.qpos[21] == pytest.approx(0.81 + 0.025, abs=2e-4)
+
+
+def test_solref_of_arrays_and_tensors():
+    restitution = np.linspace(0.0, 0.5, 3)
+    stiffness, damping = contact_solref(restitution, 0.01)
+    np.testing.assert_allclose(stiffness, -PUSH_OUT * 1e4)
+    np.testing.assert_allclose(damping, -100 * (1 - PUSH_OUT / 2 + restitution))
+    tensors = contact_solref(torch.tensor(restitution), 0.01)
+    np.testing.assert_allclose(torch.stack(tensors).numpy(), (stiffness, damping))

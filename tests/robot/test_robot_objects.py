@@ -1,0 +1,139 @@
+"""Thrown objects: sizes, inertia, surface points, selection, and the table of what differs between models."""
+
+import numpy as np
+import pytest
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robot import shapes
+from pixel2catch.robot.object_table import object_indices, object_table
+from pixel2catch.robot.objects import OBJECTS, REAL, SEEN, UNSEEN, select_objects, surface_points
+from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.robot.shapes import moments
+
+M = 0.03
+
+# Textbook moments (transverse, transverse, axial) of solid bodies about their centres of mass.
+TEXTBOOK = {
+    "cube_s": (M * 0.05**2 / 6,) * 3,
+    "cube_l": (M * 0.06**2 / 6,) * 3,
+    "sphere_s": (0.4 * M * 0.035**2,) * 3,
+    "sphere_l": (0.4 * M * 0.04**2,) * 3,
+    "cylinder_s": (*(M * (3 * 0.03**2 + 0.06**2) / 12,) * 2, M * 0.03**2 / 2),
+    "cylinder_l": (*(M * (3 * 0.035**2 + 0.07**2) / 12,) * 2, M * 0.035**2 / 2),
+    "cone_s": (*(3 * M / 20 * (0.04**2 + 0.08**2 / 4),) * 2, 0.3 * M * 0.04**2),
+    "cone_l": (*(3 * M / 20 * (0.045**2 + 0.09**2 / 4),) * 2, 0.3 * M * 0.045**2),
+    "ellipsoid": (
+        M / 5 * (0.03**2 + 0.04**2),
+        M / 5 * (0.025**2 + 0.04**2),
+        M / 5 * (0.025**2 + 0.03**2),
+    ),
+}
+
+EXTENT = {
+    "cone_s": (0.08, 0.08, 0.08),
+    "cone_l": (0.09, 0.09, 0.09),
+    "cylinder_s": (0.06, 0.06, 0.06),
+    "cylinder_l": (0.07, 0.07, 0.07),
+    "cube_s": (0.05,) * 3,
+    "cube_l": (0.06,) * 3,
+    "sphere_s": (0.07,) * 3,
+    "sphere_l": (0.08,) * 3,
+    "capsule_s": (0.05, 0.05, 0.09),
+    "capsule_l": (0.06, 0.06, 0.11),
+}
+
+
+@pytest.mark.parametrize("name", TEXTBOOK)
+def test_inertia_is_that_of_the_solid(name):
+    np.testing.assert_allclose(OBJECTS[name].inertia, TEXTBOOK[name], rtol=0.02)
+
+
+def test_inertia_of_a_union_counts_the_overlap_once():
+    span, width, depth = 0.08, 0.03, 0.05
+    bar, core = span * width * depth, width * width * depth
+    volume = 2 * bar - core
+    axial = (2 * bar * (span**2 + width**2) - core * 2 * width**2) / 12 * M / volume
+    assert OBJECTS["cross"].inertia[2] == pytest.approx(axial, rel=1e-9)
+
+
+def test_moments_scale_with_the_fifth_power_of_the_length():
+    small, large = (moments(shapes.cone(r, 2 * r)) for r in (0.02, 0.04))
+    assert large.volume == pytest.approx(8 * small.volume)
+    np.testing.assert_allclose(
+        large.inertia(large.volume), 32 * small.inertia(small.volume), rtol=1e-9, atol=1e-20
+    )
+
+
+@pytest.mark.parametrize("name", EXTENT)
+def test_round_shapes_have_the_size_of_the_task(name):
+    vertices = OBJECTS[name].parts[0].vertices
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), EXTENT[name], atol=1.5e-3)
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_body_frame_is_central_and_principal(name):
+    spec = OBJECTS[name]
+    if name == "cross":
+        return
+    solid = moments(spec.parts[0])
+    for part in spec.parts[1:]:
+        solid = solid + moments(part)
+    np.testing.assert_allclose(solid.center(), 0.0, atol=1e-12)
+    inertia = solid.inertia(spec.mass)
+    np.testing.assert_allclose(inertia, np.diag(spec.inertia), atol=2e-3 * np.trace(inertia))
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_surface_points_lie_on_the_hull_of_their_part(name):
+    spec = OBJECTS[name]
+    points = surface_points(spec, 128)
+    assert points.shape == (128, 3)
+    depths = []
+    for part in spec.parts:
+        faces = part.faces
+        normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        depths.append(np.einsum("fd,pfd->pf", normals, points[:, None] - faces[:, 0]).max(axis=1))
+    np.testing.assert_allclose(np.abs(depths).min(axis=0), 0.0, atol=1e-9)
+    for part in spec.parts:
+        assert (np.abs(points[:, None] - part.vertices).sum(-1).min(axis=0) < 1e-12).all()
+
+
+def test_too_few_surface_points_are_refused():
+    with pytest.raises(InvalidValueError, match="at least 64"):
+        surface_points(OBJECTS["sphere_s"], 10)
+
+
+def test_selection_by_group_name_and_list():
+    assert select_objects("seen") == SEEN
+    assert len(SEEN) == 10
+    assert len(UNSEEN) == 5
+    assert len(REAL) == 3
+    assert select_objects("cube_s, real") == ("cube_s", *REAL)
+    assert select_objects(["sphere_l", "sphere_l"]) == ("sphere_l",)
+    with pytest.raises(UnknownNameError, match="cube_s"):
+        select_objects("cube_m")
+    with pytest.raises(InvalidValueError):
+        select_objects([])
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_table_rows_turn_one_model_into_another(name):
+    """Writing an object's rows into another's model gives that object's model, in every field."""
+    cfg = SceneCfg()
+    table = object_table(cfg)
+    model, expected = build_model(cfg, "cube_s"), build_model(cfg, name)
+    for field, values in table.fields.items():
+        array = getattr(model, field)
+        array[table.indices.rows(field)] = values[table.names.index(name)].reshape(
+            array[table.indices.rows(field)].shape
+        )
+    for field in dir(model):
+        values = getattr(model, field)
+        if isinstance(values, np.ndarray) and field != "bvh_nodeid":  # order within a tree of equal boxes
+            np.testing.assert_array_equal(values, getattr(expected, field), err_msg=field)
+
+
+def test_object_is_where_the_conventions_say():
+    indices = object_indices(build_model(SceneCfg()))
+    assert (indices.qpos, indices.dofs) == (slice(19, 26), slice(19, 25))

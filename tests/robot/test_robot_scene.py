@@ -1,0 +1,184 @@
+"""The compiled scene: joints, servos, masses, contacts, sensors, export."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, HAND_JOINTS, RGB_CAMERA
+from pixel2catch.robot.scene import SceneCfg, build_model, export
+
+JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
+LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint in JOINTS]).T
+
+
+@pytest.fixture(scope="module", params=["left", "right"])
+def model(request) -> mujoco.MjModel:
+    """The scene with either hand."""
+    return build_model(SceneCfg(handedness=request.param))
+
+
+def test_layout(model):
+    assert (model.nq, model.nv, model.nu) == (26, 25, 19)
+    assert [model.joint(i).name for i in range(20)] == [*(joint.name for joint in JOINTS), "object_joint"]
+    assert [model.actuator(i).name for i in range(19)] == [joint.name for joint in JOINTS]
+    assert sum(model.geom_contype > 0) <= 35
+    types = set(model.geom_type[model.geom_contype > 0])
+    assert types <= {int(getattr(mujoco.mjtGeom, f"mjGEOM_{t}")) for t in ("PLANE", "CAPSULE", "BOX", "MESH")}
+
+
+def test_limits_and_servos(model):
+    np.testing.assert_allclose(model.jnt_range[:19], np.column_stack((LOWER, UPPER)))
+    np.testing.assert_allclose(model.actuator_ctrlrange, np.column_stack((LOWER, UPPER)))
+    stiffness = [2504, 2848, 2536, 1681, 2243, 2066, *[3.0] * 13]
+    damping = [342, 353, 343, 234, 279, 202, *[0.1] * 13]
+    np.testing.assert_allclose(model.actuator_gainprm[:, 0], stiffness)
+    np.testing.assert_allclose(model.actuator_biasprm[:, 1], -np.array(stiffness))
+    np.testing.assert_allclose(model.actuator_biasprm[:, 2], -np.array(damping))
+    np.testing.assert_allclose(model.actuator_forcerange[:, 1], [200.0] * 6 + [0.5] * 13)
+    np.testing.assert_allclose(model.dof_frictionloss[:6], (0.51, 0.42, 0.40, 0.30, 0.30, 0.25))
+    np.testing.assert_allclose(model.dof_armature[:6], (0.16, 0.15, 0.14, 0.23, 0.20, 0.21))
+    np.testing.assert_allclose(model.dof_damping, 0.0)
+
+
+def test_start_pose_is_within_the_limits():
+    assert (LOWER <= HOME).all()
+    assert (HOME <= UPPER).all()
+
+
+def test_masses(model):
+    arm = ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
+    masses = [model.body(name).mass[0] for name in arm]
+    np.testing.assert_allclose(masses, (3.761, 8.058, 2.846, 1.37, 1.3, 0.365))
+    finger = 0.0119 + 0.065 + 0.0355 + 0.0264
+    thumb = 0.0176 + 0.0119 + 0.038 + 0.0556
+    assert model.body("palm").subtreemass[0] == pytest.approx(0.58 + 3 * finger + thumb)
+    assert model.body("object").mass[0] == pytest.approx(0.03)
+
+
+def test_robot_holds_its_start_pose(model):
+    data = mujoco.MjData(model)
+    data.qpos[:19] = data.ctrl[:] = HOME
+    mujoco.mj_step(model, data, 120)
+    np.testing.assert_allclose(data.qpos[:19], HOME, atol=1e-3)
+
+
+def test_no_contact_in_the_start_pose_whatever_the_reset_noise(model):
+    data = mujoco.MjData(model)
+    noise = np.random.default_rng(0).uniform(-0.125, 0.125, (1000, 19))
+    for joint_pos in np.clip(HOME + noise, LOWER, UPPER):
+        data.qpos[:19] = joint_pos
+        mujoco.mj_fwdPosition(model, data)
+        assert data.ncon == 0
+
+
+def test_curling_fingers_do_not_touch_each_other(model):
+    data = mujoco.MjData(model)
+    for curl in np.random.default_rng(1).uniform(0.0, 1.2, (200, 9)):
+        data.qpos[:19] = HOME
+        data.qpos[6:15] = curl
+        mujoco.mj_fwdPosition(model, data)
+        assert data.ncon == 0
+
+
+def found(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
+    """Names of the sensors that report a contact."""
+    names = [model.sensor(i).name for i in range(model.nsensor)]
+    return {name for name in names if data.sensor(name).data[0] > 0}
+
+
+def test_sensors_name_what_is_touched():
+    model = build_model(SceneCfg(), "sphere_s")
+    for where, expected in (
+        ("palm", {"object_palm", "object_any"}),
+        *((f"{finger}_tip", {f"object_{finger}", "object_any"}) for finger in FINGERS),
+    ):
+        data = mujoco.MjData(model)
+        data.qpos[:19] = HOME
+        mujoco.mj_kinematics(model, data)
+        if where == "palm":
+            outwards = data.site("palm").xmat.reshape(3, 3)[:, 0]
+        else:
+            outwards = data.site(where).xpos - data.body(where.replace("tip", "link_3")).xpos
+        outwards = outwards / np.linalg.norm(outwards)
+        data.qpos[19:22] = data.site(where).xpos + 0.034 * outwards
+        mujoco.mj_forward(model, data)
+        assert found(model, data) == expected, where
+        assert data.sensor("object_any").data[1] < 0.0
+    data = mujoco.MjData(model)
+    data.qpos[:19] = HOME
+    data.qpos[19:22] = (-0.2, 0.2, 0.81 + 0.034)
+    mujoco.mj_forward(model, data)
+    assert found(model, data) == {"object_any"}
+
+
+@pytest.mark.parametrize(
+    ("lift", "expected"), [(-0.4 * np.pi, {"robot_table"}), (0.0, {"robot_self", "robot_table"})]
+)
+def test_table_and_robot_are_solid(lift, expected):
+    """With the elbow folded, first the hand meets the table, then the forearm the foot of the arm."""
+    model = build_model(SceneCfg())
+    data = mujoco.MjData(model)
+    data.qpos[:19] = HOME
+    data.qpos[1:3] = lift, 0.9 * np.pi
+    mujoco.mj_forward(model, data)
+    assert found(model, data) == expected
+
+
+def test_camera_looks_down_along_x():
+    model = build_model(SceneCfg())
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = model.camera("rgb")
+    assert tuple(model.cam_resolution[camera.id]) == (RGB_CAMERA.width, RGB_CAMERA.height)
+    right, up, back = data.camera("rgb").xmat.reshape(3, 3).T
+    np.testing.assert_allclose(right, (0, -1, 0), atol=1e-6)
+    np.testing.assert_allclose(np.degrees(np.arcsin(back[2])), 29.0, atol=0.1)
+    assert up[2] > 0
+    assert -back[0] > 0
+
+
+def test_visuals_change_no_physics():
+    plain, seen = build_model(SceneCfg()), build_model(SceneCfg(visuals=True))
+    np.testing.assert_allclose(seen.body_mass, plain.body_mass)
+    np.testing.assert_allclose(seen.body_inertia, plain.body_inertia)
+    assert sum(seen.geom_contype > 0) == sum(plain.geom_contype > 0)
+    states = []
+    for model in (plain, seen):
+        data = mujoco.MjData(model)
+        data.qpos[:19] = data.ctrl[:] = HOME
+        data.qpos[19:22] = (0.45, 0.13, 1.5)
+        mujoco.mj_step(model, data, 60)
+        states.append(data.qpos.copy())
+    np.testing.assert_allclose(states[1], states[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("suffix", ["xml", "mjb"])
+def test_exported_model_reloads(tmp_path, suffix):
+    path = tmp_path / f"scene.{suffix}"
+    cfg = SceneCfg(handedness="right", visuals=True)
+    export(path, cfg, "l_block")
+    expected = build_model(cfg, "l_block")
+    load = mujoco.MjModel.from_xml_path if suffix == "xml" else mujoco.MjModel.from_binary_path
+    model = load(str(path))
+    for field in ("body_mass", "body_inertia", "body_pos", "geom_pos", "geom_size", "jnt_range", "mesh_vert"):
+        values, known = getattr(model, field), getattr(expected, field)
+        digits = 1e-5 if suffix == "xml" else 0.0
+        np.testing.assert_allclose(values, known, rtol=digits, atol=digits, err_msg=field)
+    assert [model.sensor(i).name for i in range(model.nsensor)] == [
+        expected.sensor(i).name for i in range(expected.nsensor)
+    ]
+    assert model.opt.integrator == expected.opt.integrator
+
+
+def test_bad_values_are_named(tmp_path):
+    with pytest.raises(UnknownNameError, match="sphere_s"):
+        build_model(SceneCfg(), "sphere")
+    neither = SceneCfg()
+    object.__setattr__(neither, "handedness", "both")  # past the type check of the tests
+    with pytest.raises(UnknownNameError, match="left"):
+        build_model(neither)
+    with pytest.raises(InvalidValueError, match="physics_dt"):
+        build_model(SceneCfg(physics_dt=0.0))
+    with pytest.raises(InvalidValueError, match=r"\.mjb"):
+        export(tmp_path / "scene.urdf", SceneCfg())
