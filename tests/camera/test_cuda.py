@@ -30,12 +30,15 @@ def inputs(device: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.filterwarnings("ignore:Synchronization debug mode:UserWarning")
 def test_a_cuda_graph_computes_the_same_as_the_cpu():
     arguments = inputs("cuda")
     see(*arguments)  # makes the constants
     torch.cuda.set_sync_debug_mode("error")
-    see(*arguments)
-    torch.cuda.set_sync_debug_mode("default")
+    try:
+        see(*arguments)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
         captured = see(*arguments)

@@ -113,7 +113,7 @@ class Renderer:
     Args:
         model: The model; it is copied, its drawing settings are not touched.
         view: From where to draw.
-        shadows: Whether to draw shadows, about 2.5 times slower without a GPU.
+        shadows: Whether to draw shadows, about three times slower without a GPU.
 
     Raises:
         DeviceUnavailableError: If no OpenGL back end works.
