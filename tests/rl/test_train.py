@@ -188,6 +188,7 @@ def test_missing_gpu(tmp_path: Path) -> None:
         ("arm/position", 20, "observation term 'position' of agent 'arm'"),
         ("hand/pixel", 32, "observation term 'pixel' of agent 'hand'"),
         ("any/state", 17, "value input"),
+        ("any/state", 32, "value input"),
     ],
 )
 def test_nan_is_named_and_never_learnt_from(quantity: str, step: int, name: str, tmp_path: Path) -> None:

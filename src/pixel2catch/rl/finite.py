@@ -26,7 +26,6 @@ def check_rollout(learner: Learner, contract: PolicyContract) -> dict[str, float
         memory, mappo = learner.memories[agent], learner.mappo
         totals[f"reward of agent '{agent}'"] = memory.get_tensor_by_name("rewards").mean((0, 1))
         columns = memory.get_tensor_by_name("observations").sum((0, 1))
-        columns = columns + mappo._current_next_observations[agent].sum(0)
         for name, term in zip(*_terms(contract, agent, columns), strict=True):
             totals[f"observation term '{name}' of agent '{agent}'"] = term
         state = memory.get_tensor_by_name("states").sum((0, 1)) + mappo._current_next_states[agent].sum(0)
