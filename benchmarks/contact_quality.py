@@ -123,7 +123,7 @@ def throw(setting: Setting, num_throws: int) -> dict[str, float]:
 
 def main() -> None:
     """Print one line per setting."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rates", type=int, nargs="+", default=[120, 240, 480])
     parser.add_argument("--integrators", nargs="+", default=["implicitfast", "discrete"])
     parser.add_argument("--throws", type=int, default=512)

@@ -133,7 +133,7 @@ def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s"
 def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     """Solver options. Source: ours, `benchmarks/contact_quality.py`.
 
-    The "discrete" integrator damps restitution away; speculative contacts halve it, and MuJoCo Warp lacks them.
+    The "discrete" integrator damps restitution away; speculative contacts halve it, and Warp lacks them.
     """
     spec.compiler.degree = False
     option = spec.option
