@@ -12,7 +12,7 @@ from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.world import NUM_ARM_JOINTS, CatchWorld, PhysicsLog
 from pixel2catch.mdp.actions import ActionMap
-from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.masks import assign, clone, select
 from pixel2catch.mdp.observations import observe, pixel_columns, privileged_state
 from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, by_joint, sample_parameters
 from pixel2catch.mdp.sensing import BoxStream, SensingCfg, detect
@@ -124,6 +124,9 @@ class CatchEnv:
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
         )
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
+        self._episode = clone(self._draw_episode())
+        self._senses = self._first_senses()
+        self._advance = self.world.simulation.record(self._advance, self._generator)
         observation = self.reset()
         self.observation_sizes = {name: value.shape[1] for name, value in observation.policy.items()}
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
@@ -131,21 +134,10 @@ class CatchEnv:
 
     def reset(self) -> Observation:
         """Begin a new episode in every environment."""
-        self._episode = self._draw_episode()
+        assign(self._episode, self._draw_episode())
         self.world.reset(self._everywhere, self._episode.parameters, self._episode.throw)
         self.world.forward(self._everywhere)
-        joint_pos, log = self.world.joint_pos, self.world.quiet_log()
-        begun = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
-        box, _ = self._detect()
-        measurement = self._measure(begun, box)
-        now = self.world.privileged(log)
-        ages = self.cfg.sensing.latency_steps[1] + 1
-        self._senses = _Senses(
-            boxes=BoxStream(box[:, None].repeat(1, ages, 1)),
-            history=History(measurement, measurement, measurement),
-            before=now,
-            now=now,
-        )
+        assign(self._senses, self._first_senses())
         return self._observe()
 
     def step(self, actions: dict[str, Float[Tensor, "num_envs _"]]) -> Step:
@@ -153,15 +145,26 @@ class CatchEnv:
 
         Args:
             actions: Action of each agent by name, in [-1, 1]; what lies outside is clipped.
+
+        Returns:
+            What happened. On CUDA its tensors are overwritten by the next step, but for `observation` and `rewards`.
         """
-        action = torch.cat([actions[agent.name] for agent in self.method.agents], dim=-1).clamp(-1.0, 1.0)
+        action = torch.cat([actions[agent.name] for agent in self.method.agents], dim=-1)
+        step = self._advance(action.clamp(-1.0, 1.0))
+        return replace(step, observation=clone(step.observation), rewards=clone(step.rewards))
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self.world.close()
+
+    def _advance(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
+        """One control step on memory that stays where it is, so that a device can record and replay it."""
         target = self._action_map.joint_pos_target(
             self._disturbed(action), self._senses.history.now.joint_pos
         )
         log = self.world.run(target)
         transition = self._transition(action, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
-        rewards = {name: values.sum(dim=-1) for name, values in terms.items()}
         terminated = is_ended(transition, self.cfg.episode)
         record = self._episode.record.advanced(transition, log)
         self.statistics.add(terminated, record, terms)
@@ -169,7 +172,7 @@ class CatchEnv:
         self._sense(terminated, _Command(action=action, joint_pos_target=target), log)
         return Step(
             observation=self._observe(),
-            rewards=rewards,
+            rewards={name: values.sum(dim=-1) for name, values in terms.items()},
             terminated=terminated,
             truncated=torch.zeros_like(terminated),
             record=record,
@@ -178,9 +181,22 @@ class CatchEnv:
             joint_pos_target=target,
         )
 
-    def close(self) -> None:
-        """Free the simulation."""
-        self.world.close()
+    def _first_senses(self) -> "_Senses":
+        """What is seen and measured at the beginning of an episode."""
+        joint_pos, log = self.world.joint_pos, self.world.quiet_log()
+        box, _ = self._detect()
+        measurement = self._measure(
+            _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos), box
+        )
+        now = self.world.privileged(log)
+        ages = self.cfg.sensing.latency_steps[1] + 1
+        senses = _Senses(
+            boxes=BoxStream(box[:, None].expand(-1, ages, -1)),
+            history=History(measurement, measurement, measurement),
+            before=now,
+            now=now,
+        )
+        return clone(senses)
 
     def _disturbed(
         self, action: Float[Tensor, "num_envs num_joints"]
@@ -212,7 +228,7 @@ class CatchEnv:
     def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
         """Begin new episodes where one ended, and release the objects that have hovered long enough."""
         fresh = self._draw_episode()
-        self._episode = select(ended, fresh, replace(self._episode, record=record))
+        assign(self._episode, select(ended, fresh, replace(self._episode, record=record)))
         self.world.reset(ended, fresh.parameters, fresh.throw)
         is_released = self._episode.record.steps == self._episode.throw.hover_steps
         self.world.release(is_released, self._episode.throw.lin_vel)
@@ -231,12 +247,13 @@ class CatchEnv:
         )
         history = History(senses.history.before, senses.history.now, now)
         truth = self.world.privileged(log.cleared(begun))
-        self._senses = _Senses(
+        updated = _Senses(
             boxes=boxes,
             history=select(begun, History(now, now, now), history),
             before=select(begun, truth, senses.now),
             now=truth,
         )
+        assign(senses, updated)
 
     def _detect(self) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
         """Noisy box of the object in the present image, and whether it was seen at all."""

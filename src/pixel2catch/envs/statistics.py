@@ -47,6 +47,7 @@ class EpisodeStatistics:
         self._object_names, self._reward_names = object_names, reward_names
         self._aim_low = torch.tensor([low for low, _ in aim], device=device)
         self._aim_width = torch.tensor([high - low for low, high in aim], device=device)
+        self._modes = torch.arange(len(FAILURES), device=device)
         num_columns = 1 + len(SHARES) + len(SUMS) + len(FAILURES)
         self._by_object = torch.zeros(len(object_names), num_columns, device=device)
         self._by_landing = torch.zeros(LANDING_BINS[0] * LANDING_BINS[1], num_columns, device=device)
@@ -61,7 +62,7 @@ class EpisodeStatistics:
     ) -> None:
         """Add a control step: its reward terms, and the records of the episodes that it ended."""
         columns = [getattr(record, name).float() for name in (*SHARES, *SUMS)]
-        modes = torch.nn.functional.one_hot(failure(record), len(FAILURES)) * ~record.is_success[:, None]
+        modes = (failure(record)[:, None] == self._modes) & ~record.is_success[:, None]
         rows = torch.cat((torch.ones_like(columns[0])[:, None], torch.stack(columns, dim=-1), modes), dim=-1)
         rows = torch.where(ended[:, None], rows, 0.0)
         self._by_object.index_add_(0, record.object_id, rows)

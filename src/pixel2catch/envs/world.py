@@ -32,6 +32,12 @@ OCCLUDER_GROUPS = (0, 3)
 NUM_SURFACE_POINTS = 64
 """Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""
 
+EFFORT_MARGIN = 0.999
+"""Share of a joint's effort limit that the servo asks for; at the limit itself MuJoCo clamps."""
+
+UNUSED_FIELDS = ("dof_M0", "dof_length")
+"""Fields that depend on the object but not on anything that is simulated here; MuJoCo Warp does not have them."""
+
 MASS_POWER = {
     "body_mass": 1,
     "body_subtreemass": 1,
@@ -112,16 +118,19 @@ class CatchWorld:
         )
         self._joints = _JointTensors.of(self.simulation.dtype, self.device)
         self._table = {
-            name: torch.as_tensor(rows).to(self.device) for name, rows in self.objects.fields.items()
+            name: torch.as_tensor(rows).to(self.device)
+            for name, rows in self.objects.fields.items()
+            if name not in UNUSED_FIELDS
         }
         points = np.stack([surface_points(OBJECTS[name], NUM_SURFACE_POINTS) for name in self.objects.names])
         self._surface = torch.as_tensor(points).to(self.device, self.simulation.dtype)
+        self._command = torch.zeros_like(self._fields.ctrl)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
 
     @property
     def joint_pos(self) -> Float[Tensor, "num_envs num_joints"]:
         """True joint positions [rad]."""
-        return self._fields.qpos[:, :NUM_JOINTS].float()
+        return _snapshot(self._fields.qpos[:, :NUM_JOINTS])
 
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
         """Put the masked robots at their start, with new dynamics, and let a new object hover at its release point."""
@@ -132,7 +141,7 @@ class CatchWorld:
         fields = self._fields
         start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
         fields.qpos.copy_(select(mask, start, fields.qpos))
-        fields.ctrl.copy_(select(mask, joint_pos, fields.ctrl))
+        self._command.copy_(select(mask, joint_pos, self._command))
         fields.qvel.masked_fill_(mask[:, None], 0.0)
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
         weight = GRAVITY * self.simulation.expand("body_mass")[:, self.objects.indices.body]
@@ -151,15 +160,30 @@ class CatchWorld:
 
     def run(self, joint_pos_target: Float[Tensor, "num_envs num_joints"]) -> PhysicsLog:
         """Simulate one control step; the servo ramps its command linearly to the target (a first-order hold)."""
-        ctrl = self._fields.ctrl
-        increment = (joint_pos_target.to(ctrl) - ctrl) / self._decimation
+        increment = (joint_pos_target.to(self._command) - self._command) / self._decimation
         log = None
         for _ in range(self._decimation):
-            ctrl.add_(increment)
+            self._command.add_(increment)
+            self._fields.ctrl.copy_(self._within_effort(self._command))
             self.simulation.step()
             log = _merge(log, self._read_log())
         assert log is not None
         return log
+
+    def _within_effort(
+        self, command: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """The position command nearest to `command` whose servo torque keeps the effort limit.
+
+        MuJoCo treats the damping of a servo explicitly while its force is clamped, which at these gains and step
+        sizes is unstable; a command that never asks for more than the limit keeps it implicit.
+        """
+        fields = self._fields
+        stiffness = self.simulation.expand("actuator_gainprm")[..., 0]
+        damping = -self.simulation.expand("actuator_biasprm")[..., 2]
+        unloaded = fields.qpos[:, :NUM_JOINTS] + damping * fields.qvel[:, :NUM_JOINTS] / stiffness
+        reach = EFFORT_MARGIN * self._joints.effort_limit / stiffness
+        return torch.clamp(command, unloaded - reach, unloaded + reach)
 
     def quiet_log(self) -> PhysicsLog:
         """The log of a control step in which nothing was touched."""
@@ -169,10 +193,10 @@ class CatchWorld:
         """What only the simulator knows, now; contacts since the last control step come from its log."""
         fields = self._fields
         return Privileged(
-            palm_pos=fields.site_xpos[:, self._palm].float(),
+            palm_pos=_snapshot(fields.site_xpos[:, self._palm]),
             fingertip_pos=torch.stack([fields.site_xpos[:, tip] for tip in self._tips], dim=1).float(),
-            object_pos=fields.xpos[:, self.objects.indices.body].float(),
-            object_lin_vel=fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3].float(),
+            object_pos=_snapshot(fields.xpos[:, self.objects.indices.body]),
+            object_lin_vel=_snapshot(fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3]),
             is_touching=log.is_touching,
             is_robot_on_table=log.is_robot_on_table,
         )
@@ -194,7 +218,7 @@ class CatchWorld:
 
     def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:
         """Shape, inertia and contact of the object."""
-        self._object_id = torch.where(mask, parameters.object_id, self._object_id)
+        self._object_id.copy_(torch.where(mask, parameters.object_id, self._object_id))
         rows = self.objects.indices.rows
         for name, table in self._table.items():
             value = table[parameters.object_id]
@@ -202,7 +226,7 @@ class CatchWorld:
             scaled = value * factor.view(-1, *(1,) * (value.ndim - 1)) if name in MASS_POWER else value
             self._write(mask, name, rows(name), scaled)
         stiffness, damping = contact_solref(parameters.restitution, self._scene.physics_dt)
-        solref = torch.stack((torch.full_like(damping, stiffness), damping), dim=-1)
+        solref = torch.stack((stiffness, damping), dim=-1)
         self._write(mask, "geom_solref", rows("geom_solref"), solref[:, None])
         friction = self.simulation.expand("geom_friction")[:, rows("geom_friction"), 0]
         friction.copy_(select(mask, parameters.friction.to(friction)[:, None].expand_as(friction), friction))
@@ -284,6 +308,11 @@ def _sensor_columns(model: mujoco.MjModel) -> _SensorColumns:
             f"contact sensors are not consecutive pairs: {dict(zip(SENSORS, addresses, strict=True))}"
         )
     return _SensorColumns(found=slice(first, last, 2), dist=slice(first + 1, last, 2))
+
+
+def _snapshot(live: Tensor) -> Tensor:
+    """A float32 copy: on the GPU, where the simulation is float32 itself, a cast alone would follow the simulation."""
+    return live.to(torch.float32, copy=True)
 
 
 def _merge(log: PhysicsLog | None, step: PhysicsLog) -> PhysicsLog:

@@ -1,6 +1,7 @@
 """The CPU back end: `mujoco.batch`, all cores, float64."""
 
 import os
+from collections.abc import Callable
 from typing import final
 
 import mujoco
@@ -10,7 +11,7 @@ from jaxtyping import Bool, Float, Shaped
 from mujoco.batch import Batch
 from torch import Tensor
 
-from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Simulation
+from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
 
 _VELOCITY_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
 
@@ -55,6 +56,12 @@ class BatchSimulation(Simulation):
         geomgroup = np.isin(np.arange(MAX_GEOM_GROUPS), groups).astype(np.uint8)
         distance, _ = self._batch.ray(origin.numpy(), directions.numpy(), geomgroup=geomgroup)
         return torch.from_numpy(distance)
+
+    def record(
+        self, function: Callable[[Tensor], Result], generator: torch.Generator
+    ) -> Callable[[Tensor], Result]:
+        """The function itself: there is nothing to save."""
+        return function
 
     def check(self) -> None:
         """Nothing to do: `Batch` raises as soon as MuJoCo does, and its arrays grow as needed."""

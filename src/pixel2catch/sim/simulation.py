@@ -13,6 +13,8 @@ once, where they take a snapshot.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TypeVar
 
 import mujoco
 import torch
@@ -20,6 +22,8 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, UnknownNameError
+
+Result = TypeVar("Result")
 
 MAX_GEOM_GROUPS = mujoco.mjNGROUP
 
@@ -86,6 +90,21 @@ class Simulation(ABC):
             origin: Common origin of all rays, world frame [m].
             directions: Ray directions, world frame.
             groups: The geom groups that can be hit.
+        """
+
+    @abstractmethod
+    def record(
+        self, function: Callable[[Tensor], Result], generator: torch.Generator
+    ) -> Callable[[Tensor], Result]:
+        """A function that does what `function` does, at the least cost for the host.
+
+        Args:
+            function: Steps the simulation and works on tensors whose memory stays where it is.
+            generator: What it draws from.
+
+        Returns:
+            The function itself, or a recording of its work on the device: then its results are overwritten by the
+            next call.
         """
 
     @abstractmethod

@@ -4,7 +4,9 @@ Nothing here copies to the host inside a step. PyTorch and Warp work on the same
 are read by the other in order.
 """
 
-from typing import final
+import copy
+from collections.abc import Callable
+from typing import Generic, final
 
 import mujoco
 import mujoco_warp as mjw
@@ -16,7 +18,7 @@ from mujoco_warp._src.types import vec6  # the argument type of mjw.rays
 from torch import Tensor
 
 from pixel2catch.errors import NonFiniteError
-from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Simulation
+from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
 
 CONTACTS_PER_ENV = 40
 """Contacts to allocate per environment, shared by all (ours: twice the mean of the busiest step of a trained policy)."""
@@ -33,13 +35,15 @@ class WarpSimulation(Simulation):
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, device: str) -> None:
         """Put the model on the device and create the environments at its defaults."""
-        super().__init__(model, num_envs, torch.device(device), torch.float32)
+        kind, _, index = device.partition(":")
+        super().__init__(model, num_envs, torch.device(kind, int(index or 0)), torch.float32)
         wp.config.quiet = True
+        wp.init()
         self._device = wp.device_from_torch(self.device)
         if self._device.is_cuda:
             wp.set_stream(wp.stream_from_torch(torch.cuda.current_stream(self.device)), self._device)
         with wp.ScopedDevice(self._device):
-            self._model = mjw.put_model(model)
+            self._model = mjw.put_model(_without_cpu_flags(model))
             self._data = mjw.make_data(model, num_envs, nconmax=CONTACTS_PER_ENV, njmax=CONSTRAINTS_PER_ENV)
         self._graph: wp.Graph | None = None
         self._rays: _Rays | None = None
@@ -58,7 +62,7 @@ class WarpSimulation(Simulation):
         return wp.to_torch(array).view(self.num_envs, *np.shape(getattr(self.model, field)))
 
     def step(self) -> None:  # noqa: D102
-        if not self._device.is_cuda:
+        if not self._device.is_cuda or torch.cuda.is_current_stream_capturing():
             self._step()
             return
         if self._graph is None:
@@ -81,6 +85,12 @@ class WarpSimulation(Simulation):
             self._rays = _Rays(self.num_envs, num_rays, self.device)
         self._rays.cast(self._model, self._data, origin, directions, groups)
         return self._rays.distance
+
+    def record(
+        self, function: Callable[[Tensor], Result], generator: torch.Generator
+    ) -> Callable[[Tensor], Result]:
+        """A CUDA graph of the function, captured at the second call; the first runs it, which compiles its kernels."""
+        return _Recording(function, generator) if self._device.is_cuda else function
 
     def check(self) -> None:
         """Raise if an environment overflowed its contact or constraint buffers.
@@ -112,9 +122,48 @@ class WarpSimulation(Simulation):
         for name, value in state.items():
             self.bind(name).copy_(value)
         self.forward()
-        with wp.ScopedCapture(self._device) as capture:
+        stream = wp.Stream(self._device)  # PyTorch's default stream cannot be captured
+        wp.synchronize_device(self._device)
+        with wp.ScopedStream(stream), wp.ScopedCapture(stream=stream) as capture:
             self._step()
+        wp.synchronize_device(self._device)
         return capture.graph
+
+
+def _without_cpu_flags(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model without options that only say how the CPU finds contacts."""
+    model = copy.copy(model)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    return model
+
+
+class _Recording(Generic[Result]):
+    """One CUDA graph of PyTorch's and Warp's work, captured on one stream."""
+
+    def __init__(self, function: Callable[[Tensor], Result], generator: torch.Generator) -> None:
+        self._function, self._generator = function, generator
+        self._calls = 0
+
+    def __call__(self, argument: Tensor) -> Result:
+        self._calls += 1
+        if self._calls == 1:
+            return self._function(argument)
+        if self._calls == 2:
+            self._capture(argument)
+        self._argument.copy_(argument)
+        self._graph.replay()
+        return self._result
+
+    def _capture(self, argument: Tensor) -> None:
+        """Record the function; nothing runs yet."""
+        self._argument = argument.clone()
+        self._graph = torch.cuda.CUDAGraph()
+        self._graph.register_generator_state(self._generator)
+        torch.cuda.synchronize(argument.device)
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+            stream = wp.stream_from_torch(torch.cuda.current_stream(argument.device))
+            with wp.ScopedStream(stream), wp.ScopedCapture(stream=stream, external=True):
+                self._result = self._function(self._argument)
 
 
 class _Rays:
