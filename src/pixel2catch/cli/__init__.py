@@ -1,1 +1,1 @@
-"""The command line: one small file per command. Whatever takes long to import is imported inside the command."""
+"""The command line: one small file per command. What takes long to import is imported inside the command."""

@@ -7,11 +7,15 @@ from typing import Annotated, Union
 
 import tyro
 
+from pixel2catch.cli.bench import Bench
+from pixel2catch.cli.catch import Catch
+from pixel2catch.cli.evaluate import Evaluate
+from pixel2catch.cli.play import Play
 from pixel2catch.cli.scene import Scene
 from pixel2catch.cli.train import Train
 from pixel2catch.errors import Pixel2CatchError
 
-COMMANDS = (Train, Scene)
+COMMANDS = (Train, Evaluate, Play, Catch, Scene, Bench)
 
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
@@ -47,7 +51,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _parse(args: Sequence[str]):  # noqa: ANN202 (one of COMMANDS)
+def _parse(args: Sequence[str]):
     names = [Annotated[command, tyro.conf.subcommand(command.__name__.lower())] for command in COMMANDS]
     return tyro.cli(
         Union[*names],  # type: ignore[valid-type]

@@ -16,7 +16,7 @@ class Train:
 
     Attributes:
         method: What to train: proposed, journal, only_wh, only_center, single_agent.
-        preset: Starting values: fast (one big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
+        preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
         device: Where to simulate and learn: cpu, cuda, cuda:1, ... Default: cuda where there is one.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
         resume: Go on from the last checkpoint in that folder.

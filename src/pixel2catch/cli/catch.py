@@ -1,0 +1,74 @@
+"""`pixel2catch catch`: what the shipped policy can do, in a few minutes on a CPU. The job of `make catch`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pixel2catch.evaluation.protocol import EvaluationCfg
+    from pixel2catch.methods import Method
+    from pixel2catch.policy import Policy
+
+VIDEO_THROWS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Catch:
+    """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short video.
+
+    Attributes:
+        throws: Throws of seen objects, and again as many of unseen ones.
+        seed: Seed of everything that is drawn.
+        video: The video file.
+    """
+
+    throws: int = 1000
+    seed: int = 0
+    video: Path = Path("catch.mp4")
+
+    def run(self) -> None:
+        """Evaluate, print the results beside the paper's, and write the video."""
+        from dataclasses import replace
+
+        from pixel2catch.cli.console import results_console, round_reporter, say
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.evaluation.protocol import EvaluationCfg, assess
+        from pixel2catch.evaluation.tables import quality_table, results_table
+        from pixel2catch.robot.objects import OBJECT_GROUPS
+
+        prepare("cpu")
+        policy, method = load_policy(None)
+        rounds = max(1, round(self.throws / 500))
+        cfg = EvaluationCfg(
+            objects=OBJECT_GROUPS["seen"],
+            num_envs=self.throws // rounds,
+            trials=rounds,
+            seed=self.seed,
+            task=task_of(policy),
+        )
+        say(f"throwing {self.throws:,} seen and {self.throws:,} unseen objects, on the CPU ...")
+        results = {
+            name: assess(
+                policy, method, replace(cfg, objects=OBJECT_GROUPS[name]), round_reporter(name, rounds)
+            )
+            for name in ("seen", "unseen")
+        }
+        console = results_console()
+        console.print(results_table(results, method.name))
+        console.print(quality_table(results))
+        self._write_video(policy, method, replace(cfg, num_envs=VIDEO_THROWS, trials=1))
+
+    def _write_video(self, policy: "Policy", method: "Method", cfg: "EvaluationCfg") -> None:
+        """Write the video, or say in one line what is missing for it."""
+        from pixel2catch.errors import DeviceUnavailableError
+        from pixel2catch.evaluation.rendering import find_gl_backend
+        from pixel2catch.evaluation.video import record_takes, write_video
+
+        try:
+            find_gl_backend()
+        except DeviceUnavailableError as error:
+            print(f"no video: {error}")
+            return
+        write_video(self.video, record_takes(cfg, policy, method), cfg.task.scene)
+        print(f"wrote {self.video}: {VIDEO_THROWS} throws")

@@ -1,0 +1,19 @@
+"""Preparing the device that a command computes on."""
+
+
+def prepare(device: str) -> None:
+    """See that the device exists; on the CPU leave its cores to the physics.
+
+    Torch's own threads make steps of these small tensors slower: PLACEHOLDER.
+
+    Raises:
+        DeviceUnavailableError: If CUDA was asked for and is absent.
+    """
+    import torch
+
+    from pixel2catch.sim.simulation import require_cuda
+
+    if device.startswith("cuda"):
+        require_cuda(device)
+    else:
+        torch.set_num_threads(1)

@@ -1,0 +1,60 @@
+"""`pixel2catch evaluate`: how often a policy catches."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Evaluate a policy: rounds of throws with all noise and randomisation, and a test of every hold.
+
+    Attributes:
+        policy: Folder of the policy, or of its training run. Default: the policy that is shipped.
+        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
+        num_envs: Throws in a round.
+        trials: Rounds.
+        seed: Seed of everything that is drawn.
+        device: Where to simulate: cpu, cuda, cuda:1, ...
+        json: Print all metrics as one JSON object.
+    """
+
+    policy: Positional[Path | None] = None
+    objects: tuple[str, ...] = ("seen",)
+    num_envs: int = 100
+    trials: int = 10
+    seed: int = 0
+    device: str = "cpu"
+    json: bool = False
+
+    def run(self) -> None:
+        """Evaluate and print."""
+        from pixel2catch.cli.console import results_console, round_reporter
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.evaluation.protocol import EvaluationCfg, assess
+        from pixel2catch.evaluation.tables import objects_table, quality_table, results_table
+        from pixel2catch.robot.objects import select_objects
+
+        prepare(self.device)
+        policy, method = load_policy(self.policy, self.device)
+        cfg = EvaluationCfg(
+            objects=select_objects(self.objects),
+            num_envs=self.num_envs,
+            trials=self.trials,
+            seed=self.seed,
+            device=self.device,
+            task=task_of(policy),
+        )
+        name = " ".join(self.objects)
+        result = assess(policy, method, cfg, round_reporter(name, self.trials))
+        result = {"policy": str(self.policy or "shipped"), **result}
+        if self.json:
+            print(json.dumps(result, indent=2))
+            return
+        console = results_console()
+        console.print(results_table({name: result}, method.name))
+        console.print(objects_table(result))
+        console.print(quality_table({name: result}))

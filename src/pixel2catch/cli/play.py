@@ -1,0 +1,50 @@
+"""`pixel2catch play`: a video of throws."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True, kw_only=True)
+class Play:
+    """Write a video of throws: the robot's camera with the box that the policy gets, and a view from outside.
+
+    Attributes:
+        policy: Folder of the policy, or of its training run. Default: the policy that is shipped.
+        out: The video file.
+        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
+        throws: Number of throws.
+        seed: Seed of everything that is drawn.
+        view: What the pictures show.
+    """
+
+    policy: Positional[Path | None] = None
+    out: Path = Path("play.mp4")
+    objects: tuple[str, ...] = ("seen",)
+    throws: int = 4
+    seed: int = 0
+    view: Literal["rgb", "outside", "both"] = "both"
+
+    def run(self) -> None:
+        """Throw, draw and write."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.rendering import find_gl_backend
+        from pixel2catch.evaluation.video import record_takes, write_video
+        from pixel2catch.robot.objects import select_objects
+
+        prepare("cpu")
+        find_gl_backend()
+        policy, method = load_policy(self.policy)
+        task = task_of(policy)
+        cfg = EvaluationCfg(
+            objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
+        )
+        takes = record_takes(cfg, policy, method)
+        say(f"drawing {self.throws} throws ...")
+        num_pictures = write_video(self.out, takes, task.scene, self.view)
+        print(f"wrote {self.out}: {num_pictures} pictures")

@@ -1,0 +1,56 @@
+"""Finding and reading policies: those of training runs and the one that the package ships."""
+
+from importlib import resources
+from pathlib import Path
+from typing import cast
+
+from pixel2catch.envs.catch_env import CatchEnvCfg
+from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.methods import Method, find_method
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.robot.allegro import Handedness
+from pixel2catch.robot.scene import SceneCfg
+
+SHIPPED = "proposed"
+"""Folder of the shipped policy, in the package's folder `policies`."""
+
+
+def shipped_folder() -> Path:
+    """Folder of the shipped policy.
+
+    Raises:
+        PolicyMismatchError: If this installation has none.
+    """
+    folder = Path(str(resources.files("pixel2catch"))) / "policies" / SHIPPED
+    if not folder.is_dir():
+        raise PolicyMismatchError(
+            "this installation ships no policy; train one with 'pixel2catch train' and name its folder: "
+            "runs/NAME/policy."
+        )
+    return folder
+
+
+def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Method]:
+    """Read a policy and see that it fits this code.
+
+    Args:
+        folder: A policy's folder or the run folder around it; the shipped policy if absent.
+        device: Device of the networks.
+
+    Raises:
+        PolicyMismatchError: If there is no policy, or it is of another robot, camera, method or format.
+        UnknownNameError: If its method does not exist.
+    """
+    folder = shipped_folder() if folder is None else folder
+    if (folder / "policy").is_dir():
+        folder = folder / "policy"
+    policy = Policy.load(folder, device)
+    method = find_method(policy.contract.method)
+    policy.contract.require(contract_of(method, policy.contract.handedness))
+    return policy, method
+
+
+def task_of(policy: Policy) -> CatchEnvCfg:
+    """The task as in training, with the hand that the policy was trained with."""
+    handedness = cast(Handedness, policy.contract.handedness)  # the scene refuses other values
+    return CatchEnvCfg(scene=SceneCfg(handedness=handedness))

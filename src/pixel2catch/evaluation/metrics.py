@@ -1,0 +1,88 @@
+"""What a set of trials amounts to: rates with their intervals, failure modes, contact quality."""
+
+from collections.abc import Sequence
+from math import isfinite, sqrt
+from typing import Any
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from pixel2catch.envs.episodes import FAILURES, EpisodeRecord, failure
+from pixel2catch.envs.statistics import MAXIMA
+from pixel2catch.errors import NonFiniteError
+from pixel2catch.evaluation.rounds import Trials
+
+NORMAL_QUANTILE = 1.959964
+"""97.5 % quantile of the normal distribution: both tails together make 95 %."""
+
+Metrics = dict[str, Any]
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a rate. Source: Wilson 1927, the score interval.
+
+    Args:
+        successes: How often it happened.
+        trials: Out of how many; positive.
+    """
+    rate, z2 = successes / trials, NORMAL_QUANTILE**2
+    center = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = NORMAL_QUANTILE * sqrt(rate * (1 - rate) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
+    return max(0.0, center - half), min(1.0, center + half)
+
+
+def metrics(trials: Trials, object_names: Sequence[str]) -> Metrics:
+    """Metrics of all trials by name, and the rates of each object under `objects`.
+
+    Args:
+        trials: The trials.
+        object_names: Names of all objects, by row of the object table.
+
+    Raises:
+        NonFiniteError: If the simulation produced NaN or infinity.
+    """
+    record, num_trials = trials.record, len(trials.is_verified)
+    object_id, everything = record.object_id, torch.ones_like(trials.is_verified)
+    modes = torch.where(record.is_success, -1, failure(record))
+    return {
+        **_rates(trials, everything),
+        "table_contact_rate": int(record.is_table_contact.sum()) / num_trials,
+        "self_contact_rate": int(record.is_self_contact.sum()) / num_trials,
+        "failures": {name: int((modes == i).sum()) / num_trials for i, name in enumerate(FAILURES)},
+        "contact_height": _mean(record.contact_height, record.is_hand_contact),
+        "mean_penetration": _mean(record.penetration_sum, record.contact_steps),
+        **_maxima(record),
+        "objects": {object_names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
+    }
+
+
+def _rates(trials: Trials, rows: Bool[Tensor, " num_trials"]) -> Metrics:
+    """Rates over some of the trials, each with its interval."""
+    record, num_trials = trials.record, int(rows.sum())
+    events = {
+        "tracking_rate": record.is_tracked,
+        "success_rate": record.is_success,
+        "palm_contact_rate": record.is_palm_contact,
+        "verified_hold_rate": trials.is_verified,
+    }
+    result: Metrics = {"trials": num_trials}
+    for name, happened in events.items():
+        count = int((happened & rows).sum())
+        result |= {name: count / num_trials, f"{name}_interval": list(wilson_interval(count, num_trials))}
+    return result
+
+
+def _maxima(record: EpisodeRecord) -> dict[str, float]:
+    """Extremes over all physics steps of all trials."""
+    maxima = {name: float(getattr(record, name).max()) for name in MAXIMA}
+    for name, value in maxima.items():
+        if not isfinite(value):
+            raise NonFiniteError(f"{name} is {value}: the simulation diverged.")
+    return maxima
+
+
+def _mean(sums: Tensor, counts: Tensor) -> float | None:
+    """All sums over all counts; nothing where nothing was counted."""
+    total = int(counts.sum())
+    return float(sums.double().sum()) / total if total else None
