@@ -9,8 +9,9 @@ from torch import Tensor
 from pixel2catch.agents import COMMANDS
 from pixel2catch.camera.boxes import perturb_box
 from pixel2catch.envs.episodes import EpisodeRecord
+from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.statistics import EpisodeStatistics
-from pixel2catch.envs.world import NUM_ARM_JOINTS, CatchWorld, PhysicsLog
+from pixel2catch.envs.world import NUM_ARM_JOINTS, CatchWorld
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.masks import assign, clone, select
 from pixel2catch.mdp.observations import observe, pixel_columns, privileged_state

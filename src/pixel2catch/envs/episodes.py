@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.envs.world import PhysicsLog
+from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.mdp.terminations import is_dropped, is_near, is_success
 

@@ -2,16 +2,17 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import NamedTuple
-
 import mujoco
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from pixel2catch.agents import JOINTS
 from pixel2catch.camera.pinhole import camera_center
 from pixel2catch.camera.visibility import is_unoccluded, ray_directions
+from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
+from pixel2catch.envs.servo import Servos, ServoState
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
@@ -23,7 +24,6 @@ from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.sim.simulation import Simulation, make_simulation
 
-JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
 NUM_JOINTS = len(JOINTS)
 NUM_ARM_JOINTS = len(ARM_JOINTS)
 OCCLUDER_GROUPS = (0, 3)
@@ -31,9 +31,6 @@ OCCLUDER_GROUPS = (0, 3)
 
 NUM_SURFACE_POINTS = 64
 """Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""
-
-EFFORT_MARGIN = 0.999
-"""Share of a joint's effort limit that the servo asks for; at the limit itself MuJoCo clamps."""
 
 UNUSED_FIELDS = ("dof_M0", "dof_length")
 """Fields that depend on the object but not on anything that is simulated here; MuJoCo Warp does not have them."""
@@ -48,32 +45,6 @@ MASS_POWER = {
 """How the object's model fields grow with its mass. All must follow it, or contacts blow up in float32."""
 
 
-class PhysicsLog(NamedTuple):
-    """What happened within one control step: extremes over all of its physics steps.
-
-    Attributes:
-        is_touching: Which of `HAND_PARTS` touched the object.
-        is_robot_on_table: Whether the robot touched the table.
-        is_self_contact: Whether the robot touched itself.
-        penetration: Deepest overlap of the object with anything [m].
-        table_penetration: Deepest overlap of robot and table [m].
-        joint_speed: Largest speed of an arm joint [rad/s].
-        torque_share: Largest joint torque, as a share of its limit.
-    """
-
-    is_touching: Bool[Tensor, "num_envs 5"]
-    is_robot_on_table: Bool[Tensor, " num_envs"]
-    is_self_contact: Bool[Tensor, " num_envs"]
-    penetration: Float[Tensor, " num_envs"]
-    table_penetration: Float[Tensor, " num_envs"]
-    joint_speed: Float[Tensor, " num_envs"]
-    torque_share: Float[Tensor, " num_envs"]
-
-    def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "PhysicsLog":
-        """The log without what happened in the masked environments."""
-        return select(mask, PhysicsLog(*(torch.zeros_like(value) for value in self)), self)
-
-
 @dataclass(frozen=True)
 class _Fields:
     """Live tensors of the simulation, bound once."""
@@ -83,6 +54,7 @@ class _Fields:
     ctrl: Tensor
     qacc_warmstart: Tensor
     xfrc_applied: Tensor
+    qfrc_applied: Tensor
     actuator_force: Tensor
     sensordata: Tensor
     site_xpos: Tensor
@@ -105,6 +77,7 @@ class CatchWorld:
             device: "cpu" or a CUDA device.
         """
         model = build_model(scene)
+        model.dof_frictionloss[:NUM_JOINTS] = 0.0  # the servos apply it
         self.simulation: Simulation = make_simulation(model, num_envs, device)
         self.objects: ObjectTable = object_table(scene)
         self.num_envs, self.device = num_envs, self.simulation.device
@@ -112,10 +85,11 @@ class CatchWorld:
         self._decimation = round(CONTROL_DT / scene.physics_dt)
         self._palm = model.site("palm").id
         self._tips = [model.site(f"{finger}_tip").id for finger in FINGERS]
-        self._sensors = _sensor_columns(model)
+        self._sensors = ContactColumns.of(model)
         self._fields = _Fields(
             **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
         )
+        self._servos = Servos.on(self.device, self.simulation.dtype)
         self._joints = _JointTensors.of(self.simulation.dtype, self.device)
         self._table = {
             name: torch.as_tensor(rows).to(self.device)
@@ -159,31 +133,28 @@ class CatchWorld:
         self.simulation.forward(mask)
 
     def run(self, joint_pos_target: Float[Tensor, "num_envs num_joints"]) -> PhysicsLog:
-        """Simulate one control step; the servo ramps its command linearly to the target (a first-order hold)."""
+        """Simulate one control step; the servos ramp their commands linearly to the target (a first-order hold)."""
+        fields = self._fields
         increment = (joint_pos_target.to(self._command) - self._command) / self._decimation
         log = None
         for _ in range(self._decimation):
             self._command.add_(increment)
-            self._fields.ctrl.copy_(self._within_effort(self._command))
+            state = self._servo_state()
+            fields.ctrl.copy_(self._servos.limited(self._command, state))
+            fields.qfrc_applied[:, :NUM_JOINTS].copy_(self._servos.friction(state.joint_vel))
             self.simulation.step()
-            log = _merge(log, self._read_log())
+            log = self._read_log() if log is None else log.merged(self._read_log())
         assert log is not None
         return log
 
-    def _within_effort(
-        self, command: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints"]:
-        """The position command nearest to `command` whose servo torque keeps the effort limit.
-
-        MuJoCo treats the damping of a servo explicitly while its force is clamped, which at these gains and step
-        sizes is unstable; a command that never asks for more than the limit keeps it implicit.
-        """
-        fields = self._fields
-        stiffness = self.simulation.expand("actuator_gainprm")[..., 0]
-        damping = -self.simulation.expand("actuator_biasprm")[..., 2]
-        unloaded = fields.qpos[:, :NUM_JOINTS] + damping * fields.qvel[:, :NUM_JOINTS] / stiffness
-        reach = EFFORT_MARGIN * self._joints.effort_limit / stiffness
-        return torch.clamp(command, unloaded - reach, unloaded + reach)
+    def _servo_state(self) -> ServoState:
+        """Joints and present gains."""
+        return ServoState(
+            joint_pos=self._fields.qpos[:, :NUM_JOINTS],
+            joint_vel=self._fields.qvel[:, :NUM_JOINTS],
+            stiffness=self.simulation.expand("actuator_gainprm")[..., 0],
+            damping=-self.simulation.expand("actuator_biasprm")[..., 2],
+        )
 
     def quiet_log(self) -> PhysicsLog:
         """The log of a control step in which nothing was touched."""
@@ -264,7 +235,7 @@ class CatchWorld:
             penetration=depth[:, hand],
             table_penetration=depth[:, hand + 1],
             joint_speed=fields.qvel[:, :NUM_ARM_JOINTS].abs().amax(dim=-1).float(),
-            torque_share=(fields.actuator_force.abs() / self._joints.effort_limit).amax(dim=-1).float(),
+            torque_share=(fields.actuator_force.abs() / self._servos.effort_limit).amax(dim=-1).float(),
         )
 
 
@@ -277,7 +248,6 @@ class _JointTensors:
     upper: Tensor
     stiffness: Tensor
     damping: Tensor
-    effort_limit: Tensor
 
     @classmethod
     def of(cls, dtype: torch.dtype, device: torch.device) -> "_JointTensors":
@@ -288,35 +258,6 @@ class _JointTensors:
         )
 
 
-class _SensorColumns(NamedTuple):
-    """Columns of `sensordata`: object with each hand part, object with anything, robot with table, robot with itself."""
-
-    found: slice
-    dist: slice
-
-
-SENSORS = (*(f"object_{part}" for part in HAND_PARTS), "object_any", "robot_table", "robot_self")
-"""Contact sensors of the model, in order; each gives the number of contacts found and the least distance."""
-
-
-def _sensor_columns(model: mujoco.MjModel) -> _SensorColumns:
-    """Where the contact sensors write; they follow each other, two numbers each."""
-    addresses = [int(model.sensor(name).adr[0]) for name in SENSORS]
-    first, last = addresses[0], addresses[-1] + 2
-    if addresses != list(range(first, last, 2)):
-        raise ValueError(
-            f"contact sensors are not consecutive pairs: {dict(zip(SENSORS, addresses, strict=True))}"
-        )
-    return _SensorColumns(found=slice(first, last, 2), dist=slice(first + 1, last, 2))
-
-
 def _snapshot(live: Tensor) -> Tensor:
     """A float32 copy: on the GPU, where the simulation is float32 itself, a cast alone would follow the simulation."""
     return live.to(torch.float32, copy=True)
-
-
-def _merge(log: PhysicsLog | None, step: PhysicsLog) -> PhysicsLog:
-    """Extremes of both: whether ever, and how much at most."""
-    if log is None:
-        return step
-    return PhysicsLog(*(torch.maximum(a, b) for a, b in zip(log, step, strict=True)))

@@ -4,7 +4,6 @@ Arm: the action is added to the measured joint position (paper, Sec. IV-D). Hand
 limits, is the target.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -12,12 +11,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.robot.constants import CONTROL_DT, JointSpec
-
-SPEED_MARGIN = 0.9
-"""Share of the speed limit that the fastest robot of the randomisation may reach. Source: ours; the rest is for noise."""
-
-FASTEST_GAINS = 1.2 / 0.8
-"""Largest ratio of stiffness to damping, relative to the nominal one. Source: paper, Table I."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,19 +33,15 @@ class JointCommand:
 
 
 def relative_command(joint: JointSpec) -> JointCommand:
-    """Targets relative to the measured position, such that the joint's speed limit holds.
+    """Targets relative to the measured position; action 1 is the joint's speed limit in steady motion.
 
-    A servo with stiffness k and damping d, heavily damped, follows its target with time constant d / k. Its target is
-    ramped to `position + scale` within one control step of length T, so from rest the speed at the end of the step is
-    `scale / T * (1 - exp(-T k / d))`, and less in steady motion. The scale puts that, for the stiffest robot of the
-    randomisation, at `SPEED_MARGIN` of the limit.
+    A servo with stiffness k and damping d, heavily damped, moves at k / d times the distance of its command. The
+    target is reached by a ramp over the control step T, so in steady motion at speed v it is v (d / k + T) ahead.
 
     Source: paper (added to the current joint positions); the scale is ours: the paper gives none.
-    Differs: the release adds up to 0.05 rad to the previous target in each of four physics steps, and relies on the
-    simulator's speed limit, which MuJoCo does not have.
+    Differs: the release adds up to 0.05 rad to the previous target in each of four physics steps.
     """
-    rate = FASTEST_GAINS * joint.stiffness / joint.damping
-    scale = SPEED_MARGIN * joint.velocity_limit * CONTROL_DT / (1.0 - math.exp(-rate * CONTROL_DT))
+    scale = joint.velocity_limit * (joint.damping / joint.stiffness + CONTROL_DT)
     return JointCommand(anchor=1.0, offset=0.0, scale=scale, lower=joint.lower, upper=joint.upper)
 
 

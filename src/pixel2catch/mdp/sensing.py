@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_points
 from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.visibility import is_in_view
 from pixel2catch.robot.constants import RGB_CAMERA
 
 
@@ -32,7 +33,7 @@ class SensingCfg:
     latency_steps: tuple[int, int] = (1, 2)
     joint_noise: float = 0.005
     joint_bias: float = 0.001
-    least_visible: float = 0.1
+    least_visible: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,6 @@ def detect(
         least_visible: Share that must be visible and in the image.
     """
     pixels, depth = project(RGB_CAMERA, points)
-    u, v = pixels.unbind(-1)
-    in_image = (depth > 0) & (u >= 0) & (u <= RGB_CAMERA.width) & (v >= 0) & (v <= RGB_CAMERA.height)
-    is_seen = (is_visible & in_image).to(points.dtype).mean(dim=-1) >= least_visible
+    in_view = is_in_view(RGB_CAMERA, pixels, depth)
+    is_seen = (is_visible & in_view).to(points.dtype).mean(dim=-1) >= least_visible
     return box_of_points(pixels, is_visible, RGB_CAMERA), is_seen

@@ -23,7 +23,7 @@ class Measurement:
         joint_pos: Joint encoders, arm then hand [rad].
         joint_pos_target: Joint targets commanded at this step [rad].
         palm_pos: Palm position by forward kinematics of `joint_pos`, world frame [m].
-        palm_quat: Palm orientation likewise, (w, x, y, z) with w >= 0.
+        palm_quat: Palm orientation likewise, (w, x, y, z), with the sign of `robot.kinematics`.
         action: Last actions of all agents in joint order, in [-1, 1].
     """
 

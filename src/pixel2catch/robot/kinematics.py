@@ -23,6 +23,13 @@ from pixel2catch.robot.constants import (
 )
 
 
+HOME_SIDE: Quat = (0.0, -0.78, 0.0, -0.63)
+"""A quaternion near the palm's at the start pose; of q and -q, which are one rotation, the one on its side is returned.
+
+Differs: paper and release return w >= 0. At the start pose w is 0, so that noise alone would flip all four numbers.
+"""
+
+
 def _pose_matrix(pos: Vec3, quat: Quat) -> np.ndarray:
     """Homogeneous matrix (4, 4) of a position [m] and an orientation."""
     w, x, y, z = np.asarray(quat) / np.linalg.norm(quat)
@@ -101,7 +108,7 @@ def palm_pose(
         joint_pos: Positions of the arm's joints [rad].
 
     Returns:
-        Position [m] of the palm, and orientation of the hand frame with w >= 0.
+        Position [m] of the palm, and orientation of the hand frame, with the sign on the side of `HOME_SIDE`.
     """
     joints, table = _constants(joint_pos.device, joint_pos.dtype)
     constant, cosine, sine = joints.unbind(0)
@@ -115,10 +122,11 @@ def palm_pose(
 def _quaternion(
     pose: Float[Tensor, "num_envs 4 4"], table: Float[Tensor, "4 4 16"]
 ) -> Float[Tensor, "num_envs 4"]:
-    """Rotation part as a quaternion with w >= 0, from the row of 4 q qᵀ with the largest diagonal entry."""
+    """Rotation part as a quaternion, from the row of 4 q qᵀ with the largest diagonal entry."""
     products = (table * pose.reshape(-1, 1, 1, 16)).sum(-1)
     diagonal = products.diagonal(dim1=-2, dim2=-1)
     largest = diagonal.argmax(-1, keepdim=True)
     row = products.gather(1, largest[..., None].expand(-1, 1, 4)).squeeze(1)
     quat = row / (2.0 * diagonal.gather(1, largest).sqrt())
-    return torch.where(quat[:, :1] < 0, -quat, quat)
+    side = quat[:, 1:2] * HOME_SIDE[1] + quat[:, 3:4] * HOME_SIDE[3]
+    return torch.where(side < 0, -quat, quat)

@@ -23,7 +23,7 @@ from pixel2catch.robot.constants import (
     JointSpec,
     quat_multiply,
 )
-from pixel2catch.robot.contact import SOLIMP, contact_solref
+from pixel2catch.robot.contact import SOLIMP, contact_solref, table_solref
 from pixel2catch.robot.looks import add_looks
 from pixel2catch.robot.objects import MAX_PARTS, OBJECTS, ObjectSpec
 from pixel2catch.robot.ur5e import add_arm, dh_pose
@@ -85,7 +85,7 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = "pixel2catch"
     _set_options(spec, cfg)
-    _add_surroundings(spec)
+    _add_surroundings(spec, cfg)
     wrist = add_arm(spec)
     add_hand(wrist, dh_pose(UR5E_DH[-1])[0], cfg.handedness)
     _add_servos(spec)
@@ -145,7 +145,7 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     option.ls_iterations = 20
 
 
-def _add_surroundings(spec: mujoco.MjSpec) -> None:
+def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     """Floor, table and the camera; floor and table are bodies of their own, for the broad phase."""
     world = spec.worldbody
     world.add_body(name="floor").add_geom(
@@ -160,7 +160,14 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     half = (TABLE.size[0] / 2, TABLE.size[1] / 2, TABLE.thickness / 2)
     pos = (x, y, top - half[2])
     world.add_body(name="table").add_geom(
-        name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=half, rgba=(0.66, 0.50, 0.34, 1)
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=pos,
+        size=half,
+        rgba=(0.66, 0.50, 0.34, 1),
+        priority=1,
+        solref=table_solref(cfg.physics_dt),
+        solimp=SOLIMP,
     )
     camera = RGB_CAMERA
     world.add_camera(
@@ -228,7 +235,7 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
             contype=1 | FLOOR_BIT,
             conaffinity=1 | FLOOR_BIT,
             condim=3,
-            priority=1,
+            priority=2,
             friction=(cfg.object_friction, 0.005, 0.0001),
             solref=contact_solref(cfg.object_restitution, cfg.physics_dt),
             solimp=cfg.object_solimp,

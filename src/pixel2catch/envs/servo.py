@@ -1,0 +1,84 @@
+"""The joint servos between command and simulation: speed and effort limits, and dry friction."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pixel2catch.agents import JOINTS
+
+EFFORT_MARGIN = 0.999
+"""Share of a joint's effort limit that a servo asks for; at the limit itself MuJoCo clamps."""
+
+SPEED_MARGIN = 0.9
+"""Share of a joint's speed limit that a servo asks for; the rest is for the pull of the other joints (ours)."""
+
+FRICTION_SPEED = 0.1
+"""Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoState:
+    """Joints and present gains of the servos, one row per environment.
+
+    Attributes:
+        joint_pos: Joint positions [rad].
+        joint_vel: Joint speeds [rad/s].
+        stiffness: Gain on the position error [N·m/rad].
+        damping: Gain on the speed [N·m·s/rad].
+    """
+
+    joint_pos: Float[Tensor, "num_envs num_joints"]
+    joint_vel: Float[Tensor, "num_envs num_joints"]
+    stiffness: Float[Tensor, "num_envs num_joints"]
+    damping: Float[Tensor, "num_envs num_joints"]
+
+
+@dataclass(frozen=True)
+class Servos:
+    """Limits and friction of all joints, in joint order.
+
+    Attributes:
+        effort_limit: Largest torque [N·m].
+        velocity_limit: Largest speed [rad/s].
+        frictionloss: Dry friction [N·m].
+    """
+
+    effort_limit: Float[Tensor, " num_joints"]
+    velocity_limit: Float[Tensor, " num_joints"]
+    frictionloss: Float[Tensor, " num_joints"]
+
+    @classmethod
+    def on(cls, device: torch.device, dtype: torch.dtype) -> "Servos":
+        """Copy the joints' constants to a device."""
+        names = ("effort_limit", "velocity_limit", "frictionloss")
+        return cls(
+            *(torch.tensor([getattr(j, n) for j in JOINTS], dtype=dtype, device=device) for n in names)
+        )
+
+    def limited(
+        self, command: Float[Tensor, "num_envs num_joints"], state: ServoState
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """The position command nearest to `command` that keeps the joint's speed and effort limits.
+
+        A servo whose damping d dominates moves at k / d times the distance of its command, so that distance bounds
+        the speed (the release relies on its simulator's speed limit, which MuJoCo does not have). The torque is
+        bounded here and not by MuJoCo's `forcerange`: while a force is clamped, MuJoCo treats its damping
+        explicitly, which is unstable at these gains and steps.
+        """
+        lead = SPEED_MARGIN * self.velocity_limit * state.damping / state.stiffness
+        command = torch.clamp(command, state.joint_pos - lead, state.joint_pos + lead)
+        balance = state.joint_pos + state.damping * state.joint_vel / state.stiffness
+        reach = EFFORT_MARGIN * self.effort_limit / state.stiffness
+        return torch.clamp(command, balance - reach, balance + reach)
+
+    def friction(
+        self, joint_vel: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """Torque of dry friction [N·m], as a smooth function of the speed.
+
+        Differs: MuJoCo's own `frictionloss` is a constraint, which doubles the time of a physics step here, for
+        torques that move a servo's rest position by less than 0.004 rad.
+        """
+        return -self.frictionloss * torch.tanh(joint_vel / FRICTION_SPEED)
