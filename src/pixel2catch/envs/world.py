@@ -97,7 +97,7 @@ class CatchWorld:
             if name not in UNUSED_FIELDS
         }
         points = np.stack([surface_points(OBJECTS[name], NUM_SURFACE_POINTS) for name in self.objects.names])
-        self._surface = torch.as_tensor(points).to(self.device, self.simulation.dtype)
+        self._surface = torch.as_tensor(points).to(self.device, torch.float32)
         self._command = torch.zeros_like(self._fields.ctrl)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
 
@@ -176,12 +176,16 @@ class CatchWorld:
         self,
     ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
         """Surface points of the object in the world frame [m], and which of them the robot and the table do not hide."""
-        rotation = self._fields.xmat[:, self.objects.indices.body].view(-1, 3, 3)
-        points = (self._surface[self._object_id][:, :, None] * rotation[:, None]).sum(dim=-1)
-        points = points + self._fields.xpos[:, self.objects.indices.body, None]
-        directions = ray_directions(RGB_CAMERA, points)
-        hit = self.simulation.ray(camera_center(RGB_CAMERA, points), directions, OCCLUDER_GROUPS)
-        return points.float(), is_unoccluded(hit)
+        body = self.objects.indices.body
+        rotation = _snapshot(self._fields.xmat[:, body]).view(-1, 3, 3)
+        points = torch.baddbmm(
+            _snapshot(self._fields.xpos[:, body])[:, None],
+            self._surface[self._object_id],
+            rotation.transpose(1, 2),
+        )
+        directions = ray_directions(RGB_CAMERA, points).to(self.simulation.dtype)
+        hit = self.simulation.ray(camera_center(RGB_CAMERA, directions), directions, OCCLUDER_GROUPS)
+        return points, is_unoccluded(hit)
 
     def close(self) -> None:
         """Free the simulation."""
