@@ -11,6 +11,7 @@ from pixel2catch.camera.boxes import perturb_box
 from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.statistics import EpisodeStatistics
+from pixel2catch.envs.step import Observation, Step
 from pixel2catch.envs.world import NUM_ARM_JOINTS, CatchWorld
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.masks import assign, clone, select
@@ -46,44 +47,6 @@ class CatchEnvCfg:
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
     sensing: SensingCfg = field(default_factory=SensingCfg)
     episode: EpisodeCfg = field(default_factory=EpisodeCfg)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Observation:
-    """What the networks see.
-
-    Attributes:
-        policy: Observation of each agent, by name.
-        state: Input of every value network: all observations and what only the simulator knows.
-    """
-
-    policy: dict[str, Float[Tensor, "num_envs _"]]
-    state: Float[Tensor, "num_envs _"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Step:
-    """What one control step returned. Environments that ended have begun anew: `observation` is that of the beginning.
-
-    Attributes:
-        observation: What the networks see next.
-        rewards: Reward of each agent, by name.
-        terminated: Whether the episode ended, time-outs included (paper).
-        truncated: Never: a time-out is a termination.
-        record: The episodes up to this step, before any reset.
-        log: What happened within this step, likewise.
-        measurement: What the robot measured, of which `observation` was made.
-        joint_pos_target: The joint targets that were commanded [rad].
-    """
-
-    observation: Observation
-    rewards: dict[str, Float[Tensor, " num_envs"]]
-    terminated: Bool[Tensor, " num_envs"]
-    truncated: Bool[Tensor, " num_envs"]
-    record: EpisodeRecord
-    log: PhysicsLog
-    measurement: Measurement
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]
 
 
 class CatchEnv:
@@ -127,7 +90,7 @@ class CatchEnv:
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._episode = clone(self._draw_episode())
         self._senses = self._first_senses()
-        self._advance = self.world.simulation.record(self._advance, self._generator)
+        self._advance = self.world.simulation.record(self._control_step, self._generator)
         observation = self.reset()
         self.observation_sizes = {name: value.shape[1] for name, value in observation.policy.items()}
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
@@ -148,7 +111,8 @@ class CatchEnv:
             actions: Action of each agent by name, in [-1, 1]; what lies outside is clipped.
 
         Returns:
-            What happened. On CUDA its tensors are overwritten by the next step, but for `observation` and `rewards`.
+            What happened. On CUDA its tensors are overwritten by the next step, but for `observation` and
+            `rewards`.
         """
         action = torch.cat([actions[agent.name] for agent in self.method.agents], dim=-1)
         step = self._advance(action.clamp(-1.0, 1.0))
@@ -158,7 +122,7 @@ class CatchEnv:
         """Free the simulation."""
         self.world.close()
 
-    def _advance(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
+    def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
         """One control step on memory that stays where it is, so that a device can record and replay it."""
         target = self._action_map.joint_pos_target(
             self._disturbed(action), self._senses.history.now.joint_pos
@@ -236,7 +200,7 @@ class CatchEnv:
         self.world.forward(ended | is_released)
 
     def _sense(self, begun: Bool[Tensor, " num_envs"], command: "_Command", log: PhysicsLog) -> None:
-        """Look and measure after a control step; nothing of the episode before survives where one has begun."""
+        """Look and measure after a control step; nothing of an ended episode survives."""
         senses = self._senses
         detected, is_seen = self._detect()
         box = select(begun | is_seen, detected, senses.boxes.newest)

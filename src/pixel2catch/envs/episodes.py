@@ -110,8 +110,8 @@ class EpisodeRecord:
 
 
 FAILURES = ("never_reached", "bounced_off", "dropped", "not_held")
-"""Why an episode without success failed: the palm never came near; it came near and was never touched again within
-three control steps; it was touched longer and fell; time ran out with the object still up."""
+"""Why an episode without success failed: the palm never came near; it came near and was never touched again
+within three control steps; it was touched longer and fell; time ran out with the object still up."""
 
 
 def failure(record: EpisodeRecord) -> Int[Tensor, " num_envs"]:

@@ -45,7 +45,7 @@ class PhysicsLog(NamedTuple):
 
 
 class ContactColumns(NamedTuple):
-    """Columns of `sensordata` that hold the numbers of contacts and the least distances, in the order of `SENSORS`."""
+    """Columns of `sensordata` with the numbers of contacts and the least distances, in order of `SENSORS`."""
 
     found: slice
     dist: slice

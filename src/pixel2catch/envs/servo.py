@@ -12,7 +12,8 @@ EFFORT_MARGIN = 0.999
 """Share of a joint's effort limit that a servo asks for; at the limit itself MuJoCo clamps."""
 
 SPEED_MARGIN = 0.9
-"""Share of a joint's speed limit that a servo asks for; the rest is for the pull of the other joints (ours)."""
+"""Share of a joint's speed limit that a servo asks for; the rest is for the pull of the other joints
+(ours)."""
 
 FRICTION_SPEED = 0.1
 """Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""
@@ -62,10 +63,10 @@ class Servos:
     ) -> Float[Tensor, "num_envs num_joints"]:
         """The position command nearest to `command` that keeps the joint's speed and effort limits.
 
-        A servo whose damping d dominates moves at k / d times the distance of its command, so that distance bounds
-        the speed (the release relies on its simulator's speed limit, which MuJoCo does not have). The torque is
-        bounded here and not by MuJoCo's `forcerange`: while a force is clamped, MuJoCo treats its damping
-        explicitly, which is unstable at these gains and steps.
+        A servo whose damping d dominates moves at k / d times the distance of its command, so that distance
+        bounds the speed (the release relies on its simulator's speed limit, which MuJoCo does not have). The
+        torque is bounded here and not by MuJoCo's `forcerange`: while a force is clamped, MuJoCo treats its
+        damping explicitly, which is unstable at these gains and steps.
         """
         lead = SPEED_MARGIN * self.velocity_limit * state.damping / state.stiffness
         command = torch.clamp(command, state.joint_pos - lead, state.joint_pos + lead)
@@ -78,7 +79,7 @@ class Servos:
     ) -> Float[Tensor, "num_envs num_joints"]:
         """Torque of dry friction [N·m], as a smooth function of the speed.
 
-        Differs: MuJoCo's own `frictionloss` is a constraint, which doubles the time of a physics step here, for
-        torques that move a servo's rest position by less than 0.004 rad.
+        Differs: MuJoCo's own `frictionloss` is a constraint, which doubles the time of a physics step here,
+        for torques that move a servo's rest position by less than 0.004 rad.
         """
         return -self.frictionloss * torch.tanh(joint_vel / FRICTION_SPEED)

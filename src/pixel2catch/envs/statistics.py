@@ -73,7 +73,7 @@ class EpisodeStatistics:
         self._rewards += torch.cat((torch.ones_like(means[:1]), means))
 
     def pop(self) -> dict[str, float]:
-        """Rates and means since the last call, by name; NaN where nothing was counted. Waits for the device once."""
+        """Rates and means since the last call; NaN where nothing was counted. Waits for the device once."""
         buffers = (self._by_object, self._by_landing, self._maxima[None], self._rewards[None])
         packed = torch.cat([buffer.flatten() for buffer in buffers]).tolist()
         for buffer in buffers:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-import mujoco
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -17,7 +17,7 @@ from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
 from pixel2catch.mdp.throws import GRAVITY, Throw
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS, RGB_CAMERA
+from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, RGB_CAMERA
 from pixel2catch.robot.contact import contact_solref
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS, surface_points
@@ -33,7 +33,8 @@ NUM_SURFACE_POINTS = 64
 """Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""
 
 UNUSED_FIELDS = ("dof_M0", "dof_length")
-"""Fields that depend on the object but not on anything that is simulated here; MuJoCo Warp does not have them."""
+"""Fields that depend on the object but not on anything that is simulated here; MuJoCo Warp does not have
+them."""
 
 MASS_POWER = {
     "body_mass": 1,
@@ -107,7 +108,7 @@ class CatchWorld:
         return _snapshot(self._fields.qpos[:, :NUM_JOINTS])
 
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
-        """Put the masked robots at their start, with new dynamics, and let a new object hover at its release point."""
+        """Put the masked robots at their start, with new dynamics, and let a new object hover."""
         self._set_object(mask, parameters)
         self._set_gains(mask, parameters)
         joints = self._joints
@@ -133,7 +134,7 @@ class CatchWorld:
         self.simulation.forward(mask)
 
     def run(self, joint_pos_target: Float[Tensor, "num_envs num_joints"]) -> PhysicsLog:
-        """Simulate one control step; the servos ramp their commands linearly to the target (a first-order hold)."""
+        """Simulate one control step; the commands ramp linearly to the target (a first-order hold)."""
         fields = self._fields
         increment = (joint_pos_target.to(self._command) - self._command) / self._decimation
         log = None
@@ -175,7 +176,7 @@ class CatchWorld:
     def surface_points(
         self,
     ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
-        """Surface points of the object in the world frame [m], and which of them the robot and the table do not hide."""
+        """Surface points of the object, world frame [m], and which of them robot and table do not hide."""
         body = self.objects.indices.body
         rotation = _snapshot(self._fields.xmat[:, body]).view(-1, 3, 3)
         points = torch.baddbmm(
@@ -207,7 +208,7 @@ class CatchWorld:
         friction.copy_(select(mask, parameters.friction.to(friction)[:, None].expand_as(friction), friction))
 
     def _set_gains(self, mask: Tensor, parameters: EpisodeParameters) -> None:
-        """Stiffness and damping of the joint servos: torque = stiffness (target - position) - damping speed."""
+        """Stiffness and damping of the servos: torque = stiffness (target - position) - damping speed."""
         stiffness = self._joints.stiffness * parameters.stiffness_scale
         damping = self._joints.damping * parameters.damping_scale
         gainprm, biasprm = (
@@ -263,5 +264,5 @@ class _JointTensors:
 
 
 def _snapshot(live: Tensor) -> Tensor:
-    """A float32 copy: on the GPU, where the simulation is float32 itself, a cast alone would follow the simulation."""
+    """A float32 copy: where the simulation is float32 itself, a cast alone would follow the simulation."""
     return live.to(torch.float32, copy=True)

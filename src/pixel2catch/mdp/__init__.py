@@ -1,1 +1,1 @@
-"""The catching task as pure functions of snapshots: throws, sensing, observations, actions, rewards, endings."""
+"""The catching task as pure functions of snapshots."""

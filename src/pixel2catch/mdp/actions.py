@@ -1,7 +1,7 @@
 """From actions in [-1, 1] to joint position targets: one affine map for arm and hand, with other numbers.
 
-Arm: the action is added to the measured joint position (paper, Sec. IV-D). Hand: the action, rescaled to the joint
-limits, is the target.
+Arm: the action is added to the measured joint position (paper, Sec. IV-D). Hand: the action, rescaled to the
+joint limits, is the target.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from pixel2catch.robot.constants import CONTROL_DT, JointSpec
 
 @dataclass(frozen=True, kw_only=True)
 class JointCommand:
-    """How one joint's action becomes its target: `anchor * position + offset + scale * action`, within the limits.
+    """How an action becomes a target: `anchor * position + offset + scale * action`, within the limits.
 
     Attributes:
         anchor: 1 if the action is relative to the measured position, 0 if it is absolute.
@@ -35,8 +35,8 @@ class JointCommand:
 def relative_command(joint: JointSpec) -> JointCommand:
     """Targets relative to the measured position; action 1 is the joint's speed limit in steady motion.
 
-    A servo with stiffness k and damping d, heavily damped, moves at k / d times the distance of its command. The
-    target is reached by a ramp over the control step T, so in steady motion at speed v it is v (d / k + T) ahead.
+    A servo with stiffness k and damping d, heavily damped, moves at k / d times the distance of its command.
+    The target is reached by a ramp over the control step T, so at a steady speed v it is v (d / k + T) ahead.
 
     Source: paper (added to the current joint positions); the scale is ours: the paper gives none.
     Differs: the release adds up to 0.05 rad to the previous target in each of four physics steps.

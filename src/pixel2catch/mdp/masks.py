@@ -1,5 +1,6 @@
 """Choosing between and copying dataclasses of tensors, without asking the device anything."""
 
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
@@ -7,42 +8,32 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-T = TypeVar("T", bound=Any)
+T = TypeVar("T")
 
 
 def select(mask: Bool[Tensor, " num_envs"], new: T, old: T) -> T:
-    """A tensor, or a dataclass or tuple of them, that is `new` in the masked environments and `old` in the others."""
-    if isinstance(new, Tensor):
-        return torch.where(mask.view(-1, *(1,) * (new.ndim - 1)), new, old)
-    if is_dataclass(new):
-        names = [field.name for field in fields(new)]
-        return type(new)(**{name: select(mask, getattr(new, name), getattr(old, name)) for name in names})
-    return type(new)(*(select(mask, a, b) for a, b in zip(new, old, strict=True)))
-
-
-def assign(target: T, source: T) -> None:
-    """Copy every tensor of `source` into that of `target`, whose memory stays where it is."""
-    for old, new in zip(tensors(target), tensors(source), strict=True):
-        old.copy_(new)
+    """Tensors, or dataclasses or tuples of them: `new` in the masked environments, `old` in the others."""
+    return _map(lambda a, b: torch.where(mask.view(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
 
 
 def clone(value: T) -> T:
     """The same values in memory of their own."""
-    if isinstance(value, Tensor):
-        return value.clone()
-    if is_dataclass(value):
-        return type(value)(**{field.name: clone(getattr(value, field.name)) for field in fields(value)})
-    if isinstance(value, dict):
-        return {name: clone(item) for name, item in value.items()}
-    return type(value)(*(clone(item) for item in value))
+    return _map(torch.clone, value)
 
 
-def tensors(value: object) -> list[Tensor]:
-    """Every tensor in a dataclass, tuple or dictionary of them, in a fixed order."""
-    if isinstance(value, Tensor):
-        return [value]
-    if is_dataclass(value):
-        value = [getattr(value, field.name) for field in fields(value)]
-    elif isinstance(value, dict):
-        value = list(value.values())
-    return [tensor for item in value for tensor in tensors(item)]
+def assign(target: T, source: T) -> None:
+    """Copy every tensor of `source` into that of `target`, whose memory stays where it is."""
+    _map(lambda old, new: old.copy_(new), target, source)
+
+
+def _map(function: Callable[..., Tensor], *values: Any) -> Any:
+    """Apply a function to the corresponding tensors of values of one structure."""
+    first = values[0]
+    if isinstance(first, Tensor):
+        return function(*values)
+    if is_dataclass(first):
+        names = [field.name for field in fields(first)]
+        return type(first)(**{name: _map(function, *(getattr(v, name) for v in values)) for name in names})
+    if isinstance(first, dict):
+        return {name: _map(function, *(value[name] for value in values)) for name in first}
+    return type(first)(*(_map(function, *items) for items in zip(*values, strict=True)))

@@ -104,5 +104,5 @@ def sample_parameters(
 
 @lru_cache(maxsize=8)
 def by_joint(arm: float, hand: float, device: torch.device) -> Float[Tensor, " num_joints"]:
-    """One value for every arm joint and another for every hand joint, in joint order; copied to the device once."""
+    """One value for every arm joint and one for every hand joint, in joint order; copied only once."""
     return torch.cat((torch.full((len(ARM_JOINTS),), arm), torch.full((len(HAND_JOINTS),), hand))).to(device)

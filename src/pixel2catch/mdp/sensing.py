@@ -23,10 +23,11 @@ class SensingCfg:
         corner_noise: Largest error of each edge of the box, uniform [px] (Source: paper).
         latency_steps: Control steps between image and delivered box, first and last of the draw per episode
             (Source: release).
-        joint_noise: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation noise).
+        joint_noise: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation
+            noise).
         joint_bias: Standard deviation of their error in an episode [rad] (Source: release).
-        least_visible: Share of the object's surface points that must be visible for a detection (Source: ours, see
-            `benchmarks/box_error.py`).
+        least_visible: Share of the object's surface points that must be visible for a detection (Source:
+            ours, see `benchmarks/box_error.py`).
     """
 
     corner_noise: float = 5.0

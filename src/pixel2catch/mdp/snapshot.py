@@ -1,7 +1,7 @@
 """One control step as data: what the robot can measure, what only the simulator knows, and what changed.
 
-Policy inputs are computed from `Measurement` alone; value networks and rewards may also see `Privileged`. The split is
-a type, so that no policy can be given what a real robot does not have.
+Policy inputs are computed from `Measurement` alone; value networks and rewards may also see `Privileged`.
+The split is a type, so that no policy can be given what a real robot does not have.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Measurement:
 
 
 class History(NamedTuple):
-    """Three consecutive measurements: two observation frames, each with a difference to the step before it."""
+    """Three consecutive measurements: two frames, each with a difference to the step before it."""
 
     oldest: Measurement
     before: Measurement

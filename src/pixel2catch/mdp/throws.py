@@ -1,4 +1,7 @@
-"""Throws: where the object hovers, and the ballistic flight that follows. Source: release, unless a line says otherwise."""
+"""Throws: where the object hovers, and the ballistic flight that follows.
+
+Source: release, unless a line says otherwise.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -82,7 +85,7 @@ def sample_throws(cfg: ThrowCfg, num_envs: int, generator: torch.Generator) -> T
 def launch_velocity(
     pos: Float[Tensor, "num_envs 3"], aim: Float[Tensor, "num_envs 3"], peak: Float[Tensor, " num_envs"]
 ) -> Float[Tensor, "num_envs 3"]:
-    """Velocity at `pos` of the ballistic path that peaks at height `peak` and comes down through `aim` [m/s]."""
+    """Velocity at `pos` of the path that peaks at height `peak` and comes down through `aim` [m/s]."""
     rise = torch.sqrt(2.0 * (peak - pos[:, 2]) / GRAVITY)
     fall = torch.sqrt(2.0 * (peak - aim[:, 2]) / GRAVITY)
     horizontal = (aim[:, :2] - pos[:, :2]) / (rise + fall)[:, None]

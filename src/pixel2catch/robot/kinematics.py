@@ -22,11 +22,12 @@ from pixel2catch.robot.constants import (
     Vec3,
 )
 
-
 HOME_SIDE: Quat = (0.0, -0.78, 0.0, -0.63)
-"""A quaternion near the palm's at the start pose; of q and -q, which are one rotation, the one on its side is returned.
+"""A quaternion near the palm's at the start pose; of q and -q, which are one rotation, the one on its side
+is returned.
 
-Differs: paper and release return w >= 0. At the start pose w is 0, so that noise alone would flip all four numbers.
+Differs: paper and release return w >= 0. At the start pose w is 0, so that noise alone would flip all four
+numbers.
 """
 
 

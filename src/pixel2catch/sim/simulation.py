@@ -8,8 +8,8 @@
         ctrl[:] = targets
         simulation.step()           # one physics step; every bound field is current again
 
-`mujoco.batch` computes in float64 on the CPU, MuJoCo Warp in float32 on the GPU: `dtype` says which, and callers cast
-once, where they take a snapshot.
+`mujoco.batch` computes in float64 on the CPU, MuJoCo Warp in float32 on the GPU: `dtype` says which, and
+callers cast once, where they take a snapshot.
 """
 
 from abc import ABC, abstractmethod
@@ -57,8 +57,8 @@ class Simulation(ABC):
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:
         """Live tensor of an `MjData` field, named and shaped as in MuJoCo.
 
-        `qpos`, `qvel`, `ctrl` and `qacc_warmstart` are the state: a write takes effect at the next call. Every other
-        field is an output.
+        `qpos`, `qvel`, `ctrl` and `qacc_warmstart` are the state: a write takes effect at the next call.
+        Every other field is an output.
         """
 
     @abstractmethod
@@ -84,7 +84,7 @@ class Simulation(ABC):
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
     ) -> Float[Tensor, "num_envs num_rays"]:
-        """Distance to the nearest geom along each ray, in units of the direction's length; -1 where nothing is hit.
+        """Distance to the nearest geom along each ray in units of the direction's length, -1 for a miss.
 
         Args:
             origin: Common origin of all rays, world frame [m].
@@ -103,13 +103,13 @@ class Simulation(ABC):
             generator: What it draws from.
 
         Returns:
-            The function itself, or a recording of its work on the device: then its results are overwritten by the
-            next call.
+            The function itself, or a recording of its work on the device: then its results are overwritten
+            by the next call.
         """
 
     @abstractmethod
     def check(self) -> None:
-        """Raise if the back end lost contacts or constraints since the last check (synchronises with the host)."""
+        """Raise if contacts or constraints were lost since the last check; waits for the device."""
 
     @abstractmethod
     def close(self) -> None:

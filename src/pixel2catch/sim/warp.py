@@ -1,7 +1,7 @@
 """The GPU back end: MuJoCo Warp, float32, each physics step one CUDA graph.
 
-Nothing here copies to the host inside a step. PyTorch and Warp work on the same stream, so that tensors written by one
-are read by the other in order.
+Nothing here copies to the host inside a step. PyTorch and Warp work on the same stream, so that tensors
+written by one are read by the other in order.
 """
 
 import copy
@@ -21,10 +21,12 @@ from pixel2catch.errors import NonFiniteError
 from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
 
 CONTACTS_PER_ENV = 40
-"""Contacts to allocate per environment, shared by all (ours: twice the mean of the busiest step of a trained policy)."""
+"""Contacts to allocate per environment, shared by all (ours: twice the mean of the busiest step of a trained
+policy)."""
 
 CONSTRAINTS_PER_ENV = 160
-"""Constraint rows to allocate per environment (ours: 19 joint frictions, 19 limits, 3 per contact, with room)."""
+"""Constraint rows to allocate per environment (ours: 19 joint frictions, 19 limits, 3 per contact, with
+room)."""
 
 _HARMLESS = int(mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS)
 
@@ -89,7 +91,7 @@ class WarpSimulation(Simulation):
     def record(
         self, function: Callable[[Tensor], Result], generator: torch.Generator
     ) -> Callable[[Tensor], Result]:
-        """A CUDA graph of the function, captured at the second call; the first runs it, which compiles its kernels."""
+        """A CUDA graph of the function, captured at the second call; the first compiles its kernels."""
         return _Recording(function, generator) if self._device.is_cuda else function
 
     def check(self) -> None:
@@ -116,7 +118,7 @@ class WarpSimulation(Simulation):
             mjw.step1(self._model, self._data)
 
     def _capture(self) -> wp.Graph:
-        """Record one physics step; it runs once before, so that every kernel is compiled, and is then undone."""
+        """Record one physics step; before, it runs once to compile every kernel, and is undone."""
         state = {name: self.bind(name).clone() for name in ("qpos", "qvel", "qacc_warmstart", "time")}
         self._step()
         for name, value in state.items():
