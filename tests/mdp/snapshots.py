@@ -1,0 +1,73 @@
+"""Snapshots to test terms with: everything is zero but for what a test sets."""
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pixel2catch.agents import JOINTS
+from pixel2catch.mdp.snapshot import Measurement, Privileged, Transition
+
+NUM_JOINTS = len(JOINTS)
+
+
+def numbers(num_envs: int, size: int, start: float) -> Tensor:
+    """start, start + 1, ... along a row, and 100 more in each further environment."""
+    return start + torch.arange(size, dtype=torch.float32) + 100.0 * torch.arange(num_envs)[:, None]
+
+
+def measurement(num_envs: int = 1, start: float = 0.0) -> Measurement:
+    """A measurement in which every number is another one; `start` marks the control step."""
+    return Measurement(
+        box=numbers(num_envs, 4, start + 1000.0),
+        joint_pos=numbers(num_envs, NUM_JOINTS, start + 2000.0),
+        joint_pos_target=numbers(num_envs, NUM_JOINTS, start + 3000.0),
+        palm_pos=numbers(num_envs, 3, start + 4000.0),
+        palm_quat=numbers(num_envs, 4, start + 5000.0),
+        action=numbers(num_envs, NUM_JOINTS, start + 6000.0),
+    )
+
+
+def privileged(**values: Tensor) -> Privileged:
+    """What only the simulator knows, in as many environments as the given values have."""
+    num_envs = len(next(iter(values.values()))) if values else 1
+    fields = {
+        "palm_pos": torch.zeros(num_envs, 3),
+        "fingertip_pos": torch.zeros(num_envs, 4, 3),
+        "object_pos": torch.tensor([1.0, 0.0, 1.0]).repeat(num_envs, 1),
+        "object_lin_vel": torch.zeros(num_envs, 3),
+        "is_touching": torch.zeros(num_envs, 5, dtype=torch.bool),
+        "is_robot_on_table": torch.zeros(num_envs, dtype=torch.bool),
+    }
+    return Privileged(**fields | values)
+
+
+def transition(
+    before: Privileged | None = None,
+    now: Privileged | None = None,
+    *,
+    action: Tensor | None = None,
+    held_steps: tuple[int, ...] | None = None,
+    episode_steps: tuple[int, ...] | None = None,
+) -> Transition:
+    """A control step after which nothing is held, unless told otherwise."""
+    now = now or privileged()
+    num_envs = len(now.object_pos)
+    return Transition(
+        before=before or now,
+        now=now,
+        action=torch.zeros(num_envs, NUM_JOINTS) if action is None else action,
+        held_steps=torch.tensor(held_steps or (0,) * num_envs),
+        episode_steps=torch.tensor(episode_steps or (1,) * num_envs),
+    )
+
+
+def tensors(value: Any) -> list[Tensor]:
+    """Every tensor in dataclasses, tuples and dictionaries of them, in a fixed order."""
+    if isinstance(value, Tensor):
+        return [value]
+    if is_dataclass(value):
+        return [item for field in fields(value) for item in tensors(getattr(value, field.name))]
+    items = value.values() if isinstance(value, dict) else value
+    return [tensor for item in items for tensor in tensors(item)]

@@ -1,0 +1,130 @@
+"""Observations: sizes, layout, and that every difference comes from (before, now)."""
+
+import itertools
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from snapshots import NUM_JOINTS, measurement, privileged, tensors
+
+from pixel2catch.agents import ARM, HAND, AgentSpec
+from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features, select_features
+from pixel2catch.mdp import observations
+from pixel2catch.mdp.observations import Frame, observe, pixel_columns, privileged_state
+from pixel2catch.mdp.snapshot import History
+from pixel2catch.methods import METHODS, Method
+from pixel2catch.robot.constants import RGB_CAMERA
+
+PROPOSED = METHODS["proposed"]
+OLDEST, BEFORE, NOW = (measurement(2, start) for start in (0.0, 0.25, 0.75))
+HISTORY = History(OLDEST, BEFORE, NOW)
+
+SIZES = {
+    "proposed": {"arm": 50, "hand": 78},
+    "journal": {"arm": 2 * (25 + 3 + 6), "hand": 2 * (39 + 3 + 13)},
+    "only_wh": {"arm": 46, "hand": 74},
+    "only_center": {"arm": 46, "hand": 74},
+    "single_agent": {"robot": 2 * (6 + 7 + 19 + 19)},
+}
+
+
+def observation(agent: AgentSpec, method: Method, history: History = HISTORY) -> torch.Tensor:
+    return observe(agent.observation, agent.joints, pixel_columns(method.pixel_features), history)
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_sizes(method: Method):
+    """Twice 25 for the arm and twice 39 for the hand, as the paper counts; the others follow."""
+    assert {agent.name: observation(agent, method).shape[1] for agent in method.agents} == SIZES[method.name]
+
+
+@pytest.mark.parametrize("agent", [ARM, HAND], ids=lambda agent: agent.name)
+def test_layout(agent: AgentSpec):
+    """Per frame z_pixel, palm position, palm quaternion, joints, last action; the older frame first."""
+    frames = []
+    for before, now in itertools.pairwise(HISTORY):
+        z = select_features(pixel_features(before.box, now.box, RGB_CAMERA), PROPOSED.pixel_features)
+        own = agent.joints
+        frames += [z, now.palm_pos, now.palm_quat, now.joint_pos[:, own], now.action[:, own]]
+    assert torch.equal(observation(agent, PROPOSED), torch.cat(frames, dim=-1))
+
+
+def test_pixel_features_by_hand():
+    """Centre (320, 120) of 640 x 480 after (310, 115); size (32, 24) after (20, 30)."""
+    first = measurement()
+    before = torch.tensor([[300.0, 100.0, 320.0, 130.0]])
+    now = torch.tensor([[304.0, 108.0, 336.0, 132.0]])
+    frame = Frame(
+        before=type(first)(**{**vars(first), "box": before}),
+        now=type(first)(**{**vars(first), "box": now}),
+        joints=ARM.joints,
+        pixel_columns=pixel_columns(PROPOSED.pixel_features),
+    )
+    expected = torch.tensor([[0.5, 0.25, 10.0, 5.0, 12.0, -6.0]])
+    torch.testing.assert_close(observations.pixels(frame), expected)
+
+
+def test_journal_adds_palm_displacement_and_targets():
+    arm = METHODS["journal"].agents[0]
+    older, newer = observation(arm, METHODS["journal"])[:, :68].split(34, dim=-1)
+    for row, before, now in ((older, OLDEST, BEFORE), (newer, BEFORE, NOW)):
+        torch.testing.assert_close(row[:, 25:28], now.palm_pos - before.palm_pos)
+        assert torch.equal(row[:, 28:], now.joint_pos_target[:, :6])
+        assert row[:, 25:28].abs().min() > 0  # the release's palm displacement is always zero
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_a_robot_at_rest_has_no_differences(method: Method):
+    """With three equal measurements both frames are equal, and every difference is zero."""
+    for agent in method.agents:
+        older, newer = observation(agent, method, History(NOW, NOW, NOW)).chunk(2, dim=-1)
+        assert torch.equal(older, newer)
+        names = method.pixel_features
+        differences = [column for column, name in enumerate(names) if name.startswith("d")]
+        assert not newer[:, differences].any()
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_the_second_frame_becomes_the_first(method: Method):
+    later = History(BEFORE, NOW, measurement(2, 5.0))
+    for agent in method.agents:
+        size = observation(agent, method).shape[1] // 2
+        assert torch.equal(observation(agent, method)[:, size:], observation(agent, method, later)[:, :size])
+
+
+@given(st.integers(0, 1), st.floats(-10.0, 10.0, width=32))
+def test_environments_do_not_see_each_other(env, change):
+    """Whatever changes in one environment, the other's observation stays."""
+    changed = measurement(2, 0.75)
+    for tensor in tensors(changed):
+        tensor[env] += change
+    for agent in PROPOSED.agents:
+        rows = observation(agent, PROPOSED, History(OLDEST, BEFORE, changed))
+        assert torch.equal(rows[1 - env], observation(agent, PROPOSED)[1 - env])
+
+
+def test_agents_share_pixels_and_palm_but_no_joints():
+    arm, hand = (observation(agent, PROPOSED)[:, size:] for agent, size in ((ARM, 25), (HAND, 39)))
+    assert torch.equal(arm[:, :13], hand[:, :13])
+    both = torch.cat((arm[:, 13:19], hand[:, 13:26]), dim=-1)
+    assert torch.equal(both, NOW.joint_pos)
+    assert both.shape[1] == NUM_JOINTS
+
+
+def test_columns_follow_the_names():
+    assert pixel_columns(PIXEL_FEATURES) == tuple(range(len(PIXEL_FEATURES)))
+    assert pixel_columns(("dh", "cx")) == (7, 0)
+
+
+def test_privileged_state_by_hand():
+    before = privileged(object_pos=torch.tensor([[1.0, 2.0, 3.0]]))
+    now = privileged(
+        object_pos=torch.tensor([[1.5, 2.0, 2.0]]),
+        palm_pos=torch.tensor([[0.5, 0.0, 1.0]]),
+        object_lin_vel=torch.tensor([[7.0, 8.0, 9.0]]),
+        is_touching=torch.tensor([[True, False, False, True, False]]),
+        is_robot_on_table=torch.tensor([True]),
+    )
+    expected = [1, 2, 3, 1.5, 2, 2, 0.5, 0, -1, 1, 2, 1, 7, 8, 9, 1, 0, 0, 1, 0, 1]
+    assert privileged_state(before, now)[0].tolist() == expected

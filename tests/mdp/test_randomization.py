@@ -1,0 +1,120 @@
+"""Draws of an episode: the ranges of the paper's Table I."""
+
+import dataclasses
+
+import pytest
+import torch
+from snapshots import tensors
+
+from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, by_joint, sample_parameters
+from pixel2catch.mdp.sensing import SensingCfg
+
+NUM_ARM = 6
+OBJECT_IDS = torch.tensor([2, 5, 11])
+
+
+def drawn(
+    cfg: RandomizationCfg | None = None,
+    sensing: SensingCfg | None = None,
+    num_envs: int = 4000,
+    seed: int = 0,
+) -> EpisodeParameters:
+    generator = torch.Generator().manual_seed(seed)
+    return sample_parameters(
+        cfg or RandomizationCfg(), sensing or SensingCfg(), OBJECT_IDS, num_envs, generator
+    )
+
+
+def test_numbers_of_table_1():
+    assert dataclasses.asdict(RandomizationCfg()) == {
+        "arm_gain_scale": (0.8, 1.2),
+        "hand_gain_scale": (0.7, 1.3),
+        "arm_action_noise": 0.03,
+        "hand_action_noise": 0.02,
+        "arm_action_bias": 0.01,
+        "hand_action_bias": 0.005,
+        "initial_joint_noise": 0.125,
+        "mass_scale": (0.5, 1.5),
+        "restitution": (0.0, 0.5),
+        "friction": (0.5, 1.5),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "low", "high"),
+    [
+        ("stiffness_scale", slice(0, NUM_ARM), 0.8, 1.2),
+        ("stiffness_scale", slice(NUM_ARM, None), 0.7, 1.3),
+        ("damping_scale", slice(0, NUM_ARM), 0.8, 1.2),
+        ("damping_scale", slice(NUM_ARM, None), 0.7, 1.3),
+        ("joint_offset", slice(None), -0.125, 0.125),
+        ("mass_scale", None, 0.5, 1.5),
+        ("restitution", None, 0.0, 0.5),
+        ("friction", None, 0.5, 1.5),
+    ],
+)
+def test_uniform_draws_fill_their_ranges(name, columns, low, high):
+    values = getattr(drawn(), name)
+    values = values[:, None] if columns is None else values[:, columns]
+    width = high - low
+    assert (values.amin(dim=0) >= low - 1e-6).all()
+    assert (values.amin(dim=0) < low + 0.01 * width).all()
+    assert (values.amax(dim=0) <= high + 1e-6).all()
+    assert (values.amax(dim=0) > high - 0.01 * width).all()
+    torch.testing.assert_close(
+        values.std(dim=0), torch.full((values.shape[1],), width / 12**0.5), rtol=0.05, atol=0
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "arm", "hand"), [("action_bias", 0.01, 0.005), ("joint_bias", 0.001, 0.001)]
+)
+def test_gaussian_draws_have_their_deviations(name, arm, hand):
+    values = getattr(drawn(), name)
+    expected = torch.tensor([arm] * 6 + [hand] * 13)
+    torch.testing.assert_close(values.std(dim=0), expected, rtol=0.06, atol=0)
+    assert (values.mean(dim=0).abs() < 4 * expected / 4000**0.5).all()
+
+
+def test_stiffness_and_damping_are_drawn_apart():
+    parameters = drawn()
+    draws = torch.cat((parameters.stiffness_scale, parameters.damping_scale), dim=-1)
+    correlation = torch.corrcoef(draws.T) - torch.eye(draws.shape[1])
+    assert correlation.abs().max() < 0.08
+
+
+def test_every_object_is_thrown_as_often():
+    counts = torch.bincount(drawn().object_id, minlength=12)
+    assert counts.nonzero()[:, 0].tolist() == OBJECT_IDS.tolist()
+    assert counts[OBJECT_IDS].min() > 4000 / 3 * 0.9
+
+
+@pytest.mark.parametrize("steps", [(1, 2), (0, 0), (3, 3)])
+def test_latency_takes_every_value_of_its_range(steps):
+    latency = drawn(sensing=SensingCfg(latency_steps=steps)).latency
+    assert set(latency.tolist()) == set(range(steps[0], steps[1] + 1))
+
+
+def test_randomization_can_be_switched_off():
+    one = (1.0, 1.0)
+    cfg = RandomizationCfg(
+        arm_gain_scale=one, hand_gain_scale=one, arm_action_bias=0.0, hand_action_bias=0.0,
+        initial_joint_noise=0.0, mass_scale=one, restitution=(0.2, 0.2), friction=one,
+    )  # fmt: skip
+    parameters = drawn(cfg, SensingCfg(joint_bias=0.0), num_envs=3)
+    for scale in (parameters.stiffness_scale, parameters.damping_scale, parameters.mass_scale):
+        assert (scale == 1.0).all()
+    for error in (parameters.action_bias, parameters.joint_bias, parameters.joint_offset):
+        assert not error.any()
+    torch.testing.assert_close(parameters.restitution, torch.full((3,), 0.2))
+
+
+def test_a_seed_gives_its_draws_again():
+    first, again, other = drawn(seed=1), drawn(seed=1), drawn(seed=2)
+    assert all(torch.equal(a, b) for a, b in zip(tensors(first), tensors(again), strict=True))
+    assert not torch.equal(first.mass_scale, other.mass_scale)
+
+
+def test_values_by_joint():
+    values = by_joint(2.0, 3.0, torch.device("cpu"))
+    assert values.tolist() == [2.0] * 6 + [3.0] * 13

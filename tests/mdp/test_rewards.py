@@ -1,0 +1,171 @@
+"""Reward terms by hand, and the agents' sums as the paper's Eq. 3 and 4."""
+
+import itertools
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from snapshots import NUM_JOINTS, privileged, transition
+from torch import Tensor
+
+from pixel2catch.agents import ARM, HAND, AgentSpec
+from pixel2catch.mdp import rewards
+from pixel2catch.mdp.rewards import RewardTerm, term_values
+from pixel2catch.mdp.snapshot import Transition
+
+ANY = slice(0, NUM_JOINTS)
+
+
+def at(*positions: tuple[float, float, float]) -> Tensor:
+    return torch.tensor(positions)
+
+
+def reward(agent: AgentSpec, step: Transition) -> Tensor:
+    return agent.reward_terms(step).sum(dim=-1)
+
+
+def test_palm_approach_by_hand():
+    """A 3-4-5 triangle before, 1 m apart now: 5 - 1."""
+    before = privileged(object_pos=at((3.0, 0.0, 5.0)), palm_pos=at((0.0, 4.0, 5.0)))
+    now = privileged(object_pos=at((0.0, 0.0, 1.0)), palm_pos=at((0.0, 0.0, 0.0)))
+    assert rewards.palm_approach(transition(before, now), ANY).tolist() == [4.0]
+    assert rewards.palm_approach(transition(now, before), ANY).tolist() == [-4.0]
+
+
+def test_fingertips_approach_by_hand():
+    """Distances 1, 2, 3, 4 m become 1, 1, 1, 2: 0 + 1 + 2 + 2."""
+    tips = torch.zeros(1, 4, 3)
+    tips[0, :, 0] = torch.tensor([1.0, 2.0, 3.0, 4.0])
+    closer = torch.zeros(1, 4, 3)
+    closer[0, :, 1] = torch.tensor([1.0, -1.0, 1.0, 2.0])
+    origin = at((0.0, 0.0, 0.0))
+    step = transition(
+        privileged(object_pos=origin, fingertip_pos=tips), privileged(object_pos=origin, fingertip_pos=closer)
+    )
+    assert rewards.fingertips_approach(step, ANY).tolist() == [5.0]
+
+
+def test_elapsed_time_is_one_per_step():
+    now = privileged(object_pos=torch.ones(3, 3))
+    assert rewards.elapsed_time(transition(now=now), ANY).tolist() == [1.0, 1.0, 1.0]
+
+
+def test_success_is_paid_once_per_hold():
+    now = privileged(object_pos=torch.ones(4, 3))
+    step = transition(now=now, held_steps=(0, 19, 20, 21))
+    assert rewards.success(step, ANY).tolist() == [0.0, 0.0, 1.0, 0.0]
+
+
+def test_nearness_is_paid_within_eight_centimetres():
+    now = privileged(object_pos=at((0.0, 0.0, 0.079), (0.0, 0.0, 0.081)))
+    assert rewards.nearness(transition(now=now), ANY).tolist() == [1.0, 0.0]
+
+
+def test_drop_by_height_and_by_passing_the_robot():
+    now = privileged(object_pos=at((1.0, 0.0, 0.46), (1.0, 0.0, 0.44), (0.04, 0.0, 1.0), (0.02, 0.0, 1.0)))
+    assert rewards.drop(transition(now=now), ANY).tolist() == [0.0, 1.0, 0.0, 1.0]
+
+
+def test_table_contact():
+    now = privileged(is_robot_on_table=torch.tensor([True, False]))
+    assert rewards.table_contact(transition(now=now), ANY).tolist() == [1.0, 0.0]
+
+
+def test_action_square_is_of_the_agents_own_joints():
+    action = torch.zeros(1, NUM_JOINTS)
+    action[0, :3] = torch.tensor([1.0, -2.0, 3.0])
+    action[0, 10] = 5.0
+    step = transition(action=action)
+    assert rewards.action_square(step, slice(0, 6)).tolist() == [14.0]
+    assert rewards.action_square(step, slice(6, 19)).tolist() == [25.0]
+
+
+def test_grasp_is_the_share_of_touching_parts():
+    touching = torch.tensor([[True, False, True, False, False], [False] * 5])
+    assert rewards.grasp(transition(now=privileged(is_touching=touching)), ANY).tolist() == [
+        pytest.approx(0.4),
+        0.0,
+    ]
+
+
+def eventful_step() -> Transition:
+    """A hold completes while the object is low; the palm gains 0.5 m, each fingertip 1 m."""
+    origin, low = at((0.0, 0.0, 0.0)), at((1.0, 0.0, 0.4))
+    tips = low[:, None].expand(1, 4, 3)
+    before = privileged(
+        object_pos=low, palm_pos=low + at((0.55, 0.0, 0.0)), fingertip_pos=tips + at((0.0, 0.0, 1.0))[:, None]
+    )
+    now = privileged(
+        object_pos=low + origin,
+        palm_pos=low + at((0.05, 0.0, 0.0)),
+        fingertip_pos=tips.clone(),
+        is_robot_on_table=torch.tensor([True]),
+    )
+    action = torch.cat((torch.full((1, 6), 0.5), torch.full((1, 13), -1.0)), dim=-1)
+    return transition(before, now, action=action, held_steps=(20,))
+
+
+def test_arm_reward_is_equation_3():
+    """r_time + r_palm + 10 succ + 0.1 app - 5 (drop + coll) - 0.01 |a|^2."""
+    expected = -0.01 + 0.5 + 10 * 1 + 0.1 * 1 - 5 * (1 + 1) - 0.01 * 6 * 0.25
+    assert reward(ARM, eventful_step()).item() == pytest.approx(expected, abs=1e-6)
+
+
+def test_hand_reward_is_equation_4():
+    """(r_palm + r_fingertips) / 5 + 10 succ - 5 (drop + coll) - 0.01 |a|^2."""
+    expected = (0.5 + 4 * 1.0) / 5 + 10 * 1 - 5 * (1 + 1) - 0.01 * 13
+    assert reward(HAND, eventful_step()).item() == pytest.approx(expected, abs=1e-6)
+
+
+def test_weights_are_the_papers():
+    weights = {
+        agent.name: {term.name: term.weight for part in agent.parts for term in part.reward}
+        for agent in (ARM, HAND)
+    }
+    common = {"success": 10.0, "drop": -5.0, "table_contact": -5.0, "action_square": -0.01}
+    assert weights == {
+        "arm": {**common, "elapsed_time": -0.01, "palm_approach": 1.0, "nearness": 0.1},
+        "hand": {**common, "palm_approach": 1 / 5, "fingertips_approach": 1 / 5},
+    }
+
+
+@given(st.integers(0, 2**31), st.integers(0, 25))
+def test_single_agents_reward_is_the_sum_of_both(seed, held_steps):
+    generator = torch.Generator().manual_seed(seed)
+    snapshots = [
+        privileged(
+            object_pos=torch.randn(3, 3, generator=generator),
+            fingertip_pos=torch.randn(3, 4, 3, generator=generator),
+            is_robot_on_table=torch.rand(3, generator=generator) < 0.5,
+        )
+        for _ in range(2)
+    ]
+    action = torch.randn(3, NUM_JOINTS, generator=generator)
+    step = transition(*snapshots, action=action, held_steps=(held_steps,) * 3)
+    torch.testing.assert_close(reward(ARM + HAND, step), reward(ARM, step) + reward(HAND, step))
+
+
+@given(st.lists(st.floats(-2.0, 2.0, width=32), min_size=12, max_size=12))
+def test_approaches_of_a_path_sum_to_its_ends(coordinates):
+    """The sum over d(t-1) - d(t) is first minus last distance: no policy gains by going to and fro."""
+    path = [privileged(object_pos=row[None]) for row in torch.tensor(coordinates).view(-1, 3)]
+    steps = [transition(before, now) for before, now in itertools.pairwise(path)]
+    total = sum(rewards.palm_approach(step, ANY) for step in steps)
+    ends = rewards.palm_approach(transition(path[0], path[-1]), ANY)
+    torch.testing.assert_close(total, ends, atol=1e-5, rtol=0)
+
+
+def test_terms_are_weighted_columns_in_order():
+    terms = (
+        RewardTerm(function=rewards.elapsed_time, weight=-3.0),
+        RewardTerm(function=rewards.success, weight=2.0),
+    )
+    step = transition(held_steps=(20,))
+    assert term_values(terms, ANY, step).tolist() == [[-3.0, 2.0]]
+    assert [term.name for term in terms] == ["elapsed_time", "success"]
+
+
+@pytest.mark.parametrize("agent", [ARM, HAND, ARM + HAND], ids=lambda agent: agent.name)
+def test_names_belong_to_the_columns(agent: AgentSpec):
+    assert agent.reward_terms(transition()).shape == (1, len(agent.reward_names))

@@ -1,0 +1,94 @@
+"""Latency of boxes, and what counts as a detection."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pixel2catch.mdp.sensing import BoxStream, SensingCfg, detect
+from pixel2catch.robot.constants import RGB_CAMERA
+
+
+def box(mark: float, num_envs: int = 1) -> torch.Tensor:
+    return torch.full((num_envs, 4), mark)
+
+
+def stream(ages: int = 3, num_envs: int = 1) -> BoxStream:
+    return BoxStream(torch.zeros(num_envs, ages, 4))
+
+
+@pytest.mark.parametrize("latency", [0, 1, 2])
+def test_a_box_arrives_exactly_after_the_latency(latency):
+    marked = stream().pushed(box(9.0))
+    arrivals = []
+    for _ in range(4):
+        arrivals.append(marked.delivered(torch.tensor([latency]))[0, 0].item())
+        marked = marked.pushed(box(0.0))
+    assert arrivals == [9.0 if age == latency else 0.0 for age in range(4)]
+
+
+def test_latency_is_each_environments_own():
+    boxes = stream(num_envs=3)
+    for mark in (1.0, 2.0, 3.0):
+        boxes = boxes.pushed(box(mark, 3))
+    assert boxes.delivered(torch.tensor([0, 1, 2]))[:, 0].tolist() == [3.0, 2.0, 1.0]
+    assert boxes.newest[:, 0].tolist() == [3.0, 3.0, 3.0]
+
+
+@given(st.lists(st.floats(0.0, 640.0, width=32), min_size=1, max_size=12), st.integers(0, 2))
+def test_boxes_arrive_in_order_and_none_is_lost(marks, latency):
+    boxes, arrived = stream().filled(box(marks[0])), []
+    for mark in marks:
+        boxes = boxes.pushed(box(mark))
+        arrived.append(boxes.delivered(torch.tensor([latency]))[0, 0].item())
+    assert arrived == [marks[0]] * min(latency, len(marks)) + marks[: len(marks) - latency]
+
+
+def test_nothing_old_survives_filling():
+    boxes = stream().pushed(box(5.0)).filled(box(1.0))
+    assert {boxes.delivered(torch.tensor([age]))[0, 0].item() for age in range(3)} == {1.0}
+
+
+def test_pushing_leaves_the_stream_before_as_it_was():
+    before = stream()
+    before.pushed(box(7.0))
+    assert not before.boxes.any()
+
+
+def in_front(depth: float = 2.0) -> torch.Tensor:
+    """Twenty points on a segment across the optical axis, world frame [m]."""
+    forward = torch.tensor([0.8746197, 0.0, -0.4848096])  # 29 degrees down, along x
+    across = torch.stack([torch.zeros(20), torch.linspace(-0.03, 0.03, 20), torch.zeros(20)], dim=-1)
+    return (torch.tensor(RGB_CAMERA.pos) + depth * forward + across)[None]
+
+
+def test_box_of_a_visible_object():
+    """6 cm at 2 m are 618 * 0.06 / 2 = 18.5 px wide, about the optical axis."""
+    found, is_seen = detect(in_front(), torch.ones(1, 20, dtype=torch.bool), 0.05)
+    assert is_seen.item()
+    xmin, ymin, xmax, ymax = found[0].tolist()
+    assert xmax - xmin == pytest.approx(18.5, abs=0.1)
+    assert (xmin + xmax) / 2 == pytest.approx(RGB_CAMERA.cx, abs=0.1)
+    assert (ymin + ymax) / 2 == pytest.approx(RGB_CAMERA.cy, abs=1.0)
+
+
+@pytest.mark.parametrize(("visible", "expected"), [(0, False), (1, False), (2, True), (20, True)])
+def test_too_little_of_an_object_is_no_detection(visible, expected):
+    is_visible = torch.arange(20)[None] < visible
+    assert detect(in_front(), is_visible, 0.1)[1].item() is expected
+
+
+def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen():
+    everything = torch.ones(1, 20, dtype=torch.bool)
+    assert not detect(in_front(-2.0), everything, 0.05)[1]
+    assert not detect(in_front() + torch.tensor([0.0, 5.0, 0.0]), everything, 0.05)[1]
+
+
+def test_numbers_of_the_task():
+    cfg = SensingCfg()
+    assert (cfg.corner_noise, cfg.latency_steps, cfg.joint_noise, cfg.joint_bias) == (
+        5.0,
+        (1, 2),
+        0.005,
+        0.001,
+    )

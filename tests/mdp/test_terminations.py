@@ -1,0 +1,80 @@
+"""Near, held, lost, ended."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from snapshots import privileged, transition
+
+from pixel2catch.mdp.snapshot import Transition
+from pixel2catch.mdp.terminations import (
+    HOLD_STEPS,
+    EpisodeCfg,
+    is_dropped,
+    is_ended,
+    is_near,
+    is_success,
+    palm_distance,
+)
+from pixel2catch.robot.constants import CONTROL_DT
+
+
+def test_numbers_of_the_task():
+    assert HOLD_STEPS == 20
+    assert EpisodeCfg().max_steps * CONTROL_DT == pytest.approx(3.0)
+
+
+def test_distance_by_hand():
+    now = privileged(object_pos=torch.tensor([[1.0, 2.0, 3.0]]), palm_pos=torch.tensor([[1.0, -1.0, -1.0]]))
+    assert palm_distance(now).tolist() == [5.0]
+
+
+@given(st.floats(0.0, 0.2), st.floats(-3.14, 3.14), st.floats(-1.57, 1.57))
+def test_near_is_a_ball_of_eight_centimetres(distance, azimuth, elevation):
+    ring = math.cos(elevation)
+    direction = (math.cos(azimuth) * ring, math.sin(azimuth) * ring, math.sin(elevation))
+    palm = torch.tensor([[0.4, 0.1, 1.4]])
+    now = privileged(object_pos=palm + distance * torch.tensor([direction]), palm_pos=palm)
+    assume(abs(distance - 0.08) > 1e-6)
+    assert is_near(now).item() == (distance < 0.08)
+
+
+@pytest.mark.parametrize(
+    ("position", "expected"),
+    [
+        ((0.5, 0.0, 0.451), False),
+        ((0.5, 0.0, 0.449), True),
+        ((0.031, 0.0, 1.0), False),
+        ((0.029, 0.0, 1.0), True),
+        ((-3.0, 0.0, 0.0), True),
+    ],
+)
+def test_dropped(position, expected):
+    assert is_dropped(privileged(object_pos=torch.tensor([position]))).item() is expected
+
+
+@pytest.mark.parametrize(("held", "expected"), [(0, False), (19, False), (20, True), (21, False)])
+def test_success_is_the_step_that_completes_a_hold(held, expected):
+    assert is_success(transition(held_steps=(held,))).item() is expected
+
+
+def steps() -> Transition:
+    """Nothing, time-out, drop, success."""
+    pos = torch.tensor([[1.0, 0.0, 1.0]] * 4)
+    pos[2, 2] = 0.1
+    return transition(now=privileged(object_pos=pos), held_steps=(0, 0, 0, 20), episode_steps=(89, 90, 3, 50))
+
+
+def test_an_episode_ends_on_time_out_drop_and_success():
+    assert is_ended(steps(), EpisodeCfg()).tolist() == [False, True, True, True]
+
+
+def test_evaluation_goes_on_after_a_success():
+    assert is_ended(steps(), EpisodeCfg(ends_on_success=False)).tolist() == [False, True, True, False]
+
+
+def test_the_length_of_an_episode_can_be_chosen():
+    assert is_ended(steps(), EpisodeCfg(max_steps=50)).tolist() == [True, True, True, True]
+    assert is_ended(steps(), EpisodeCfg(max_steps=91)).tolist() == [False, False, True, True]
