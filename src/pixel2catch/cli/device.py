@@ -4,7 +4,8 @@
 def prepare(device: str) -> None:
     """See that the device exists; on the CPU leave its cores to the physics.
 
-    Torch's own threads make steps of these small tensors slower: PLACEHOLDER.
+    Torch's own threads only make steps of these small tensors slower: measured with 100 environments on two
+    cores, 0.7 to 2.0 thousand control steps a second with two threads, 2.5 thousand with one.
 
     Raises:
         DeviceUnavailableError: If CUDA was asked for and is absent.

@@ -9,7 +9,8 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from torch import Tensor
 
-from pixel2catch.envs.catch_env import CatchEnv, Step
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.envs.step import Step
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.rendering import OUTSIDE_VIEW, RGB_VIEW, Renderer, VideoWriter, View

@@ -1,0 +1,198 @@
+"""The command line, mostly as a user starts it: in a process of its own."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import pytest
+import torch
+
+from pixel2catch.cli.main import COMMANDS, main
+from pixel2catch.cli.train import Train
+from pixel2catch.evaluation.loading import load_policy, shipped_folder
+from pixel2catch.methods import PROPOSED
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.rl import TrainCfg
+
+needs_no_cuda = pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
+needs_no_shipped_policy = pytest.mark.skipif(
+    (Path(str(sys.modules["pixel2catch"].__path__[0])) / "policies").exists(), reason="a policy is shipped"
+)
+
+
+def pixel2catch(*args: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pixel2catch.cli.main", *map(str, args)]
+    environment = os.environ | {"COLUMNS": "100", "NO_COLOR": "1"}
+    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("untrained")
+    Policy(contract_of(PROPOSED, "left"), hidden=(16,)).save(folder)
+    return folder
+
+
+def test_help_lists_the_commands():
+    result = pixel2catch("--help")
+    assert result.returncode == 0
+    for command in COMMANDS:
+        assert command.__name__.lower() in result.stdout
+
+
+def test_help_imports_nothing_heavy():
+    check = "import sys, pixel2catch.cli.main; sys.exit(len({'torch', 'mujoco', 'warp'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0
+
+
+def test_version(capsys: pytest.CaptureFixture[str]):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("pixel2catch 0.")
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("evaluate", "--nope"), ("--nope", "help")),
+        (("fly",), ("fly", "evaluate", "train")),
+        (("train", "--preset", "slow"), ("slow", "fast", "cpu", "paper")),
+        (("evaluate", "--num-envs", "many"), ("many", "--num-envs")),
+        (("scene", "x.xml", "--object", "cub"), ("pixel2catch: error", "'cub'", "cube_s", "Valid")),
+        (("scene", "x.stl"), ("pixel2catch: error", "x.stl", ".xml", ".mjb")),
+    ],
+)
+def test_wrong_arguments_say_what_is_right(args: tuple[str, ...], words: tuple[str, ...]):
+    result = pixel2catch(*args)
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr
+    for word in words:
+        assert word in result.stdout + result.stderr
+
+
+def one_line_error(capsys: pytest.CaptureFixture[str], *args: str | Path) -> str:
+    """The error of a command, after its common beginning."""
+    assert main([str(arg) for arg in args]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("pixel2catch: error: ")
+    return "\n".join(lines)
+
+
+def test_unknown_method(capsys: pytest.CaptureFixture[str]):
+    assert "proposed" in one_line_error(capsys, "train", "propose")
+
+
+@pytest.mark.parametrize("command", [("train",), ("evaluate",), ("bench",)])
+def test_zero_environments(command: tuple[str, ...], untrained: Path, capsys: pytest.CaptureFixture[str]):
+    policy = [untrained] if command == ("evaluate",) else []
+    args = ("--num-envs", "0", "--device", "cpu")
+    assert "num_envs is 0" in one_line_error(capsys, *command, *policy, *args)
+
+
+def test_unknown_object(untrained: Path, capsys: pytest.CaptureFixture[str]):
+    message = one_line_error(capsys, "evaluate", untrained, "--objects", "seen", "teapot")
+    assert "teapot" in message
+    assert "unseen" in message
+
+
+@needs_no_cuda
+@pytest.mark.parametrize("command", ["train", "evaluate", "bench"])
+def test_absent_cuda(command: str, capsys: pytest.CaptureFixture[str]):
+    assert "--device cpu" in one_line_error(capsys, command, "--device", "cuda")
+
+
+@needs_no_shipped_policy
+def test_absent_shipped_policy(capsys: pytest.CaptureFixture[str]):
+    assert "pixel2catch train" in one_line_error(capsys, "evaluate")
+
+
+def test_shipped_policy_fits_this_code():
+    try:
+        shipped_folder()
+    except Exception as error:
+        pytest.skip(str(error))
+    assert load_policy(None)[1] is PROPOSED
+
+
+def test_folder_without_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert "policy.safetensors" in one_line_error(capsys, "evaluate", tmp_path)
+
+
+def test_edited_policy(untrained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    Policy.load(untrained).save(tmp_path)
+    description = json.loads((tmp_path / "policy.json").read_text())
+    (tmp_path / "policy.json").write_text(json.dumps(description | {"control_dt": 0.1}))
+    assert "policy.json" in one_line_error(capsys, "evaluate", tmp_path)
+
+
+def test_policy_of_another_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    contract = dataclasses.replace(contract_of(PROPOSED, "left"), control_dt=0.1)
+    Policy(contract, hidden=(16,)).save(tmp_path)
+    assert "control_dt: policy 0.1" in one_line_error(capsys, "evaluate", tmp_path)
+
+
+def test_evaluate_prints_one_json_object(untrained: Path):
+    args = ("--objects", "cube_s", "cone_l", "--num-envs", "4", "--trials", "1", "--json")
+    result = pixel2catch("evaluate", untrained, *args)
+    assert result.returncode == 0, result.stderr
+    metrics = json.loads(result.stdout)
+    assert metrics["trials"] == 4
+    assert metrics["objects_thrown"] == ["cube_s", "cone_l"]
+    assert set(metrics["objects"]) <= {"cube_s", "cone_l"}
+    assert metrics["policy"] == str(untrained)
+    assert metrics.keys() >= {
+        "tracking_rate",
+        "success_rate",
+        "success_rate_interval",
+        "palm_contact_rate",
+        "verified_hold_rate",
+        "failures",
+        "contact_height",
+        "mean_penetration",
+        "max_penetration",
+        "max_table_penetration",
+        "table_contact_rate",
+        "self_contact_rate",
+        "max_joint_speed",
+        "max_torque_share",
+        "seed",
+        "device",
+        "method",
+        "seconds",
+    }
+
+
+def test_bench_prints_one_json_object(capsys: pytest.CaptureFixture[str]):
+    assert main(["bench", "--num-envs", "4", "--seconds", "0.2", "--json"]) == 0
+    rates = json.loads(capsys.readouterr().out)
+    assert rates["control_steps_per_second"] > 0
+    assert rates["physics_steps_per_second"] > 0
+
+
+@pytest.mark.parametrize("ending", [".xml", ".mjb"])
+def test_exported_scene_loads(ending: str, tmp_path: Path):
+    path = tmp_path / f"scene{ending}"
+    assert main(["scene", str(path), "--object", "l_block", "--handedness", "right"]) == 0
+    load = mujoco.MjModel.from_xml_path if ending == ".xml" else mujoco.MjModel.from_binary_path
+    model = load(str(path))
+    assert (model.nq, model.nu) == (26, 19)
+
+
+def test_train_has_every_option_of_its_configuration():
+    options = {field.name: field.default for field in dataclasses.fields(Train)}
+    for field in dataclasses.fields(TrainCfg):
+        assert options.get(field.name, "absent") is None, field.name
+
+
+def test_training_and_evaluating_its_policy(tmp_path: Path):
+    out = tmp_path / "run"
+    size = ("--num-envs", "8", "--rollout-steps", "4", "--transitions", "64", "--hidden", "16")
+    result = pixel2catch("train", "only_center", "--device", "cpu", *size, "--out", out)
+    assert result.returncode == 0, result.stderr
+    assert "finished" in result.stdout
+    policy, method = load_policy(out)
+    assert (method.name, policy.hidden) == ("only_center", (16,))

@@ -1,0 +1,123 @@
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from rich.console import Console
+
+from pixel2catch.envs.episodes import FAILURES, EpisodeRecord
+from pixel2catch.errors import NonFiniteError
+from pixel2catch.evaluation.metrics import metrics, wilson_interval
+from pixel2catch.evaluation.rounds import Trials
+from pixel2catch.evaluation.tables import objects_table, quality_table, results_table
+from pixel2catch.robot.objects import SEEN, UNSEEN
+
+NAMES = ("ball", "box")
+
+
+def flags(*values: int) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.bool)
+
+
+def five_trials() -> Trials:
+    """Caught and verified, caught, never reached, bounced off after two steps of contact, held too late."""
+    start = EpisodeRecord.start(torch.tensor([0, 1, 1, 0, 0]), torch.zeros(5, 3))
+    record = replace(
+        start,
+        is_tracked=flags(1, 1, 0, 1, 1),
+        is_success=flags(1, 1, 0, 0, 0),
+        is_palm_contact=flags(1, 0, 0, 1, 0),
+        is_hand_contact=flags(1, 1, 0, 1, 1),
+        is_dropped=flags(0, 1, 1, 1, 0),
+        is_table_contact=flags(0, 0, 1, 0, 0),
+        contact_height=torch.tensor([1.0, 1.2, 0.0, 1.1, 1.3]),
+        contact_steps=torch.tensor([40, 30, 0, 2, 28]),
+        penetration_sum=torch.tensor([0.04, 0.03, 0.0, 0.01, 0.02]),
+        max_penetration=torch.tensor([0.002, 0.004, 0.0, 0.006, 0.001]),
+    )
+    return Trials(record=record, is_verified=flags(1, 0, 0, 0, 0))
+
+
+def test_wilson_interval_by_hand():
+    """8 of 10: (0.8 + 3.8415 / 20) / 1.38415 = 0.71674, plus or minus 1.96 sqrt(0.016 + 0.0096) / 1.38415."""
+    low, high = wilson_interval(8, 10)
+    assert low == pytest.approx(0.4902, abs=1e-4)
+    assert high == pytest.approx(0.9433, abs=1e-4)
+
+
+def test_wilson_interval_stays_within_bounds():
+    """0 of n reaches up to z² / (n + z²), and n of n is its mirror image."""
+    assert wilson_interval(0, 100) == (0.0, pytest.approx(3.8415 / 103.8415, abs=1e-5))
+    assert wilson_interval(100, 100) == (pytest.approx(100 / 103.8415, abs=1e-5), 1.0)
+
+
+def test_metrics_by_hand():
+    result = metrics(five_trials(), NAMES)
+    assert result["trials"] == 5
+    assert result["tracking_rate"] == 4 / 5
+    assert result["success_rate"] == 2 / 5
+    assert result["palm_contact_rate"] == 2 / 5
+    assert result["verified_hold_rate"] == 1 / 5
+    assert result["table_contact_rate"] == 1 / 5
+    assert result["self_contact_rate"] == 0.0
+    assert result["contact_height"] == pytest.approx((1.0 + 1.2 + 1.1 + 1.3) / 4)
+    assert result["mean_penetration"] == pytest.approx(0.10 / 100)
+    assert result["max_penetration"] == pytest.approx(0.006)
+    assert result["success_rate_interval"] == list(wilson_interval(2, 5))
+
+
+def test_failures_are_shares_of_all_trials():
+    result = metrics(five_trials(), NAMES)
+    expected = {"never_reached": 1 / 5, "bounced_off": 1 / 5, "dropped": 0.0, "not_held": 1 / 5}
+    assert result["failures"] == {name: expected[name] for name in FAILURES}
+    assert result["success_rate"] + sum(result["failures"].values()) == pytest.approx(1.0)
+
+
+def test_metrics_by_object():
+    objects = metrics(five_trials(), NAMES)["objects"]
+    assert {name: rates["trials"] for name, rates in objects.items()} == {"ball": 3, "box": 2}
+    assert objects["box"]["success_rate"] == 1 / 2
+    assert objects["ball"]["tracking_rate"] == 1.0
+
+
+def test_metrics_without_contact_are_valid_json():
+    record = EpisodeRecord.start(torch.tensor([0]), torch.zeros(1, 3))
+    result = metrics(Trials(record=record, is_verified=flags(0)), NAMES)
+    assert result["contact_height"] is None
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
+
+
+def test_divergence_is_an_error():
+    trials = five_trials()
+    broken = replace(trials.record, max_joint_speed=torch.tensor([0.0, 1.0, float("nan"), 0.0, 0.0]))
+    with pytest.raises(NonFiniteError, match="max_joint_speed"):
+        metrics(replace(trials, record=broken), NAMES)
+
+
+def shown(table: object) -> str:
+    console = Console(width=100, highlight=False)
+    with console.capture() as capture:
+        console.print(table)
+    return capture.get()
+
+
+def test_results_stand_beside_those_of_the_paper():
+    result = metrics(five_trials(), NAMES)
+    results = {"seen": result | {"objects_thrown": SEEN}, "unseen": result | {"objects_thrown": UNSEEN}}
+    text = shown(results_table(results, "proposed"))
+    assert "40.0 [12, 77]" in text
+    for number in ("89.97 ± 0.21", "84.13 ± 0.50", "89.28 ± 0.79", "84.83 ± 1.17"):
+        assert number in text
+
+
+def test_objects_that_the_paper_did_not_throw_have_no_row_of_it():
+    result = metrics(five_trials(), NAMES) | {"objects_thrown": ["cube_s"]}
+    assert "±" not in shown(results_table({"cube_s": result}, "proposed")).split("seeds")[-1]
+
+
+def test_tables_show_objects_and_failures():
+    result = metrics(five_trials(), NAMES)
+    assert "box" in shown(objects_table(result))
+    text = shown(quality_table({"seen": result}))
+    assert "never reached" in text
+    assert "6.0 mm" in text

@@ -1,0 +1,200 @@
+"""The protocol with throws and policies whose outcome is known."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import Tensor
+
+from pixel2catch.envs.catch_env import CatchEnvCfg
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.evaluation.protocol import EvaluationCfg, assess, evaluate
+from pixel2catch.evaluation.rounds import (
+    HOLD_TEST_STEPS,
+    ROUND_STEPS,
+    SHAKE_STEPS,
+    TEST_STEPS,
+    TRIAL_STEPS,
+    RoundState,
+    run_round,
+    shake_action,
+)
+from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.methods import PROPOSED
+from pixel2catch.robot.objects import SEEN
+
+PALM = (0.434, 0.133, 1.391)
+"""Palm in the start pose [m]."""
+
+NUM_ENVS = 8
+
+
+class Grasp:
+    """Keeps the arm where it is, opens the hand, and closes it at a given control step."""
+
+    def __init__(self, closes_at: int) -> None:
+        self._closes_at, self.steps = closes_at, 0
+
+    def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
+        self.steps += 1
+        num_envs = len(observations["arm"])
+        closed = 1.0 if self.steps >= self._closes_at else -1.0
+        return {"arm": torch.zeros(num_envs, 6), "hand": torch.full((num_envs, 13), closed)}
+
+
+class Flicker:
+    """Moves the arm a little to and fro, and opens and closes the hand at every step."""
+
+    def __init__(self) -> None:
+        self._sign = 1.0
+
+    def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
+        self._sign = -self._sign
+        num_envs = len(observations["arm"])
+        return {
+            "arm": torch.full((num_envs, 6), 0.1 * self._sign),
+            "hand": torch.full((num_envs, 13), self._sign),
+        }
+
+
+NEVER = 10 * ROUND_STEPS
+
+
+def over_the_palm(hover_steps: int) -> EvaluationCfg:
+    """A ball that hovers 5 cm over the palm of a robot in its start pose, and then drops."""
+    x, y, z = PALM[0] + 0.02, PALM[1], PALM[2] + 0.05
+    throws = ThrowCfg(
+        release_x=(x, x),
+        release_y=(y, y),
+        release_z=(z, z),
+        aim_x=(x - 1e-3, x + 1e-3),
+        aim_y=(y - 1e-3, y + 1e-3),
+        aim_z=(z - 0.01, z - 0.01),
+        peak_z=(z, z),
+        clearance=0.0,
+        hover_steps=(hover_steps, hover_steps),
+    )
+    task = CatchEnvCfg(throws=throws, randomization=RandomizationCfg(initial_joint_noise=0.0))
+    return EvaluationCfg(objects=("sphere_s",), num_envs=NUM_ENVS, trials=1, task=task)
+
+
+def out_of_reach_until(steps: int) -> EvaluationCfg:
+    """A ball that hovers 0.15 m over the palm, and drops onto it within a few steps."""
+    cfg = over_the_palm(steps)
+    throws = cfg.task.throws
+    z = throws.release_z[0] + 0.10
+    higher = {"release_z": (z, z), "peak_z": (z, z), "aim_z": (z - 0.01, z - 0.01)}
+    return replace(cfg, task=replace(cfg.task, throws=replace(throws, **higher)))
+
+
+def test_a_closed_hand_holds_what_fell_into_it():
+    trials = evaluate(Grasp(closes_at=9), PROPOSED, over_the_palm(hover_steps=5))
+    assert trials.record.is_tracked.all()
+    assert trials.record.is_success.all()
+    assert trials.is_verified.float().mean() >= 0.75
+    assert trials.record.steps[trials.is_verified].max() < ROUND_STEPS
+
+
+def test_an_object_that_hovers_at_the_palm_is_no_verified_hold():
+    trials = evaluate(Grasp(closes_at=NEVER), PROPOSED, over_the_palm(hover_steps=NEVER))
+    assert trials.record.is_success.float().mean() >= 0.5
+    assert not trials.is_verified.any()
+
+
+def test_an_open_hand_does_not_verify():
+    """The palm faces up but leans forwards: the ball may lie on it for a while."""
+    trials = evaluate(Grasp(closes_at=NEVER), PROPOSED, over_the_palm(hover_steps=5))
+    assert trials.record.is_tracked.all()
+    assert not trials.is_verified.any()
+
+
+def test_success_after_the_end_of_the_trial_does_not_count():
+    """A ball that arrives at the palm within the last 20 steps is tracked, but held too late."""
+    trials = evaluate(Grasp(closes_at=NEVER), PROPOSED, out_of_reach_until(TRIAL_STEPS - 10))
+    assert trials.record.is_tracked.float().mean() >= 0.5
+    assert not trials.record.is_success.any()
+    assert (trials.record.steps <= TRIAL_STEPS).all()
+
+
+def test_a_policy_of_zeros_catches_nothing():
+    class Zeros:
+        def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
+            num_envs = len(observations["arm"])
+            return {"arm": torch.zeros(num_envs, 6), "hand": torch.zeros(num_envs, 13)}
+
+    cfg = EvaluationCfg(objects=SEEN, num_envs=32, trials=1)
+    trials = evaluate(Zeros(), PROPOSED, cfg)
+    assert trials.record.is_success.float().mean() < 0.1
+
+
+def test_the_same_seed_gives_the_same_result():
+    cfg = EvaluationCfg(objects=SEEN, num_envs=4, trials=1, seed=7)
+    first, second = (assess(Grasp(closes_at=30), PROPOSED, cfg) for _ in range(2))
+    other = assess(Grasp(closes_at=30), PROPOSED, replace(cfg, seed=8))
+    for result in (first, second, other):
+        del result["seconds"]
+    assert first == second
+    assert first["max_joint_speed"] != other["max_joint_speed"]
+
+
+def test_actions_are_latched_after_a_success():
+    """The arm is told to stay and the hand repeats what it did last, whatever the policy says."""
+    states: list[RoundState] = []
+
+    cfg = over_the_palm(hover_steps=NEVER)
+    env = cfg.make_env(PROPOSED)
+    run_round(env, Flicker(), lambda step, state: states.append(state))
+    env.close()
+    assert (states[-1].test_steps == TEST_STEPS).any()
+    for before, after in pairwise(states):
+        tested = before.is_testing
+        assert torch.equal(after.action[tested, 6:], before.action[tested, 6:])
+        resting = tested & (after.test_steps <= HOLD_TEST_STEPS)
+        assert (after.action[resting, :6] == 0.0).all()
+        assert (after.action[~tested, :6].abs() == 0.1).all()
+
+
+def test_shake_begins_after_the_hold_test():
+    steps = torch.arange(TEST_STEPS)
+    action = shake_action(steps)
+    assert action.shape == (HOLD_TEST_STEPS + SHAKE_STEPS, 6)
+    assert (action[:HOLD_TEST_STEPS] == 0.0).all()
+    assert (action[HOLD_TEST_STEPS:, 0] != 0.0).all()
+    assert action.abs().max() < 1.0
+
+
+def test_shake_accelerates_the_palm():
+    """Peak acceleration of the palm about 5 m/s², by second differences of control steps, without noise."""
+    randomization = RandomizationCfg(
+        arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
+    )
+    quiet = CatchEnvCfg(randomization=randomization, sensing=SensingCfg(joint_noise=0.0))
+    cfg = EvaluationCfg(objects=("sphere_s",), num_envs=NUM_ENVS, task=quiet)
+    env = cfg.make_env(PROPOSED)
+    palms = []
+    site = env.world.simulation.bind("site_xpos")
+    palm = env.world.simulation.model.site("palm").id
+    for step in range(HOLD_TEST_STEPS - 5, TEST_STEPS):
+        env.step(
+            {
+                "arm": shake_action(torch.full((NUM_ENVS,), step)),
+                "hand": torch.zeros(NUM_ENVS, 13),
+            }
+        )
+        palms.append(site[:, palm].clone())
+    env.close()
+    pos = torch.stack(palms)
+    acceleration = (pos[2:] - 2 * pos[1:-1] + pos[:-2]) * 30.0**2
+    peaks = acceleration.norm(dim=-1).amax(dim=0)
+    assert peaks.min() > 3.0
+    assert peaks.max() < 7.0
+
+
+def test_nothing_to_evaluate_is_an_error():
+    with pytest.raises(InvalidValueError, match="num_envs"):
+        EvaluationCfg(objects=SEEN, num_envs=0)
+    with pytest.raises(InvalidValueError, match="trials"):
+        EvaluationCfg(objects=SEEN, trials=0)
