@@ -32,18 +32,16 @@ OCCLUDER_GROUPS = (0, 3)
 NUM_SURFACE_POINTS = 64
 """Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""
 
-UNUSED_FIELDS = ("dof_M0", "dof_length")
-"""Fields that depend on the object but not on anything that is simulated here; MuJoCo Warp does not have
-them."""
-
 MASS_POWER = {
     "body_mass": 1,
     "body_subtreemass": 1,
     "body_inertia": 1,
+    "dof_M0": 1,
     "body_invweight0": -1,
     "dof_invweight0": -1,
 }
-"""How the object's model fields grow with its mass. All must follow it, or contacts blow up in float32."""
+"""How the object's model fields grow with its mass. All must follow it, or flights and contacts go
+wrong."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ class CatchWorld:
         self._table = {
             name: torch.as_tensor(rows).to(self.device)
             for name, rows in self.objects.fields.items()
-            if name not in UNUSED_FIELDS
+            if self.simulation.can_expand(name)
         }
         points = np.stack([surface_points(OBJECTS[name], NUM_SURFACE_POINTS) for name in self.objects.names])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)

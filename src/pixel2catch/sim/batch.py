@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Shaped
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 from torch import Tensor
 
 from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
@@ -40,6 +40,9 @@ class BatchSimulation(Simulation):
 
     def expand(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102
         return _as_tensor(self._batch.expand(field))
+
+    def can_expand(self, field: str) -> bool:  # noqa: D102
+        return field in MODEL_FIELDS
 
     def step(self) -> None:  # noqa: D102
         self._batch.step(stage=_VELOCITY_STAGE)

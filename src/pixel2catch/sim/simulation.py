@@ -66,6 +66,13 @@ class Simulation(ABC):
         """Live per-environment values of an `MjModel` field; a write takes effect at the next call."""
 
     @abstractmethod
+    def can_expand(self, field: str) -> bool:
+        """Whether the back end has an `MjModel` field that can differ between environments.
+
+        Both have all that describe a model; each has some of its own that are derived from them.
+        """
+
+    @abstractmethod
     def step(self) -> None:
         """Advance every environment by one physics step; bound fields then describe the new state."""
 

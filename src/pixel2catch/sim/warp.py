@@ -63,6 +63,9 @@ class WarpSimulation(Simulation):
             self._graph = None  # it holds the address of the shared values
         return wp.to_torch(array).view(self.num_envs, *np.shape(getattr(self.model, field)))
 
+    def can_expand(self, field: str) -> bool:  # noqa: D102
+        return hasattr(self._model, field) and getattr(self._model, field).shape[0] in (1, self.num_envs)
+
     def step(self) -> None:  # noqa: D102
         if not self._device.is_cuda or torch.cuda.is_current_stream_capturing():
             self._step()
