@@ -1,6 +1,7 @@
 """The two agents, arm and hand, as values of one type; their sum is the single agent.
 
 Sources: observations paper Sec. IV-C, actions Sec. IV-D, rewards Eq. 3 and 4.
+Differs: the hand is also rewarded for a grasp (ours); the paper's success is a distance only.
 """
 
 from dataclasses import dataclass
@@ -103,6 +104,7 @@ HAND = AgentSpec(
             reward=(
                 RewardTerm(function=rewards.palm_approach, weight=0.2),
                 RewardTerm(function=rewards.fingertips_approach, weight=0.2),
+                RewardTerm(function=rewards.grasp, weight=0.2),
                 RewardTerm(function=rewards.success, weight=10.0),
                 RewardTerm(function=rewards.drop, weight=-5.0),
                 RewardTerm(function=rewards.table_contact, weight=-5.0),

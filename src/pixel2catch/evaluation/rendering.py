@@ -220,8 +220,17 @@ class VideoWriter:
     """
 
     def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
-        """Open the file."""
-        self._container = av.open(str(path), "w")
+        """Open the file.
+
+        Raises:
+            InvalidValueError: If the folder does not exist or cannot be written, or the ending names no format.
+        """
+        try:
+            self._container = av.open(str(path), "w")
+        except (OSError, ValueError) as error:
+            raise InvalidValueError(
+                f"cannot write a video to '{path}': {error}; name a file such as catch.mp4 in a folder that exists."
+            ) from error
         options = {"crf": str(crf)}
         self._stream: Any = self._container.add_stream("libx264", rate=Fraction(fps), options=options)
         self._stream.pix_fmt = "yuv420p"

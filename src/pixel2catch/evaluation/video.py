@@ -67,7 +67,7 @@ def _record_takes(env: CatchEnv, actor: Actor) -> list[Take]:
     live = env.world.simulation.bind("qpos")
 
     def watch(step: Step, state: RoundState) -> None:
-        states.append((live.cpu().clone(), step.measurement.box.cpu(), state.is_running.cpu()))
+        states.append((live.clone().cpu(), step.measurement.box.clone().cpu(), state.is_running.cpu()))
 
     object_id = run_round(env, actor, watch).record.object_id.tolist()
     takes = []

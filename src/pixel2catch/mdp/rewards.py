@@ -80,8 +80,8 @@ def action_square(transition: Transition, joints: slice) -> Float[Tensor, " num_
 
 
 def grasp(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
-    """Share of the five hand parts that touch the object. Source: ours, so that a hold is a grasp."""
-    return transition.now.is_touching.float().mean(dim=-1)
+    """One while at least two parts of the hand touch the object. Source: ours, so that a hold is a grasp."""
+    return (transition.now.is_touching.sum(dim=-1) >= 2).float()
 
 
 def _fingertip_distance(snapshot: Privileged) -> Float[Tensor, "num_envs 4"]:
