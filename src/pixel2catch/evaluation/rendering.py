@@ -223,14 +223,14 @@ class VideoWriter:
         """Open the file.
 
         Raises:
-            InvalidValueError: If the folder does not exist or cannot be written, or the ending names no format.
+            InvalidValueError: If the folder does not exist, or the ending names no format.
         """
+        if not path.parent.is_dir():
+            raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
         try:
             self._container = av.open(str(path), "w")
-        except (OSError, ValueError) as error:
-            raise InvalidValueError(
-                f"cannot write a video to '{path}': {error}; name a file such as catch.mp4 in a folder that exists."
-            ) from error
+        except ValueError as error:
+            raise InvalidValueError(f"cannot write '{path}': {error}; end its name in .mp4.") from error
         options = {"crf": str(crf)}
         self._stream: Any = self._container.add_stream("libx264", rate=Fraction(fps), options=options)
         self._stream.pix_fmt = "yuv420p"

@@ -143,7 +143,7 @@ def run_round(
     Args:
         env: The environments, made by `EvaluationCfg.make_env`.
         actor: The policy.
-        watch: Called after every control step. What it keeps of the step it must copy: the next one overwrites it.
+        watch: Called after every control step; it must copy what it keeps, the next step overwrites it.
     """
     observation = env.reset()
     state = _round_start(env)
