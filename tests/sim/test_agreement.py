@@ -1,0 +1,124 @@
+"""Both back ends move alike, float64 against float32; and what either refuses."""
+
+import math
+from collections.abc import Iterator
+
+import copies
+import pytest
+import torch
+from copies import HOME, NUM_ENVS, NUM_JOINTS
+
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, NonFiniteError, UnknownNameError
+from pixel2catch.robot.constants import PHYSICS_DT
+from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.sim import warp
+from pixel2catch.sim.batch import BatchSimulation
+from pixel2catch.sim.simulation import Simulation, make_simulation
+
+NAMES = ("cube_s", "sphere_l", "l_block", "capsule_l")
+CATCH_SPOT = (0.44, 0.1333, 1.3915 + 0.15)
+
+
+@pytest.fixture(scope="module")
+def both() -> list[Simulation]:
+    return [copies.make("batch"), copies.make("warp")]
+
+
+def start(simulation: Simulation) -> None:
+    copies.restart(simulation)
+    copies.give(simulation, NAMES, (0.5, 0.8, 1.2, 1.5))
+
+
+def swing(simulation: Simulation, num_steps: int) -> Iterator[torch.Tensor]:
+    """Every joint swings by 0.1 rad at 1 Hz; yields the state after each step."""
+    for step in range(num_steps):
+        angle = 0.1 * math.sin(2 * math.pi * step * PHYSICS_DT)
+        simulation.bind("ctrl")[:] = (HOME + angle).to(simulation.dtype)
+        simulation.step()
+        yield simulation.bind("qpos").double().clone()
+
+
+def test_free_flight_and_arm_motion_agree(both):
+    """Within 20 micrometres and microradians over one second: rounding alone."""
+    paths = []
+    for simulation in both:
+        start(simulation)
+        copies.push(simulation, (-1.0, 0.3, 3.0, 2.0, -1.0, 4.0))
+        paths.append(torch.stack(list(swing(simulation, 60))))
+    torch.testing.assert_close(*paths, atol=2e-5, rtol=0)
+
+
+def test_catches_agree(both):
+    """Objects fall 15 cm onto the moving hand: within 5 µm before the impact, within 5 mm for 0.35 s after."""
+    paths = []
+    for simulation in both:
+        start(simulation)
+        copies.place(simulation, CATCH_SPOT)
+        paths.append(torch.stack(list(swing(simulation, 60))))
+        simulation.check()
+    torch.testing.assert_close(paths[0][:18], paths[1][:18], atol=5e-6, rtol=0)
+    joints, pos = slice(0, NUM_JOINTS), slice(NUM_JOINTS, NUM_JOINTS + 3)
+    torch.testing.assert_close(paths[0][..., joints], paths[1][..., joints], atol=1e-3, rtol=0)
+    torch.testing.assert_close(paths[0][..., pos], paths[1][..., pos], atol=5e-3, rtol=0)
+
+
+def test_touches_agree(both):
+    """The same parts of the hand touch the object in the first contact."""
+    sensors = []
+    for simulation in both:
+        start(simulation)
+        copies.place(simulation, (CATCH_SPOT[0], CATCH_SPOT[1], 1.3915 + 0.015))
+        sensors.append(simulation.bind("sensordata").double().clone())
+    found = [values[:, 0::2] > 0 for values in sensors]
+    assert torch.equal(*found)
+    assert found[0].any(dim=-1).all()
+    torch.testing.assert_close(sensors[0][:, 1::2], sensors[1][:, 1::2], atol=1e-4, rtol=0)
+
+
+def test_threads_change_no_bit():
+    paths = []
+    for num_threads in (1, 2):
+        simulation = BatchSimulation(build_model(SceneCfg()), 3, num_threads)
+        copies.place(simulation, CATCH_SPOT)
+        simulation.bind("ctrl")[:] = HOME
+        copies.run(simulation, 40)
+        paths.append(simulation.bind("qpos").clone())
+    assert torch.equal(*paths)
+
+
+@pytest.mark.parametrize("num_envs", [0, -3])
+@pytest.mark.parametrize("backend", ["batch", "warp"])
+def test_at_least_one_environment(backend, num_envs):
+    with pytest.raises(InvalidValueError, match=f"num_envs is {num_envs}; it must be at least 1"):
+        copies.make(backend, num_envs)
+
+
+@pytest.mark.parametrize("device", ["tpu", "mps", "cuba:0", ""])
+def test_an_unknown_device_names_the_known(device):
+    with pytest.raises(UnknownNameError, match=rf"unknown device '{device}'.*Valid: cpu, cuda"):
+        make_simulation(build_model(SceneCfg()), 1, device)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+@pytest.mark.parametrize("device", ["cuda", "cuda:1"])
+def test_absent_cuda_says_what_to_do(device):
+    with pytest.raises(DeviceUnavailableError, match=rf"'{device}'.*sees 0 CUDA devices; use --device cpu"):
+        make_simulation(build_model(SceneCfg()), 1, device)
+
+
+def test_cpu_is_the_batch_back_end():
+    simulation = make_simulation(build_model(SceneCfg()), 2, "cpu")
+    assert isinstance(simulation, BatchSimulation)
+    assert (simulation.num_envs, simulation.dtype) == (2, torch.float64)
+
+
+def test_lost_contacts_are_reported(monkeypatch):
+    """With room for one contact in four environments, objects on the table overflow it."""
+    monkeypatch.setattr(warp, "CONTACTS_PER_ENV", 1)
+    simulation = copies.make("warp", NUM_ENVS)
+    copies.restart(simulation)
+    simulation.check()
+    copies.place(simulation, (*copies.ON_TABLE[:2], copies.ON_TABLE[2] + 0.024))
+    simulation.step()
+    with pytest.raises(NonFiniteError, match="raise CONTACTS_PER_ENV"):
+        simulation.check()
