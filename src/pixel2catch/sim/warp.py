@@ -39,7 +39,7 @@ class WarpSimulation(Simulation):
         """Put the model on the device and create the environments at its defaults."""
         kind, _, index = device.partition(":")
         super().__init__(model, num_envs, torch.device(kind, int(index or 0)), torch.float32)
-        wp.config.quiet = True
+        wp.config.log_level = wp.LOG_WARNING
         wp.init()
         self._device = wp.device_from_torch(self.device)
         if self._device.is_cuda:
