@@ -18,6 +18,7 @@ class Evaluate:
         trials: Rounds.
         seed: Seed of everything that is drawn.
         device: Where to simulate: cpu, cuda, cuda:1, ...
+        physics_hz: Physics steps in a second; training's default is the paper's 120.
         json: Print all metrics as one JSON object.
     """
 
@@ -27,6 +28,7 @@ class Evaluate:
     trials: int = 10
     seed: int = 0
     device: str = "cpu"
+    physics_hz: float = 480.0
     json: bool = False
 
     def run(self) -> None:
@@ -46,7 +48,7 @@ class Evaluate:
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            task=task_of(policy),
+            task=task_of(policy, self.physics_hz),
         )
         name = " ".join(self.objects)
         result = assess(policy, method, cfg, round_reporter(name, self.trials))

@@ -18,6 +18,7 @@ class Train:
         method: What to train: proposed, journal, only_wh, only_center, single_agent.
         preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
         device: Where to simulate and learn: cpu, cuda, cuda:1, ... Default: cuda where there is one.
+        physics_hz: Physics steps in a second, a multiple of 30. Default: 120, the paper's.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
         resume: Go on from the last checkpoint in that folder.
         seed: Seed of networks, exploration and environments.
@@ -46,6 +47,7 @@ class Train:
     method: Positional[str] = "proposed"
     preset: Literal["fast", "cpu", "paper"] | None = None
     device: str | None = None
+    physics_hz: float = 120.0
     out: Path | None = None
     resume: bool = False
     seed: int | None = None
@@ -76,8 +78,10 @@ class Train:
         from pixel2catch.methods import find_method
         from pixel2catch.policy import contract_of
         from pixel2catch.rl import train
+        from pixel2catch.robot.scene import SceneCfg
 
-        method, cfg, task = find_method(self.method), self.resolve(), CatchEnvCfg()
+        method, cfg = find_method(self.method), self.resolve()
+        task = CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz))
 
         def make_env(cfg: "TrainCfg") -> CatchEnv:
             return CatchEnv(task, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed)
