@@ -49,7 +49,7 @@ def test_free_flight_and_arm_motion_agree(both):
 
 
 def test_catches_agree(both):
-    """Objects fall 15 cm onto the moving hand: within 5 µm before the impact, within 5 mm for 0.35 s after."""
+    """Objects fall 15 cm onto the moving hand: within 5 µm before the impact, 5 mm for 0.35 s after."""
     paths = []
     for simulation in both:
         start(simulation)
