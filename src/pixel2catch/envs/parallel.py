@@ -1,0 +1,198 @@
+"""One catching environment behind PettingZoo's parallel API, for other libraries' learners.
+
+    env = CatchParallelEnv(CatchEnvCfg(), METHODS["proposed"], seed=0)
+    observations, infos = env.reset()
+    while env.agents:
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        observations, rewards, terminations, truncations, infos = env.step(actions)
+
+The API is followed without importing PettingZoo, which is no dependency of this package.
+"""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from numpy import ndarray
+from torch import Tensor
+
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.step import Observation, Step
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.methods import Method
+
+Arrays = dict[str, ndarray]
+Values = dict[str, Any]
+
+
+class CatchParallelEnv:
+    """A single robot that catches; its agents act at the same time.
+
+    A time-out counts as a termination (paper), so nothing is ever truncated. `CatchEnv` begins the next episode
+    in the step that ends one: the observation and the state that come with an end are those of the next
+    episode's start. Every end is a termination, so a learner that follows the API never values them.
+
+    Attributes:
+        metadata: Name of the environment; it renders nothing.
+        possible_agents: Names of all agents.
+        agents: The same during an episode, none after its end.
+        state_space: Space of `state`, the input of the value networks.
+    """
+
+    metadata: ClassVar[Values] = {"name": "pixel2catch", "render_modes": [], "is_parallelizable": True}
+    render_mode = None
+
+    def __init__(self, cfg: CatchEnvCfg, method: Method, *, device: str = "cpu", seed: int = 0) -> None:
+        """Build the environment.
+
+        Args:
+            cfg: The task.
+            method: Which agents act and what they see.
+            device: "cpu" or a CUDA device.
+            seed: Seed of everything that is drawn until `reset` is given another.
+        """
+        self._cfg, self._method, self._device = cfg, method, device
+        self._env = self._build(seed)
+        self.possible_agents = [agent.name for agent in method.agents]
+        self.agents: list[str] = []
+        self._observation_spaces = {n: _box(size) for n, size in self._env.observation_sizes.items()}
+        self._action_spaces = {n: _box(size, bound=1.0) for n, size in self._env.action_sizes.items()}
+        self.state_space = _box(self._env.state_size)
+        self._state = np.zeros(self._env.state_size, dtype=np.float32)
+
+    @property
+    def num_agents(self) -> int:
+        """Number of agents that act now."""
+        return len(self.agents)
+
+    @property
+    def max_num_agents(self) -> int:
+        """Number of all agents."""
+        return len(self.possible_agents)
+
+    @property
+    def unwrapped(self) -> "CatchParallelEnv":
+        """The environment itself: nothing is wrapped."""
+        return self
+
+    def observation_space(self, agent: str) -> Box:
+        """Space of an agent's observation.
+
+        Raises:
+            UnknownNameError: If there is no such agent.
+        """
+        return self._observation_spaces[self._known(agent)]
+
+    def action_space(self, agent: str) -> Box:
+        """Space of an agent's actions, [-1, 1] in each.
+
+        Raises:
+            UnknownNameError: If there is no such agent.
+        """
+        return self._action_spaces[self._known(agent)]
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Arrays, Values]:
+        """Begin an episode.
+
+        Args:
+            seed: Draw everything anew from this seed; go on with the present draws if absent.
+            options: Ignored, as the API allows.
+
+        Returns:
+            Observation of each agent (size,) float32, and an empty info of each.
+        """
+        if seed is not None:
+            self._env.close()
+            self._env = self._build(seed)
+        self.agents = list(self.possible_agents)
+        return self._observe(self._env.reset()), {agent: {} for agent in self.agents}
+
+    def step(self, actions: Mapping[str, ndarray]) -> tuple[Arrays, Values, Values, Values, Values]:
+        """Act for one control step; after the end of an episode nothing acts and nothing is returned.
+
+        Args:
+            actions: Action of each agent (num_joints,), in [-1, 1]; what lies outside is clipped.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos of each agent. The infos of the step that
+            ends an episode hold `is_tracked`, `is_success` and `episode_steps`.
+
+        Raises:
+            InvalidValueError: If an action is missing or of another size.
+        """
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        acting = {agent: self._action(agent, actions) for agent in self.agents}
+        step = self._env.step(acting)
+        is_over = bool(step.terminated.item())
+        names = list(self.agents)
+        if is_over:
+            self.agents = []
+        return (
+            self._observe(step.observation),
+            {agent: float(step.rewards[agent].item()) for agent in names},
+            dict.fromkeys(names, is_over),
+            dict.fromkeys(names, bool(step.truncated.item())),
+            {agent: _summary(step) if is_over else {} for agent in names},
+        )
+
+    def state(self) -> ndarray:
+        """Input of the value networks at the last observation (state_size,) float32."""
+        return self._state.copy()
+
+    def render(self) -> None:
+        """Nothing: `pixel2catch play` shows episodes."""
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self.agents = []
+        self._env.close()
+
+    def _build(self, seed: int) -> CatchEnv:
+        return CatchEnv(self._cfg, self._method, num_envs=1, device=self._device, seed=seed)
+
+    def _known(self, agent: str) -> str:
+        if agent not in self.possible_agents:
+            raise UnknownNameError("agent", agent, self.possible_agents)
+        return agent
+
+    def _action(self, agent: str, actions: Mapping[str, ndarray]) -> Tensor:
+        """An agent's action as the environment takes it (1, num_joints)."""
+        if agent not in actions:
+            raise InvalidValueError(
+                f"no action for agent '{agent}'; each step needs {', '.join(self.agents)}"
+            )
+        action, size = np.asarray(actions[agent], dtype=np.float32), self._env.action_sizes[agent]
+        if action.shape != (size,):
+            raise InvalidValueError(
+                f"action of agent '{agent}' has shape {action.shape}; it must be ({size},)"
+            )
+        return torch.from_numpy(action)[None].to(self._env.device)
+
+    def _observe(self, observation: Observation) -> Arrays:
+        """Remember the state and hand out each agent's observation."""
+        self._state = _array(observation.state)
+        return {agent: _array(value) for agent, value in observation.policy.items()}
+
+
+def _box(size: int, bound: float = np.inf) -> Box:
+    return Box(-bound, bound, (size,), np.float32)
+
+
+def _array(value: Tensor) -> ndarray:
+    """The only environment's row, in memory of its own."""
+    return value[0].cpu().numpy().copy()
+
+
+def _summary(step: Step) -> Values:
+    """What became of the episode."""
+    record = step.record
+    return {
+        "is_tracked": bool(record.is_tracked.item()),
+        "is_success": bool(record.is_success.item()),
+        "episode_steps": int(record.steps.item()),
+    }

@@ -1,0 +1,112 @@
+"""The catching environment behind PettingZoo's parallel API."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from pettingzoo.test import parallel_api_test
+
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.parallel import CatchParallelEnv
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.mdp.terminations import EpisodeCfg
+from pixel2catch.methods import METHODS
+
+CFG = CatchEnvCfg(episode=EpisodeCfg(max_steps=6))
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[CatchParallelEnv]:
+    env = CatchParallelEnv(CFG, METHODS["proposed"], seed=3)
+    yield env
+    env.close()
+
+
+def still(env: CatchParallelEnv) -> dict[str, np.ndarray]:
+    return {agent: np.zeros(env.action_space(agent).shape, dtype=np.float32) for agent in env.agents}
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_api(env: CatchParallelEnv, capsys: pytest.CaptureFixture[str]):
+    parallel_api_test(env, num_cycles=10)  # pyright: ignore[reportArgumentType] (it checks the API, not the class)
+    assert "Passed" in capsys.readouterr().out
+
+
+def test_spaces(env: CatchParallelEnv):
+    assert env.possible_agents == ["arm", "hand"]
+    sizes = {
+        agent: (env.observation_space(agent).shape, env.action_space(agent).shape)
+        for agent in ("arm", "hand")
+    }
+    assert sizes == {"arm": ((50,), (6,)), "hand": ((78,), (13,))}
+    assert env.action_space("arm").low.tolist() == [-1.0] * 6
+    observations, _ = env.reset()
+    assert all(env.observation_space(agent).contains(value) for agent, value in observations.items())
+    assert env.state_space.contains(env.state())
+    with pytest.raises(UnknownNameError, match=r"unknown agent 'leg'.*Valid: arm, hand"):
+        env.action_space("leg")
+
+
+def test_an_episode_ends_for_all_agents_at_once(env: CatchParallelEnv):
+    env.reset()
+    for number in range(1, 7):
+        assert env.agents == ["arm", "hand"]
+        _, rewards, terminations, truncations, infos = env.step(still(env))
+        assert set(rewards) == {"arm", "hand"}
+        assert terminations == dict.fromkeys(("arm", "hand"), number == 6)
+        assert truncations == {"arm": False, "hand": False}
+        ended = {"is_tracked": False, "is_success": False, "episode_steps": 6}
+        assert infos["arm"] == (ended if number == 6 else {})
+    assert env.agents == []
+    assert env.num_agents == 0
+    assert env.step({}) == ({}, {}, {}, {}, {})
+    env.reset()
+    assert env.agents == ["arm", "hand"]
+
+
+def test_it_is_the_same_environment():
+    """A seed gives the observations, states and rewards that `CatchEnv` gives."""
+    method = METHODS["single_agent"]
+    batched = CatchEnv(CFG, method, num_envs=1, seed=7)
+    single = CatchParallelEnv(CFG, method)
+    expected, (observations, _) = batched.reset(), single.reset(seed=7)
+    for _ in range(5):
+        assert observations["robot"].tolist() == expected.policy["robot"][0].tolist()
+        assert single.state().tolist() == expected.state[0].tolist()
+        action = np.full(19, 0.3, dtype=np.float32)
+        observations, rewards, *_ = single.step({"robot": action})
+        step = batched.step({"robot": torch.from_numpy(action)[None]})
+        expected = step.observation
+        assert rewards["robot"] == step.rewards["robot"].item()
+
+
+def test_what_is_handed_out_does_not_change(env: CatchParallelEnv):
+    observations, _ = env.reset()
+    kept, state = {name: value.copy() for name, value in observations.items()}, env.state()
+    copied = state.copy()
+    env.step(still(env))
+    assert all(np.array_equal(observations[name], value) for name, value in kept.items())
+    assert np.array_equal(state, copied)
+
+
+def test_wrong_actions_are_named(env: CatchParallelEnv):
+    env.reset()
+    with pytest.raises(InvalidValueError, match="no action for agent 'hand'; each step needs arm, hand"):
+        env.step({"arm": np.zeros(6)})
+    with pytest.raises(InvalidValueError, match=r"agent 'arm' has shape \(7,\); it must be \(6,\)"):
+        env.step(still(env) | {"arm": np.zeros(7)})
+
+
+def test_a_seed_gives_its_episode_again(env: CatchParallelEnv):
+    first, again, other = (env.reset(seed=seed)[0]["arm"] for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert not np.array_equal(other, env.reset()[0]["arm"])
+
+
+def test_the_task_can_be_chosen():
+    env = CatchParallelEnv(replace(CFG, objects=("cross",)), METHODS["only_wh"])
+    observations, _ = env.reset()
+    assert {name: len(value) for name, value in observations.items()} == {"arm": 46, "hand": 74}
