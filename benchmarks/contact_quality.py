@@ -40,7 +40,7 @@ class Setting:
 
     def model(self, object_name: str) -> mujoco.MjModel:
         """The scene with these options."""
-        model = build_model(SceneCfg(physics_dt=1.0 / self.rate), object_name)
+        model = build_model(SceneCfg(physics_hz=self.rate), object_name)
         model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{self.integrator.upper()}")
         if self.speculative:
             model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SPECULATIVE

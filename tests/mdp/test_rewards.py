@@ -81,12 +81,9 @@ def test_action_square_is_of_the_agents_own_joints():
     assert rewards.action_square(step, slice(6, 19)).tolist() == [25.0]
 
 
-def test_grasp_is_the_share_of_touching_parts():
-    touching = torch.tensor([[True, False, True, False, False], [False] * 5])
-    assert rewards.grasp(transition(now=privileged(is_touching=touching)), ANY).tolist() == [
-        pytest.approx(0.4),
-        0.0,
-    ]
+def test_grasp_takes_two_touching_parts():
+    touching = torch.tensor([[True, False, True, False, False], [False, True, False, False, False], [False] * 5])
+    assert rewards.grasp(transition(now=privileged(is_touching=touching)), ANY).tolist() == [1.0, 0.0, 0.0]
 
 
 def eventful_step() -> Transition:
@@ -118,7 +115,7 @@ def test_hand_reward_is_equation_4():
     assert reward(HAND, eventful_step()).item() == pytest.approx(expected, abs=1e-6)
 
 
-def test_weights_are_the_papers():
+def test_weights_are_the_papers_and_a_grasp():
     weights = {
         agent.name: {term.name: term.weight for part in agent.parts for term in part.reward}
         for agent in (ARM, HAND)
@@ -126,7 +123,7 @@ def test_weights_are_the_papers():
     common = {"success": 10.0, "drop": -5.0, "table_contact": -5.0, "action_square": -0.01}
     assert weights == {
         "arm": {**common, "elapsed_time": -0.01, "palm_approach": 1.0, "nearness": 0.1},
-        "hand": {**common, "palm_approach": 1 / 5, "fingertips_approach": 1 / 5},
+        "hand": {**common, "palm_approach": 1 / 5, "fingertips_approach": 1 / 5, "grasp": 0.2},
     }
 
 

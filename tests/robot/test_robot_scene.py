@@ -178,7 +178,7 @@ def test_bad_values_are_named(tmp_path):
     object.__setattr__(neither, "handedness", "both")  # past the type check of the tests
     with pytest.raises(UnknownNameError, match="left"):
         build_model(neither)
-    with pytest.raises(InvalidValueError, match="physics_dt"):
-        build_model(SceneCfg(physics_dt=0.0))
+    with pytest.raises(InvalidValueError, match="physics_hz"):
+        build_model(SceneCfg(physics_hz=100.0))
     with pytest.raises(InvalidValueError, match=r"\.mjb"):
         export(tmp_path / "scene.urdf", SceneCfg())

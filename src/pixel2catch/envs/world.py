@@ -81,7 +81,7 @@ class CatchWorld:
         self.objects: ObjectTable = object_table(scene)
         self.num_envs, self.device = num_envs, self.simulation.device
         self._scene = scene
-        self._decimation = round(CONTROL_DT / scene.physics_dt)
+        self._decimation = scene.decimation
         self._palm = model.site("palm").id
         self._tips = [model.site(f"{finger}_tip").id for finger in FINGERS]
         self._sensors = ContactColumns.of(model)

@@ -16,6 +16,7 @@ from pixel2catch.robot.constants import (
     ARM_JOINTS,
     FINGERS,
     HAND_JOINTS,
+    CONTROL_DT,
     PHYSICS_DT,
     RGB_CAMERA,
     TABLE,
@@ -55,7 +56,7 @@ class SceneCfg:
 
     Attributes:
         handedness: Left as in the release, or its mirror image.
-        physics_dt: Physics time step [s].
+        physics_hz: Physics steps in a second, a multiple of the control rate. Default: paper.
         visuals: Whether to add lights, textures and what is only seen.
         object_friction: Sliding friction of the object; randomised per environment by the release.
         object_restitution: Speed after over speed before an impact; randomised per environment.
@@ -63,11 +64,30 @@ class SceneCfg:
     """
 
     handedness: Handedness = "left"
-    physics_dt: float = PHYSICS_DT
+    physics_hz: float = 1.0 / PHYSICS_DT
     visuals: bool = False
     object_friction: float = 1.0
     object_restitution: float = 0.25
     object_solimp: tuple[float, float, float, float, float] = SOLIMP
+
+    def __post_init__(self) -> None:
+        """Refuse a rate that does not divide a control step into whole physics steps."""
+        steps = self.physics_hz * CONTROL_DT
+        if steps < 0.5 or abs(steps - round(steps)) > 1e-6:
+            raise InvalidValueError(
+                f"physics_hz is {self.physics_hz:g}; it must be a multiple of the control rate, "
+                f"{1 / CONTROL_DT:g} Hz"
+            )
+
+    @property
+    def decimation(self) -> int:
+        """Physics steps in a control step."""
+        return round(self.physics_hz * CONTROL_DT)
+
+    @property
+    def physics_dt(self) -> float:
+        """Physics time step [s]."""
+        return CONTROL_DT / self.decimation
 
 
 def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
@@ -80,8 +100,6 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
         raise UnknownNameError("object", object_name, OBJECTS)
     if cfg.handedness not in ("left", "right"):
         raise UnknownNameError("handedness", cfg.handedness, ("left", "right"))
-    if not cfg.physics_dt > 0:
-        raise InvalidValueError(f"physics_dt = {cfg.physics_dt} must be positive [s].")
     spec = mujoco.MjSpec()
     spec.modelname = "pixel2catch"
     _set_options(spec, cfg)
