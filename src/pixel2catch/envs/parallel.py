@@ -30,8 +30,9 @@ Values = dict[str, Any]
 class CatchParallelEnv:
     """A single robot that catches; its agents act at the same time.
 
-    A time-out counts as a termination (paper), so nothing is ever truncated. `CatchEnv` begins the next episode
-    in the step that ends one: the observation and the state that come with an end are those of the next
+    A time-out counts as a termination (paper), so nothing is ever truncated. `CatchEnv` begins the next
+    episode in the step that ends one: the observation and the state that come with an end are those of the
+    next
     episode's start. Every end is a termination, so a learner that follows the API never values them.
 
     Attributes:
@@ -118,8 +119,8 @@ class CatchParallelEnv:
             actions: Action of each agent (num_joints,), in [-1, 1]; what lies outside is clipped.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos of each agent. The infos of the step that
-            ends an episode hold `is_tracked`, `is_success` and `episode_steps`.
+            Observations, rewards, terminations, truncations and infos of each agent. The infos of the step
+            that ends an episode hold `is_tracked`, `is_success` and `episode_steps`.
 
         Raises:
             InvalidValueError: If an action is missing or of another size.

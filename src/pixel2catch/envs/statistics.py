@@ -46,7 +46,7 @@ class EpisodeStatistics:
         """
         self._object_names, self._reward_names = object_names, reward_names
         self._aim_low = torch.tensor([low for low, _ in aim], device=device)
-        self._aim_width = torch.tensor([high - low for low, high in aim], device=device)
+        self._aim_width = torch.tensor([max(high - low, 1e-6) for low, high in aim], device=device)
         self._modes = torch.arange(len(FAILURES), device=device)
         num_columns = 1 + len(SHARES) + len(SUMS) + len(FAILURES)
         self._by_object = torch.zeros(len(object_names), num_columns, device=device)

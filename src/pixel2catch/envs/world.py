@@ -17,7 +17,7 @@ from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
 from pixel2catch.mdp.throws import GRAVITY, Throw
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, RGB_CAMERA
+from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA
 from pixel2catch.robot.contact import contact_solref
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS, surface_points

@@ -14,8 +14,8 @@ from pixel2catch.robot.scene import SceneCfg
 PHYSICS_HZ = 480.0
 """Physics rate of evaluations. Source: ours, four times the paper's rate of training.
 
-At 120 Hz an object of 4.5 m/s is up to 38 mm inside the hand before a step sees the contact; a policy must not
-live by that.
+At 120 Hz an object of 4.5 m/s is up to 38 mm inside the hand before a step sees the contact; a policy must
+not live by that.
 """
 
 SHIPPED = "proposed"

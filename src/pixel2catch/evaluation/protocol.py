@@ -91,6 +91,7 @@ def assess(
         "rounds": cfg.trials,
         "seed": cfg.seed,
         "device": cfg.device,
+        "physics_hz": cfg.task.scene.physics_hz,
         **metrics(trials, tuple(OBJECTS)),
         "seconds": time.perf_counter() - started,
     }

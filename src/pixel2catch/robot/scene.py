@@ -14,9 +14,9 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robot.allegro import Handedness, add_hand
 from pixel2catch.robot.constants import (
     ARM_JOINTS,
+    CONTROL_DT,
     FINGERS,
     HAND_JOINTS,
-    CONTROL_DT,
     PHYSICS_DT,
     RGB_CAMERA,
     TABLE,
