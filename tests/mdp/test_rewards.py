@@ -82,9 +82,9 @@ def test_action_square_is_of_the_agents_own_joints():
 
 
 def test_grasp_takes_two_touching_parts():
-    touching = torch.tensor([[True, False, True, False, False], [False, True, False, False, False], [False] *
-    5]) assert rewards.grasp(transition(now=privileged(is_touching=touching)), ANY).tolist() == [1.0, 0.0,
-    0.0]
+    two, one, none = [True, False, True, False, False], [False, True, False, False, False], [False] * 5
+    now = privileged(is_touching=torch.tensor([two, one, none]))
+    assert rewards.grasp(transition(now=now), ANY).tolist() == [1.0, 0.0, 0.0]
 
 
 def eventful_step() -> Transition:

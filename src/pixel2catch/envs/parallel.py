@@ -32,8 +32,7 @@ class CatchParallelEnv:
 
     A time-out counts as a termination (paper), so nothing is ever truncated. `CatchEnv` begins the next
     episode in the step that ends one: the observation and the state that come with an end are those of the
-    next
-    episode's start. Every end is a termination, so a learner that follows the API never values them.
+    next episode's start. Every end is a termination, so a learner that follows the API never values them.
 
     Attributes:
         metadata: Name of the environment; it renders nothing.
