@@ -90,6 +90,8 @@ class EpisodeRecord:
         first = touched & ~self.is_hand_contact
         return replace(
             self,
+            object_id=self.object_id.clone(),
+            aim=self.aim.clone(),
             steps=transition.episode_steps,
             held_steps=transition.held_steps,
             is_tracked=self.is_tracked | is_near(transition.now),
