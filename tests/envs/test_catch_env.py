@@ -1,0 +1,247 @@
+"""The environment as a whole: beginnings, endings, throws, sensing and repeatability."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from pixel2catch.agents import JOINTS
+from pixel2catch.camera.boxes import hold_box
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.step import Step
+from pixel2catch.mdp.observations import observe, pixel_columns
+from pixel2catch.mdp.sensing import SensingCfg, detect
+from pixel2catch.mdp.snapshot import History
+from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
+from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.methods import METHODS
+from pixel2catch.robot.objects import OBJECTS
+
+PROPOSED = METHODS["proposed"]
+EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0)
+HOVERING = ThrowCfg(hover_steps=(80, 80))
+OBJECT = slice(len(JOINTS), len(JOINTS) + 7)
+
+
+def make(num_envs: int, seed: int = 0, **changes: object) -> CatchEnv:
+    return CatchEnv(replace(CatchEnvCfg(), **changes), PROPOSED, num_envs=num_envs, seed=seed)
+
+
+def rollout(env: CatchEnv, num_steps: int, action: float = 0.0) -> Iterator[Step]:
+    for _ in range(num_steps):
+        yield env.step({name: torch.full((env.num_envs, n), action) for name, n in env.action_sizes.items()})
+
+
+def object_pos(env: CatchEnv) -> Tensor:
+    return env.world.privileged(env.world.quiet_log()).object_pos
+
+
+def move_object(env: CatchEnv, row: int, pos: Tensor) -> None:
+    """Put one object at rest somewhere, between two control steps."""
+    simulation = env.world.simulation
+    simulation.bind("qpos")[row, OBJECT.start : OBJECT.start + 3] = pos.to(simulation.dtype)
+    simulation.bind("qvel")[row, OBJECT.start : OBJECT.start + 6] = 0.0
+    simulation.forward()
+
+
+def test_sizes():
+    env = make(2)
+    assert env.observation_sizes == {"arm": 50, "hand": 78}
+    assert env.action_sizes == {"arm": 6, "hand": 13}
+    assert env.state_size == 50 + 78 + 21
+    observation = env.reset()
+    assert observation.state.shape == (2, env.state_size)
+    assert torch.equal(torch.cat((*observation.policy.values(),), dim=-1), observation.state[:, :128])
+
+
+def test_a_time_out_ends_every_episode_at_its_step():
+    env = make(3, throws=HOVERING, episode=EpisodeCfg(max_steps=4))
+    ended = [step.terminated.tolist() for step in rollout(env, 9)]
+    assert ended == [[number % 4 == 0] * 3 for number in range(1, 10)]
+
+
+def test_a_drop_ends_and_resets_only_its_environment():
+    env = make(3, throws=HOVERING)
+    list(rollout(env, 3))
+    before = env.world.joint_pos
+    move_object(env, 1, torch.tensor([1.0, 0.0, 0.3]))
+    step = next(rollout(env, 1))
+    assert step.terminated.tolist() == [False, True, False]
+    assert step.record.is_dropped.tolist() == [False, True, False]
+    assert step.record.steps.tolist() == [4, 4, 4]
+    assert object_pos(env)[1, 0] > 2.0  # a new throw waits at its release point
+    moved = (env.world.joint_pos - before)[:, :6].abs().amax(dim=-1)
+    assert moved[1] > 0.02  # another start pose
+    assert moved[[0, 2]].max() < 0.02
+    after = next(rollout(env, 1))
+    assert after.record.steps.tolist() == [5, 1, 5]
+    assert not after.terminated.any()
+
+
+def test_what_a_reset_environment_sees_is_new():
+    """Both frames of the first observation are equal; differences and last actions are zero."""
+    env = make(2, throws=HOVERING, episode=EpisodeCfg(max_steps=5))
+    *_, last = rollout(env, 5, action=0.5)
+    assert last.terminated.all()
+    for agent, width in (("arm", 25), ("hand", 39)):
+        older, newer = last.observation.policy[agent].split(width, dim=-1)
+        assert torch.equal(older, newer)
+        assert not newer[:, 2:6].any()
+        assert not newer[:, 13 + env.action_sizes[agent] :].any()
+    assert (last.measurement.joint_pos_target - env.world.joint_pos).abs().max() < 1e-6
+    assert (
+        last.joint_pos_target.sub(last.measurement.joint_pos_target).abs().max() > 0.1
+    )  # what was commanded
+
+
+def test_an_object_held_for_twenty_steps_is_a_success_at_exactly_that_step():
+    """Environment 0 holds at once, 1 loses the object after ten steps for one, 2 never reaches it."""
+    env = make(3, throws=HOVERING, objects=("cube_s",))
+    ended, rewards = {}, {}
+    for number in range(1, 36):
+        truth = env.world.privileged(env.world.quiet_log())
+        reach = truth.palm_pos + torch.tensor([0.0104, 0.0, 0.0489])  # 5 cm along the palm's normal
+        move_object(env, 0, reach[0])
+        move_object(env, 1, reach[1] + (number == 11) * torch.tensor([0.5, 0.0, 0.0]))
+        step = next(rollout(env, 1))
+        for row in step.terminated.nonzero()[:, 0].tolist():
+            ended.setdefault(row, number)
+            assert step.record.is_success[row]
+        rewards[number] = step.rewards["arm"].clone()
+    assert ended == {0: HOLD_STEPS, 1: 11 + HOLD_STEPS}
+    assert rewards[20][0] > 9.5
+    assert max(rewards[number][0] for number in range(2, 20)) < 1.0
+
+
+def test_a_success_does_not_end_an_evaluation():
+    env = make(1, throws=HOVERING, objects=("cube_s",), episode=EpisodeCfg(ends_on_success=False))
+    step = None
+    for _ in range(25):
+        truth = env.world.privileged(env.world.quiet_log())
+        move_object(env, 0, truth.palm_pos[0] + torch.tensor([0.0104, 0.0, 0.0489]))
+        step = next(rollout(env, 1))
+        assert not step.terminated.any()
+    assert step is not None
+    assert step.record.is_success.all()
+    assert step.record.held_steps.tolist() == [25]
+
+
+def test_hover_lasts_5_to_19_control_steps_and_is_still():
+    env = make(48)
+    start, first_move = object_pos(env), torch.zeros(48, dtype=torch.long)
+    for number, _ in enumerate(rollout(env, 21), start=1):
+        distance = (object_pos(env) - start).norm(dim=-1)
+        is_moving = distance > 0.05
+        assert (is_moving | (distance < 1e-5)).all(), "an object either hovers or flies"
+        first_move = torch.where(is_moving & (first_move == 0), number, first_move)
+    hover_steps = first_move - 1
+    assert (hover_steps.min().item(), hover_steps.max().item()) == (5, 19)
+
+
+def test_throws_come_down_where_they_are_aimed():
+    """Within 4 cm: an integrator of first order falls g dt / 2 lower per second of flight."""
+    env = make(16, throws=ThrowCfg(hover_steps=(1, 1)))
+    path, aim = [], next(rollout(env, 1)).record.aim
+    for step in rollout(env, 32):
+        path.append(object_pos(env))
+        if step.terminated.any():
+            break
+    path = torch.stack(path)
+    assert len(path) > 20
+    for row in range(16):
+        flight, target = path[:, row], aim[row]
+        peak = int(flight[:, 2].argmax())
+        after = peak + int((flight[peak:, 2] < target[2]).nonzero()[0])
+        above, below = flight[after - 1], flight[after]
+        share = (above[2] - target[2]) / (above[2] - below[2])
+        crossing = above + share * (below - above)
+        assert (crossing - target)[:2].norm() < 0.04
+
+
+@pytest.mark.parametrize("latency", [0, 1, 2])
+def test_a_box_is_measured_exactly_after_the_latency(latency):
+    env = make(
+        4, sensing=replace(EXACT, latency_steps=(latency, latency)), throws=ThrowCfg(hover_steps=(1, 1))
+    )
+    points, is_visible = env.world.surface_points()
+    seen = [detect(points, is_visible, EXACT.least_visible)[0]] * (latency + 1)
+    for step in rollout(env, 20):
+        seen.append(hold_box(*detect(*env.world.surface_points(), EXACT.least_visible), seen[-1]))
+        torch.testing.assert_close(step.measurement.box, seen[-1 - latency])
+    assert (seen[-1] - seen[0]).abs().max() > 50
+
+
+def test_an_unseen_object_keeps_its_last_box():
+    env = make(2, sensing=replace(EXACT, latency_steps=(0, 0)), throws=HOVERING)
+    held = next(rollout(env, 1)).measurement.box.clone()
+    move_object(env, 0, torch.tensor([2.0, 0.0, 4.0]))  # above the image
+    for step in rollout(env, 3):
+        torch.testing.assert_close(step.measurement.box, held, atol=1e-3, rtol=0)
+    move_object(env, 0, torch.tensor([2.0, 0.0, 1.0]))
+    assert (next(rollout(env, 1)).measurement.box[0] - held[0]).abs().max() > 5
+
+
+def test_snapshots_do_not_follow_the_simulation():
+    env = make(2)
+    first = next(rollout(env, 1, action=1.0))
+    truth = env.world.privileged(first.log)
+    snapshots = (
+        *(first.observation.state, *first.observation.policy.values(), *first.rewards.values()),
+        *(*vars(truth).values(), *first.log, *vars(first.record).values()),
+        *(first.joint_pos_target, env.world.joint_pos, *env.world.surface_points()),
+    )
+    copies = [value.clone() for value in snapshots]
+    list(rollout(env, 8, action=-1.0))
+    env.reset()
+    assert all(torch.equal(value, copy) for value, copy in zip(snapshots, copies, strict=True))
+
+
+def test_the_record_of_an_end_is_that_of_the_ended_episode():
+    """Object and aim, too: the next episode has others, drawn in the same step."""
+    env = make(8, throws=HOVERING, episode=EpisodeCfg(max_steps=2))
+    for _ in range(4):
+        first, last = (next(rollout(env, 1)).record for _ in range(2))
+        assert torch.equal(first.aim, last.aim)
+        assert torch.equal(first.object_id, last.object_id)
+
+
+def test_a_seed_gives_its_rollout_again():
+    rollouts = []
+    for seed in (1, 1, 2):
+        env = make(3, seed=seed, episode=EpisodeCfg(max_steps=8))
+        rollouts.append(torch.stack([step.observation.state for step in rollout(env, 20, action=0.4)]))
+    assert torch.equal(rollouts[0], rollouts[1])
+    assert not torch.equal(rollouts[0], rollouts[2])
+
+
+@pytest.mark.parametrize("name", ["proposed", "journal", "single_agent"])
+def test_recorded_measurements_give_the_observations_again(name):
+    """What a deployment needs: measurements of the robot alone determine what the policy sees."""
+    method = METHODS[name]
+    env = CatchEnv(replace(CatchEnvCfg(), episode=EpisodeCfg(max_steps=7)), method, num_envs=2, seed=5)
+    columns, history = pixel_columns(method.pixel_features), None
+    for step in rollout(env, 21, action=0.2):
+        now = type(step.measurement)(**{key: value.clone() for key, value in vars(step.measurement).items()})
+        if step.terminated.all():
+            history = History(now, now, now)
+        elif history is not None:
+            history = History(history.before, history.now, now)
+        if history is not None:
+            for agent in method.agents:
+                again = observe(agent.observation, agent.joints, columns, history)
+                assert torch.equal(again, step.observation.policy[agent.name])
+    assert history is not None
+
+
+def test_every_object_is_thrown_without_nan():
+    env = make(2 * len(OBJECTS), objects=tuple(OBJECTS))
+    finite = True
+    for _ in range(92):
+        actions = {name: 2 * torch.rand(env.num_envs, n) - 1 for name, n in env.action_sizes.items()}
+        step = env.step(actions)
+        values = (step.observation.state, *step.rewards.values(), *(v.float() for v in step.log))
+        finite &= all(bool(value.isfinite().all()) for value in values)
+    assert finite
+    assert env.statistics.pop()["episodes"] >= env.num_envs
