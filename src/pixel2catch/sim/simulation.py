@@ -57,9 +57,10 @@ class Simulation(ABC):
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:
         """Live tensor of an `MjData` field, named and shaped as in MuJoCo.
 
-        `qpos`, `qvel`, `ctrl` and `qacc_warmstart` are the state, `xfrc_applied` and `qfrc_applied` are inputs: a
-        write takes effect at the next call. After one to `qpos` or `qvel` that call must be `forward`: MuJoCo Warp
-        begins a step with forces of the speeds that it knows. Every other field is an output.
+        `qpos`, `qvel`, `ctrl` and `qacc_warmstart` are the state, `xfrc_applied` and `qfrc_applied` are
+        inputs: a write takes effect at the next call. After one to `qpos` or `qvel` that call must be
+        `forward`: MuJoCo Warp begins a step with the forces of the speeds that it knows. Every other field is
+        an output.
         """
 
     @abstractmethod
