@@ -26,10 +26,12 @@ class BodyPart:
     """Consecutive joints with the reward that belongs to them.
 
     Attributes:
+        name: Name in logs.
         joints: Their columns in joint order.
         reward: Weighted reward terms.
     """
 
+    name: str
     joints: slice
     reward: tuple[RewardTerm, ...]
 
@@ -61,7 +63,7 @@ class AgentSpec:
     @property
     def reward_names(self) -> tuple[str, ...]:
         """Names of the reward terms of all parts, in the order of `reward_terms`."""
-        return tuple(term.name for part in self.parts for term in part.reward)
+        return tuple(f"{part.name}.{term.name}" for part in self.parts for term in part.reward)
 
     def reward_terms(self, transition: Transition) -> Float[Tensor, "num_envs num_terms"]:
         """Weighted reward terms of all parts; the agent's reward is their sum."""
@@ -82,6 +84,7 @@ ARM = AgentSpec(
     name="arm",
     parts=(
         BodyPart(
+            name="arm",
             joints=slice(0, len(ARM_JOINTS)),
             reward=(
                 RewardTerm(function=rewards.elapsed_time, weight=-0.01),
@@ -100,6 +103,7 @@ HAND = AgentSpec(
     name="hand",
     parts=(
         BodyPart(
+            name="hand",
             joints=slice(len(ARM_JOINTS), len(JOINTS)),
             reward=(
                 RewardTerm(function=rewards.palm_approach, weight=0.2),

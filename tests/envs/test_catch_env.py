@@ -141,23 +141,20 @@ def test_hover_lasts_5_to_19_control_steps_and_is_still():
 
 
 def test_throws_come_down_where_they_are_aimed():
-    """Within 4 cm: an integrator of first order falls g dt / 2 lower per second of flight."""
+    """Within 5 mm, at any physics rate."""
     env = make(16, throws=ThrowCfg(hover_steps=(1, 1)))
     path, aim = [], next(rollout(env, 1)).record.aim
-    for step in rollout(env, 32):
+    for _ in rollout(env, 29):
         path.append(object_pos(env))
-        if step.terminated.any():
-            break
     path = torch.stack(path)
-    assert len(path) > 20
     for row in range(16):
         flight, target = path[:, row], aim[row]
-        peak = int(flight[:, 2].argmax())
+        peak = int(flight[:20, 2].argmax())  # a lost object flies again later
         after = peak + int((flight[peak:, 2] < target[2]).nonzero()[0])
         above, below = flight[after - 1], flight[after]
         share = (above[2] - target[2]) / (above[2] - below[2])
         crossing = above + share * (below - above)
-        assert (crossing - target)[:2].norm() < 0.04
+        assert (crossing - target)[:2].norm() < 0.005
 
 
 @pytest.mark.parametrize("latency", [0, 1, 2])

@@ -15,7 +15,7 @@ from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import METHODS
 
 OBJECTS = ("ball", "box")
-TERMS = {"arm": ("a", "b"), "hand": ("c",)}
+TERMS = {"arm": ("arm.a", "arm.b"), "hand": ("hand.c",)}
 VALUES = {
     "arm": torch.tensor([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]),
     "hand": torch.tensor([[0.0], [0.0], [3.0]]),
@@ -162,18 +162,7 @@ def test_a_record_of_three_steps_by_hand():
     assert [flag.item() for flag in flags] == [True, True, False, False]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "proposed",
-        pytest.param(
-            "single_agent",
-            marks=pytest.mark.xfail(
-                reason="terms of arm and hand have the same names, and one of each is lost"
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("name", ["proposed", "single_agent"])
 def test_reward_terms_sum_to_the_rewards(name):
     method = METHODS[name]
     env = CatchEnv(CatchEnvCfg(episode=EpisodeCfg(max_steps=5)), method, num_envs=4)
@@ -184,6 +173,7 @@ def test_reward_terms_sum_to_the_rewards(name):
     result = env.statistics.pop()
     assert list(result) == keys
     assert result["episodes"] == 4.0
-    for agent, mean in total.items():
-        terms = [value for key, value in result.items() if key.startswith(f"reward_term/{agent}.")]
-        assert sum(terms) == pytest.approx(mean, abs=1e-5)
+    for agent in method.agents:
+        prefixes = tuple(f"reward_term/{part.name}." for part in agent.parts)
+        terms = [value for key, value in result.items() if key.startswith(prefixes)]
+        assert sum(terms) == pytest.approx(total[agent.name], abs=1e-5)

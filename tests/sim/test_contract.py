@@ -10,16 +10,11 @@ from copies import BODY, HOME, NUM_ENVS, ON_FLOOR, ON_TABLE, TABLE
 from pixel2catch.robot.constants import PHYSICS_DT
 from pixel2catch.robot.contact import contact_solref
 from pixel2catch.sim.simulation import Simulation
-from pixel2catch.sim.warp import WarpSimulation
 
 GRAVITY = 9.81
 DATA_FIELDS = (
     *copies.STATE,
     *("time", "xpos", "xquat", "xmat", "site_xpos", "sensordata", "actuator_force"),
-)
-SOLREF_MIX = (
-    "of two direct solrefs MuJoCo Warp takes the smaller numbers, whatever the priorities: "
-    "the table's stiffness with the object's damping"
 )
 ONLY_FIRST = torch.tensor([True, False, False, False])
 
@@ -168,10 +163,8 @@ def test_a_heavier_object_rests_as_deep(simulation):
     torch.testing.assert_close(depth, torch.full_like(depth, 4.6e-5), atol=5e-6, rtol=0)
 
 
-def test_an_object_rests_on_the_table_as_on_the_floor(simulation, request):
+def test_an_object_rests_on_the_table_as_on_the_floor(simulation):
     """Contacts of the object are the object's own, whatever it lies on."""
-    if isinstance(simulation, WarpSimulation):
-        request.applymarker(pytest.mark.xfail(reason=SOLREF_MIX))
     depth = resting_depth(simulation, ON_TABLE)
     torch.testing.assert_close(depth, torch.full_like(depth, 4.6e-5), atol=5e-6, rtol=0)
 

@@ -111,8 +111,7 @@ class CatchEnv:
             actions: Action of each agent by name, in [-1, 1]; what lies outside is clipped.
 
         Returns:
-            What happened. On CUDA its tensors are overwritten by the next step, but for `observation` and
-            `rewards`.
+            What happened. The next step overwrites its tensors, but for `observation` and `rewards`.
         """
         action = torch.cat([actions[agent.name] for agent in self.method.agents], dim=-1)
         step = self._advance(action.clamp(-1.0, 1.0))

@@ -92,9 +92,7 @@ class EpisodeStatistics:
             for n, row in zip(self._object_names, objects, strict=True)
         }
         result |= {f"success_rate/landing_{i}": _means(row)["success_rate"] for i, row in enumerate(landings)}
-        names = [
-            f"reward_term/{agent}.{name}" for agent, names in self._reward_names.items() for name in names
-        ]
+        names = [f"reward_term/{name}" for names in self._reward_names.values() for name in names]
         return result | {
             name: value / max(rewards[0], 1.0) for name, value in zip(names, rewards[1:], strict=True)
         }

@@ -122,9 +122,17 @@ class CatchWorld:
         lift.copy_(torch.where(mask, weight, lift))
 
     def release(self, mask: Bool[Tensor, " num_envs"], lin_vel: Float[Tensor, "num_envs 3"]) -> None:
-        """Let the masked objects fly with this velocity [m/s]; nothing carries them any longer."""
+        """Let the masked objects fly with this velocity [m/s]; nothing carries them any longer.
+
+        The physics steps first change the speed and then move by the new one, which makes a path fall short
+        by half a step of gravity; the release makes up for it, so that throws land where they are aimed at
+        any
+        rate.
+        """
         velocity = self._fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3]
-        velocity.copy_(select(mask, lin_vel.to(velocity), velocity))
+        start = lin_vel.to(velocity, copy=True)
+        start[:, 2] += 0.5 * GRAVITY * self._scene.physics_dt
+        velocity.copy_(select(mask, start, velocity))
         self._fields.xfrc_applied[:, self.objects.indices.body, 2].masked_fill_(mask, 0.0)
 
     def forward(self, mask: Bool[Tensor, " num_envs"]) -> None:
