@@ -41,8 +41,7 @@ def contact_solref(restitution: Value, physics_dt: float) -> tuple[Value, Value]
 
 
 def table_solref(physics_dt: float) -> tuple[float, float]:
-    """Time constant and damping ratio of the table, as stiff as a step allows: the arm pushes with 100s of
-    newtons.
+    """Time constant and damping ratio of the table, as stiff as a step allows: the arm is strong.
 
     Of a speed and a depth, a step removes all of the one and 80 % of the other. Not the direct form: of two
     direct ones MuJoCo Warp takes the smaller numbers, whatever the priorities, and the object has one.
