@@ -99,7 +99,7 @@ class Train:
         import torch
 
         from pixel2catch.rl import TrainCfg, preset
-        from pixel2catch.sim.simulation import require_cuda
+        from pixel2catch.sim.devices import require_cuda
 
         device = self.device or ("cuda" if torch.cuda.is_available() else "cpu")
         if device.startswith("cuda"):

@@ -22,7 +22,8 @@ from pixel2catch.robot.contact import contact_solref
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model
-from pixel2catch.sim.simulation import Simulation, make_simulation
+from pixel2catch.sim.devices import make_simulation
+from pixel2catch.sim.simulation import Simulation
 
 NUM_JOINTS = len(JOINTS)
 NUM_ARM_JOINTS = len(ARM_JOINTS)

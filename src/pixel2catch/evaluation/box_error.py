@@ -23,7 +23,7 @@ from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, RGB_CAMERA, Joi
 from pixel2catch.robot.kinematics import palm_pose
 from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model
-from pixel2catch.sim.simulation import make_simulation
+from pixel2catch.sim.devices import make_simulation
 
 OCCLUDER_GROUPS = (0, 3)
 
