@@ -46,7 +46,7 @@ class Grasp:
 
 
 class Flicker:
-    """Moves the arm a little to and fro, and opens and closes the hand at every step."""
+    """Moves the arm a little back and forth, and opens and closes the hand at every step."""
 
     def __init__(self) -> None:
         self._sign = 1.0

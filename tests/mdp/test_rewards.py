@@ -146,7 +146,7 @@ def test_single_agents_reward_is_the_sum_of_both(seed, held_steps):
 
 @given(st.lists(st.floats(-2.0, 2.0, width=32), min_size=12, max_size=12))
 def test_approaches_of_a_path_sum_to_its_ends(coordinates):
-    """The sum over d(t-1) - d(t) is first minus last distance: no policy gains by going to and fro."""
+    """The sum over d(t-1) - d(t) is first minus last distance: no policy gains by going back and forth."""
     path = [privileged(object_pos=row[None]) for row in torch.tensor(coordinates).view(-1, 3)]
     steps = [transition(before, now) for before, now in itertools.pairwise(path)]
     total = sum(rewards.palm_approach(step, ANY) for step in steps)
