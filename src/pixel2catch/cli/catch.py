@@ -23,7 +23,7 @@ class Catch:
         video: The video file.
     """
 
-    throws: int = 500
+    throws: int = 300
     seed: int = 0
     video: Path = Path("catch.mp4")
 

@@ -28,7 +28,7 @@ class Evaluate:
     trials: int = 10
     seed: int = 0
     device: str = "cpu"
-    physics_hz: float = 480.0
+    physics_hz: float = 600.0
     json: bool = False
 
     def run(self) -> None:
