@@ -69,10 +69,15 @@ class Step:
 class Statistics:
     def __init__(self) -> None:
         self.episodes = self.successes = 0.0
+        self.time_penalty = -0.02
 
     def pop(self) -> dict[str, float]:
         rate = self.successes / self.episodes if self.episodes else float("nan")
-        popped = {"success_rate": rate, "episodes": self.episodes}
+        popped = {
+            "success_rate": rate,
+            "episodes": self.episodes,
+            "reward_term/arm.time": self.time_penalty,
+        }
         self.episodes = self.successes = 0.0
         return popped
 
@@ -86,7 +91,7 @@ class ReachingEnv:
         self.cfg, self.num_envs, self.device = task or ReachingCfg(), cfg.num_envs, cfg.device
         self.generator = torch.Generator(cfg.device).manual_seed(cfg.seed)
         self.statistics = Statistics()
-        self.num_steps, self.is_closed = 0, False
+        self.num_steps, self.num_checks, self.is_closed = 0, 0, False
         self.position, self.goal = self._zeros(), self._zeros()
         self.time = self._zeros()
         self.buffers = Observation(
@@ -117,6 +122,9 @@ class ReachingEnv:
         if self.num_steps == self.cfg.bad_step:
             self._spoil(step)
         return step
+
+    def check(self) -> None:
+        self.num_checks += 1
 
     def close(self) -> None:
         self.is_closed = True

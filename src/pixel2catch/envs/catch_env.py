@@ -117,6 +117,10 @@ class CatchEnv:
         step = self._advance(action.clamp(-1.0, 1.0))
         return replace(step, observation=clone(step.observation), rewards=clone(step.rewards))
 
+    def check(self) -> None:
+        """Raise if the simulation lost contacts since the last call; waits for the device."""
+        self.world.simulation.check()
+
     def close(self) -> None:
         """Free the simulation."""
         self.world.close()

@@ -81,6 +81,10 @@ class Environment(Protocol):
         """Act for one control step. Actions outside [-1, 1] are clipped by the environment."""
         ...
 
+    def check(self) -> None:
+        """Raise if the simulation lost something since the last call; may wait for the device."""
+        ...
+
     def close(self) -> None:
         """Release what the environment holds."""
         ...

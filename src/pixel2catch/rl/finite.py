@@ -1,5 +1,6 @@
 """Looks for NaN and infinity, once a rollout, and names where they are."""
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -9,19 +10,34 @@ from pixel2catch.errors import NonFiniteError
 from pixel2catch.policy import PolicyContract
 from pixel2catch.rl.learner import Learner
 
+REWARD_TERM = "reward_term/"
+"""How the names of reward terms begin in an environment's statistics."""
 
-def check_rollout(learner: Learner, contract: PolicyContract) -> dict[str, float]:
+
+def check_rollout(
+    learner: Learner, contract: PolicyContract, statistics: Mapping[str, float]
+) -> dict[str, float]:
     """Check what the environment gave since the last update, before the networks learn from it.
 
     A sum over a rollout is finite if and only if all of its terms are, as long as they are of sane size.
+
+    Args:
+        learner: What remembers the rollout.
+        contract: Names and sizes of the observation terms.
+        statistics: Means since the last update; those of reward terms begin with `REWARD_TERM`.
 
     Returns:
         The mean reward a control step, by agent.
 
     Raises:
-        NonFiniteError: The message names the agent and the observation term, the reward or the value input.
+        NonFiniteError: The message names the agent and the observation term, the reward term, or the
+            value input.
     """
-    totals: dict[str, Tensor] = {}
+    totals: dict[str, Tensor] = {
+        f"reward term '{name.removeprefix(REWARD_TERM)}'": torch.tensor(value, device=learner.cfg.device)
+        for name, value in statistics.items()
+        if name.startswith(REWARD_TERM) and not math.isfinite(value)
+    }
     for agent in learner.agents:
         memory, mappo = learner.memories[agent], learner.mappo
         totals[f"reward of agent '{agent}'"] = memory.get_tensor_by_name("rewards").mean((0, 1))

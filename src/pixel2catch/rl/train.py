@@ -139,7 +139,9 @@ class _Training:
 
     def _update(self, started: float) -> None:
         """Check, learn, check, and make a row of metrics; the only place that waits for the device."""
-        rewards = check_rollout(self.learner, self.contract)
+        self.env.check()
+        statistics = self.env.statistics.pop()
+        rewards = check_rollout(self.learner, self.contract, statistics)
         rolled_out = time.monotonic()
         losses = self.learner.update(self.progress.transitions / self.cfg.transitions)
         check_update(self.learner, losses)
@@ -153,7 +155,7 @@ class _Training:
             "transitions_per_second": self.cfg.rollout_transitions / (ended - started),
             "rollout_seconds": rolled_out - started,
             "update_seconds": ended - rolled_out,
-            **self.env.statistics.pop(),
+            **statistics,
             **rewards,
             **losses,
         }
