@@ -204,27 +204,6 @@ def test_nan_is_named_and_never_learnt_from(quantity: str, step: int, name: str,
     assert len(rows(tmp_path)) == 4
 
 
-def test_nan_in_a_reward_term_is_named(tmp_path: Path) -> None:
-    def make(cfg: TrainCfg) -> ReachingEnv:
-        env = ReachingEnv(cfg)
-        env.statistics.time_penalty = float("nan")
-        return env
-
-    with pytest.raises(NonFiniteError, match=r"reward term 'arm\.time'"):
-        train(SMALL, make, CONTRACT, tmp_path)
-
-
-def test_the_simulation_is_checked_once_a_rollout(tmp_path: Path) -> None:
-    made = []
-
-    def make(cfg: TrainCfg) -> ReachingEnv:
-        made.append(ReachingEnv(cfg))
-        return made[-1]
-
-    train(SMALL, make, CONTRACT, tmp_path)
-    assert made[0].num_checks == len(rows(tmp_path)) > 1
-
-
 def test_nan_in_the_networks_is_named(tmp_path: Path) -> None:
     """A learning rate that is far too high breaks the parameters, not the observations."""
     cfg = dataclasses.replace(SMALL, learning_rate=1e30, final_learning_rate=1e30)
