@@ -88,9 +88,9 @@ PRESETS = {
         num_envs=256,
         rollout_steps=32,
         transitions=5_000_000,
-        epochs=2,
+        epochs=3,
         learning_rate=1e-3,
-        final_learning_rate=1e-4,
+        final_learning_rate=3e-5,
     ),
     "paper": TrainCfg(
         num_envs=512,
