@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.agents import COMMANDS
-from pixel2catch.camera.boxes import perturb_box
+from pixel2catch.camera.boxes import hold_box, perturb_box
 from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.statistics import EpisodeStatistics
@@ -206,7 +206,7 @@ class CatchEnv:
         """Look and measure after a control step; nothing of an ended episode survives."""
         senses = self._senses
         detected, is_seen = self._detect()
-        box = select(begun | is_seen, detected, senses.boxes.newest)
+        box = hold_box(detected, begun | is_seen, senses.boxes.newest)
         boxes = select(begun, senses.boxes.filled(box), senses.boxes.pushed(box))
         joint_pos = self.world.joint_pos
         started = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)

@@ -21,12 +21,10 @@ from pixel2catch.errors import NonFiniteError
 from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
 
 CONTACTS_PER_ENV = 40
-"""Contacts to allocate per environment, shared by all (ours: twice the mean of the busiest step of a trained
-policy)."""
+"""Contacts to allocate per environment, shared by all (ours: 8,192 random robots used 3.4 each)."""
 
 CONSTRAINTS_PER_ENV = 160
-"""Constraint rows to allocate per environment (ours: 19 joint frictions, 19 limits, 3 per contact, with
-room)."""
+"""Constraint rows to allocate per environment (ours: 8,192 random robots used 45 at the most)."""
 
 _HARMLESS = int(mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS)
 
