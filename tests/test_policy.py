@@ -81,7 +81,7 @@ def test_contract_of_every_method(method: Method) -> None:
     assert len(joints) == 19
     for agent in contract.agents.values():
         terms = dict(agent.observation)
-        assert terms["pixels[t]"] == terms["pixels[t-1]"] == len(method.pixel_features)
+        assert terms.get("pixels[t]", 0) == terms.get("pixels[t-1]", 0) == len(method.pixel_features)
         assert terms["last_action[t]"] == len(agent.joints)
     assert set(contract.pixel_features) <= set(PIXEL_FEATURES)
     assert PolicyContract.from_dict(json.loads(json.dumps(contract.to_dict()))) == contract

@@ -4,7 +4,13 @@ from dataclasses import dataclass, replace
 
 from pixel2catch.agents import ARM, HAND, AgentSpec
 from pixel2catch.errors import UnknownNameError
-from pixel2catch.mdp.observations import JOURNAL_TERMS
+from pixel2catch.mdp.observations import (
+    JOURNAL_TERMS,
+    PROPRIOCEPTION,
+    ObservationTerm,
+    initial_object_position,
+    object_position,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,21 +28,29 @@ class Method:
     pixel_features: tuple[str, ...]
 
 
+def _seeing(*observation: ObservationTerm) -> tuple[AgentSpec, ...]:
+    """Arm and hand with other observations."""
+    return tuple(replace(agent, observation=observation) for agent in (ARM, HAND))
+
+
 PROPOSED = Method(name="proposed", agents=(ARM, HAND), pixel_features=("cx", "cy", "dcx", "dcy", "dw", "dh"))
 
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         PROPOSED,
-        replace(
-            PROPOSED, name="journal", agents=tuple(replace(a, observation=JOURNAL_TERMS) for a in (ARM, HAND))
+        Method(
+            name="without_pf", agents=_seeing(initial_object_position, *PROPRIOCEPTION), pixel_features=()
         ),
         replace(PROPOSED, name="only_wh", pixel_features=("w", "h", "dw", "dh")),
         replace(PROPOSED, name="only_center", pixel_features=("cx", "cy", "dcx", "dcy")),
         replace(PROPOSED, name="single_agent", agents=(ARM + HAND,)),
+        Method(name="object_position", agents=_seeing(object_position, *PROPRIOCEPTION), pixel_features=()),
+        replace(PROPOSED, name="journal", agents=_seeing(*JOURNAL_TERMS)),
     )
 }
-"""Source: paper, Sec. V-A; `journal` adds palm displacement and joint targets, as the release does."""
+"""Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D; release: `journal`,
+which adds palm displacement and joint targets."""
 
 
 def find_method(name: str) -> Method:

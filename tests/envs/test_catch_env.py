@@ -213,7 +213,18 @@ def test_a_seed_gives_its_rollout_again():
     assert not torch.equal(rollouts[0], rollouts[2])
 
 
-@pytest.mark.parametrize("name", ["proposed", "journal", "single_agent"])
+def test_a_tracker_is_as_late_as_the_box_and_the_first_position_stays():
+    env = make(2, sensing=replace(EXACT, latency_steps=(2, 2)), throws=ThrowCfg(hover_steps=(1, 1)))
+    path = [env.world.privileged(env.world.quiet_log()).object_pos] * 3
+    first = path[0].clone()
+    for step in rollout(env, 15):
+        path.append(env.world.privileged(step.log).object_pos)
+        torch.testing.assert_close(step.measurement.object_pos, path[-3])
+        assert torch.equal(step.measurement.initial_object_pos, first)
+    assert (path[-1] - first).norm(dim=-1).min() > 1.0
+
+
+@pytest.mark.parametrize("name", METHODS)
 def test_recorded_measurements_give_the_observations_again(name):
     """What a deployment needs: measurements of the robot alone determine what the policy sees."""
     method = METHODS[name]

@@ -21,6 +21,8 @@ def measurement(num_envs: int = 1, start: float = 0.0) -> Measurement:
     """A measurement in which every number is another one; `start` marks the control step."""
     return Measurement(
         box=numbers(num_envs, 4, start + 1000.0),
+        object_pos=numbers(num_envs, 3, start**2 + 1100.0),
+        initial_object_pos=numbers(num_envs, 3, start + 1200.0),
         joint_pos=numbers(num_envs, NUM_JOINTS, start + 2000.0),
         joint_pos_target=numbers(num_envs, NUM_JOINTS, start + 3000.0),
         palm_pos=numbers(num_envs, 3, start + 4000.0),

@@ -1,5 +1,6 @@
 """Observations: sizes, layout, and that every difference comes from (before, now)."""
 
+import dataclasses
 import itertools
 
 import pytest
@@ -21,6 +22,8 @@ OLDEST, BEFORE, NOW = (measurement(2, start) for start in (0.0, 0.25, 0.75))
 HISTORY = History(OLDEST, BEFORE, NOW)
 
 SIZES = {
+    "without_pf": {"arm": 2 * (3 + 7 + 12), "hand": 2 * (3 + 7 + 26)},
+    "object_position": {"arm": 50, "hand": 78},
     "proposed": {"arm": 50, "hand": 78},
     "journal": {"arm": 2 * (25 + 3 + 6), "hand": 2 * (39 + 3 + 13)},
     "only_wh": {"arm": 46, "hand": 74},
@@ -83,6 +86,26 @@ def test_a_robot_at_rest_has_no_differences(method: Method):
         names = method.pixel_features
         differences = [column for column, name in enumerate(names) if name.startswith("d")]
         assert not newer[:, differences].any()
+
+
+def test_the_oracle_sees_position_and_change_in_place_of_pixels():
+    oracle = METHODS["object_position"]
+    for agent, pixel_agent in zip(oracle.agents, PROPOSED.agents, strict=True):
+        older, newer = observation(agent, oracle).chunk(2, dim=-1)
+        for row, before, now in ((older, OLDEST, BEFORE), (newer, BEFORE, NOW)):
+            assert torch.equal(row[:, :3], now.object_pos)
+            assert torch.equal(row[:, 3:6], now.object_pos - before.object_pos)
+        pixels = observation(pixel_agent, PROPOSED)
+        assert torch.equal(newer[:, 6:], pixels[:, pixels.shape[1] // 2 + 6 :])
+
+
+def test_without_pixel_features_the_object_is_seen_at_the_beginning_only():
+    method = METHODS["without_pf"]
+    later = dataclasses.replace(NOW, box=NOW.box + 50.0, object_pos=NOW.object_pos + 1.0)
+    for agent in method.agents:
+        seen = observation(agent, method)
+        assert torch.equal(seen, observation(agent, method, History(OLDEST, BEFORE, later)))
+        assert torch.equal(seen[:, :3], BEFORE.initial_object_pos)
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)

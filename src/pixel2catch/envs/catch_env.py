@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.agents import COMMANDS
-from pixel2catch.camera.boxes import hold_box, perturb_box
+from pixel2catch.camera.boxes import perturb_box
 from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.statistics import EpisodeStatistics
@@ -17,7 +17,7 @@ from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.masks import assign, clone, select
 from pixel2catch.mdp.observations import observe, pixel_columns, privileged_state
 from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, by_joint, sample_parameters
-from pixel2catch.mdp.sensing import BoxStream, SensingCfg, detect
+from pixel2catch.mdp.sensing import Detection, DetectionStream, SensingCfg, detect
 from pixel2catch.mdp.snapshot import History, Measurement, Privileged, Transition
 from pixel2catch.mdp.terminations import EpisodeCfg, is_ended, is_near
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
@@ -152,14 +152,12 @@ class CatchEnv:
     def _first_senses(self) -> "_Senses":
         """What is seen and measured at the beginning of an episode."""
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
-        box, _ = self._detect()
-        measurement = self._measure(
-            _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos), box
-        )
         now = self.world.privileged(log)
-        ages = self.cfg.sensing.latency_steps[1] + 1
+        detection, _ = self._detect(now)
+        started = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        measurement = self._measure(started, detection, detection.object_pos)
         senses = _Senses(
-            boxes=BoxStream(box[:, None].expand(-1, ages, -1)),
+            detections=DetectionStream.filled(detection, self.cfg.sensing.latency_steps[1] + 1),
             history=History(measurement, measurement, measurement),
             before=now,
             now=now,
@@ -205,39 +203,50 @@ class CatchEnv:
     def _sense(self, begun: Bool[Tensor, " num_envs"], command: "_Command", log: PhysicsLog) -> None:
         """Look and measure after a control step; nothing of an ended episode survives."""
         senses = self._senses
-        detected, is_seen = self._detect()
-        box = hold_box(detected, begun | is_seen, senses.boxes.newest)
-        boxes = select(begun, senses.boxes.filled(box), senses.boxes.pushed(box))
+        truth = self.world.privileged(log.cleared(begun))
+        detected, is_seen = self._detect(truth)
+        detection = detected.held(begun | is_seen, senses.detections.newest)
+        detections = select(
+            begun,
+            DetectionStream.filled(detection, len(senses.detections.ages)),
+            senses.detections.pushed(detection),
+        )
         joint_pos = self.world.joint_pos
         started = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
         now = self._measure(
-            select(begun, started, command), boxes.delivered(self._episode.parameters.latency)
+            select(begun, started, command),
+            detections.delivered(self._episode.parameters.latency),
+            select(begun, detection.object_pos, senses.history.now.initial_object_pos),
         )
         history = History(senses.history.before, senses.history.now, now)
-        truth = self.world.privileged(log.cleared(begun))
         updated = _Senses(
-            boxes=boxes,
+            detections=detections,
             history=select(begun, History(now, now, now), history),
             before=select(begun, truth, senses.now),
             now=truth,
         )
         assign(senses, updated)
 
-    def _detect(self) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
-        """Noisy box of the object in the present image, and whether it was seen at all."""
+    def _detect(self, truth: Privileged) -> tuple[Detection, Bool[Tensor, " num_envs"]]:
+        """What the present image shows of the object, with noise, and whether it was seen at all."""
         points, is_visible = self.world.surface_points()
         box, is_seen = detect(points, is_visible, self.cfg.sensing.least_visible)
         noise = 2.0 * torch.rand(box.shape, generator=self._generator, device=self.device) - 1.0
-        return perturb_box(box, self.cfg.sensing.corner_noise * noise, RGB_CAMERA), is_seen
+        box = perturb_box(box, self.cfg.sensing.corner_noise * noise, RGB_CAMERA)
+        return Detection(box=box, object_pos=truth.object_pos), is_seen
 
-    def _measure(self, command: "_Command", box: Float[Tensor, "num_envs 4"]) -> Measurement:
+    def _measure(
+        self, command: "_Command", detection: Detection, initial_object_pos: Float[Tensor, "num_envs 3"]
+    ) -> Measurement:
         """What the robot measures now, with the noise of its encoders."""
         joint_pos = self.world.joint_pos
         noise = torch.randn(joint_pos.shape, generator=self._generator, device=self.device)
         joint_pos = joint_pos + self._episode.parameters.joint_bias + self.cfg.sensing.joint_noise * noise
         palm_pos, palm_quat = palm_pose(joint_pos[:, :NUM_ARM_JOINTS])
         return Measurement(
-            box=box,
+            box=detection.box,
+            object_pos=detection.object_pos,
+            initial_object_pos=initial_object_pos,
             joint_pos=joint_pos,
             joint_pos_target=command.joint_pos_target,
             palm_pos=palm_pos,
@@ -277,7 +286,7 @@ class _Command:
 class _Senses:
     """What was seen and measured up to now."""
 
-    boxes: BoxStream
+    detections: DetectionStream
     history: History
     before: Privileged
     now: Privileged

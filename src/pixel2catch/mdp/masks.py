@@ -36,4 +36,5 @@ def _map(function: Callable[..., Tensor], *values: Any) -> Any:
         return type(first)(**{name: _map(function, *(getattr(v, name) for v in values)) for name in names})
     if isinstance(first, dict):
         return {name: _map(function, *(value[name] for value in values)) for name in first}
-    return type(first)(*(_map(function, *items) for items in zip(*values, strict=True)))
+    items = [_map(function, *several) for several in zip(*values, strict=True)]
+    return type(first)(*items) if hasattr(first, "_fields") else tuple(items)

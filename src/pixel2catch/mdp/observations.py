@@ -41,6 +41,16 @@ def pixels(frame: Frame) -> Float[Tensor, "num_envs k"]:
     return torch.stack([features[:, column] for column in frame.pixel_columns], dim=-1)
 
 
+def object_position(frame: Frame) -> Float[Tensor, "num_envs 6"]:
+    """Position of the object and its change since the step before, world frame [m]. Source: ours (oracle)."""
+    return torch.cat((frame.now.object_pos, frame.now.object_pos - frame.before.object_pos), dim=-1)
+
+
+def initial_object_position(frame: Frame) -> Float[Tensor, "num_envs 3"]:
+    """Where the object was when the episode began, world frame [m]. Source: paper, Sec. V-A (w/o-PF)."""
+    return frame.now.initial_object_pos
+
+
 def palm_pose(frame: Frame) -> Float[Tensor, "num_envs 7"]:
     """Palm position [m] and orientation (w, x, y, z), world frame. Source: paper, Sec. IV-C."""
     return torch.cat((frame.now.palm_pos, frame.now.palm_quat), dim=-1)
@@ -66,7 +76,8 @@ def joint_pos_target(frame: Frame) -> Float[Tensor, "num_envs k"]:
     return frame.now.joint_pos_target[:, frame.joints]
 
 
-PAPER_TERMS: tuple[ObservationTerm, ...] = (pixels, palm_pose, joint_pos, last_action)
+PROPRIOCEPTION: tuple[ObservationTerm, ...] = (palm_pose, joint_pos, last_action)
+PAPER_TERMS: tuple[ObservationTerm, ...] = (pixels, *PROPRIOCEPTION)
 JOURNAL_TERMS: tuple[ObservationTerm, ...] = (*PAPER_TERMS, palm_displacement, joint_pos_target)
 
 

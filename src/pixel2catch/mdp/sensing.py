@@ -9,9 +9,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.camera.boxes import box_of_points
+from pixel2catch.camera.boxes import box_of_points, hold_box
 from pixel2catch.camera.pinhole import project
 from pixel2catch.camera.visibility import is_in_view
+from pixel2catch.mdp.masks import select
 from pixel2catch.robot.constants import RGB_CAMERA
 
 
@@ -37,33 +38,55 @@ class SensingCfg:
     least_visible: float = 0.05
 
 
-@dataclass(frozen=True)
-class BoxStream:
-    """Detected boxes on their way to the policy: the newest and its predecessors.
+@dataclass(frozen=True, kw_only=True)
+class Detection:
+    """What is known of the object from one image.
 
     Attributes:
-        boxes: Boxes by age in control steps, newest first [px].
+        box: Its bounding box [px].
+        object_pos: Its position by a tracker, world frame [m].
     """
 
-    boxes: Float[Tensor, "num_envs num_ages 4"]
+    box: Float[Tensor, "num_envs 4"]
+    object_pos: Float[Tensor, "num_envs 3"]
 
-    def delivered(self, latency: Int[Tensor, " num_envs"]) -> Float[Tensor, "num_envs 4"]:
-        """The box that is `latency` control steps old."""
-        index = latency.view(-1, 1, 1).expand(-1, 1, 4)
-        return self.boxes.gather(1, index).squeeze(1)
+    def held(self, is_seen: Bool[Tensor, " num_envs"], previous: "Detection") -> "Detection":
+        """This detection where the object is seen, else the previous one."""
+        box = hold_box(self.box, is_seen, previous.box)
+        object_pos = torch.where(is_seen[:, None], self.object_pos, previous.object_pos)
+        return Detection(box=box, object_pos=object_pos)
 
-    def pushed(self, box: Float[Tensor, "num_envs 4"]) -> "BoxStream":
+
+@dataclass(frozen=True)
+class DetectionStream:
+    """Detections on their way to the policy: the newest and its predecessors.
+
+    Attributes:
+        ages: Detections by age in control steps, newest first.
+    """
+
+    ages: tuple[Detection, ...]
+
+    def delivered(self, latency: Int[Tensor, " num_envs"]) -> Detection:
+        """The detection that is `latency` control steps old."""
+        result = self.ages[0]
+        for age, detection in enumerate(self.ages[1:], start=1):
+            result = select(latency >= age, detection, result)
+        return result
+
+    def pushed(self, detection: Detection) -> "DetectionStream":
         """The stream one control step later."""
-        return BoxStream(torch.cat((box[:, None], self.boxes[:, :-1]), dim=1))
+        return DetectionStream((detection, *self.ages[:-1]))
 
-    def filled(self, box: Float[Tensor, "num_envs 4"]) -> "BoxStream":
-        """A stream in which every age is `box`: how an episode begins."""
-        return BoxStream(box[:, None].expand_as(self.boxes))
+    @classmethod
+    def filled(cls, detection: Detection, num_ages: int) -> "DetectionStream":
+        """A stream in which every age is the same: how an episode begins."""
+        return cls((detection,) * num_ages)
 
     @property
-    def newest(self) -> Float[Tensor, "num_envs 4"]:
-        """The last detected box."""
-        return self.boxes[:, 0]
+    def newest(self) -> Detection:
+        """The last detection."""
+        return self.ages[0]
 
 
 def detect(

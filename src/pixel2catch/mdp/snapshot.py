@@ -20,6 +20,9 @@ class Measurement:
 
     Attributes:
         box: Newest delivered bounding box of the object: xmin, ymin, xmax, ymax [px].
+        object_pos: Position of the object's centre by a tracker, as old as the box, world frame [m]. Only
+            methods that others are compared with read it.
+        initial_object_pos: The first such position of the episode [m].
         joint_pos: Joint encoders, arm then hand [rad].
         joint_pos_target: Joint targets commanded at this step [rad].
         palm_pos: Palm position by forward kinematics of `joint_pos`, world frame [m].
@@ -28,6 +31,8 @@ class Measurement:
     """
 
     box: Float[Tensor, "num_envs 4"]
+    object_pos: Float[Tensor, "num_envs 3"]
+    initial_object_pos: Float[Tensor, "num_envs 3"]
     joint_pos: Float[Tensor, "num_envs num_joints"]
     joint_pos_target: Float[Tensor, "num_envs num_joints"]
     palm_pos: Float[Tensor, "num_envs 3"]

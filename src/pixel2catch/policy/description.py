@@ -48,6 +48,8 @@ def _blank_measurement() -> Measurement:
     joints = torch.zeros(1, len(JOINTS))
     return Measurement(
         box=torch.zeros(1, 4),
+        object_pos=torch.zeros(1, 3),
+        initial_object_pos=torch.zeros(1, 3),
         joint_pos=joints,
         joint_pos_target=joints,
         palm_pos=torch.zeros(1, 3),
