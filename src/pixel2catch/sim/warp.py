@@ -26,6 +26,10 @@ CONTACTS_PER_ENV = 40
 CONSTRAINTS_PER_ENV = 160
 """Constraint rows to allocate per environment (ours: 8,192 random robots used 45 at the most)."""
 
+RAY_BLOCK = 32
+"""Threads that share the geoms of a ray. Source: ours: the model has 25 geoms; with MuJoCo Warp's 64 the rays
+of 8,192 environments take 3.1 ms instead of 1.7 (H200)."""
+
 _HARMLESS = int(mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS)
 
 
@@ -44,6 +48,7 @@ class WarpSimulation(Simulation):
             wp.set_stream(wp.stream_from_torch(torch.cuda.current_stream(self.device)), self._device)
         with wp.ScopedDevice(self._device):
             self._model = mjw.put_model(_without_cpu_flags(model))
+            self._model.block_dim.ray = RAY_BLOCK
             self._data = mjw.make_data(model, num_envs, nconmax=CONTACTS_PER_ENV, njmax=CONSTRAINTS_PER_ENV)
         self._graph: wp.Graph | None = None
         self._rays: _Rays | None = None
