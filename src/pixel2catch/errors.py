@@ -43,3 +43,11 @@ class NonFiniteError(Pixel2CatchError):
 
 class CheckpointError(Pixel2CatchError):
     """A run folder or checkpoint that cannot be written, read or resumed."""
+
+
+class WorkerError(Pixel2CatchError):
+    """Another process of a training that runs in several failed; the message is that of its error."""
+
+
+class StudyError(Pixel2CatchError):
+    """A study that cannot go on, or a part of it that failed."""

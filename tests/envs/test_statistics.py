@@ -102,6 +102,18 @@ def test_popping_starts_anew_and_keys_stay():
     assert sums.pop()["episodes"] == 0.0
 
 
+def test_statistics_of_several_processes():
+    """Three processes with the same sums: counts are threefold, rates the same; the largest is another's."""
+    alone, one = statistics(), statistics()
+    for sums in (alone, one):
+        sums.add(yes(1, 1, 1), record(), VALUES)
+    expected = alone.pop() | {"episodes": 9.0, "max_joint_speed": 3.0}
+    result = one.pop(lambda sums: 3.0 * sums, lambda maxima: maxima.clamp(min=3.0))
+    assert result["max_torque_share"] == 3.0
+    names = [name for name in expected if not name.startswith("max_") or name == "max_joint_speed"]
+    assert {n: result[n] for n in names} == pytest.approx({n: expected[n] for n in names}, nan_ok=True)
+
+
 @pytest.mark.parametrize(
     ("tracked", "dropped", "contact_steps", "expected"),
     [

@@ -4,6 +4,7 @@ Same interface as `CatchEnv`. It writes observations into the same buffers in ev
 agent inputs in pixels, which little can be learnt from unless they are standardised.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from pixel2catch.policy import AgentContract, PolicyContract
 from pixel2catch.rl.config import TrainCfg
+from pixel2catch.rl.learner import Learner
 
 EPISODE_STEPS = 12
 
@@ -66,16 +68,23 @@ class Step:
     truncated: Tensor
 
 
+Reduction = Callable[[Tensor], Tensor]
+
+
+def _same(values: Tensor) -> Tensor:
+    return values
+
+
 class Statistics:
     def __init__(self) -> None:
         self.episodes = self.successes = 0.0
         self.time_penalty = -0.02
 
-    def pop(self) -> dict[str, float]:
-        rate = self.successes / self.episodes if self.episodes else float("nan")
+    def pop(self, total: Reduction = _same, largest: Reduction = _same) -> dict[str, float]:
+        counts = total(torch.tensor([self.episodes, self.successes])).tolist()
         popped = {
-            "success_rate": rate,
-            "episodes": self.episodes,
+            "success_rate": counts[1] / counts[0] if counts[0] else float("nan"),
+            "episodes": counts[0],
             "reward_term/arm.time": self.time_penalty,
         }
         self.episodes = self.successes = 0.0
@@ -155,3 +164,14 @@ class ReachingEnv:
 
     def _zeros(self, *size: int) -> Tensor:
         return torch.zeros(self.num_envs, *size, device=self.device)
+
+
+def roll_out(learner: Learner, env: ReachingEnv) -> None:
+    observation = env.reset()
+    for _ in range(learner.cfg.rollout_steps):
+        policy = {agent: inputs.clone() for agent, inputs in observation.policy.items()}
+        state = observation.state.clone()
+        actions = learner.act(observation)
+        step = env.step(actions)
+        learner.record(policy, state, actions, step)
+        observation = step.observation

@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Step
+from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Step, roll_out
 from skrl.multi_agents.torch.mappo import MAPPO
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 
@@ -16,17 +16,6 @@ from pixel2catch.rl import gradient_step
 from pixel2catch.rl.config import PRESETS, TrainCfg, preset
 from pixel2catch.rl.learner import Learner
 from pixel2catch.rl.memory import RolloutMemory
-
-
-def roll_out(learner: Learner, env: ReachingEnv) -> None:
-    observation = env.reset()
-    for _ in range(learner.cfg.rollout_steps):
-        policy = {agent: inputs.clone() for agent, inputs in observation.policy.items()}
-        state = observation.state.clone()
-        actions = learner.act(observation)
-        step = env.step(actions)
-        learner.record(policy, state, actions, step)
-        observation = step.observation
 
 
 @pytest.fixture

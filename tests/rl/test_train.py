@@ -17,7 +17,13 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, Observation, ReachingCfg, ReachingEnv, Step
 
-from pixel2catch.errors import CheckpointError, DeviceUnavailableError, NonFiniteError, PolicyMismatchError
+from pixel2catch.errors import (
+    CheckpointError,
+    DeviceUnavailableError,
+    InvalidValueError,
+    NonFiniteError,
+    PolicyMismatchError,
+)
 from pixel2catch.policy import AgentContract, Policy, PolicyContract
 from pixel2catch.rl import TrainCfg, train
 from pixel2catch.rl.metrics import CsvLog
@@ -153,6 +159,17 @@ def test_a_run_folder_is_not_overwritten(tmp_path: Path) -> None:
     train(SMALL, ReachingEnv, CONTRACT, tmp_path)
     with pytest.raises(CheckpointError, match="holds a run already; name another folder, or add --resume"):
         train(SMALL, ReachingEnv, CONTRACT, tmp_path)
+
+
+def test_no_empty_folder_stays_behind(tmp_path: Path) -> None:
+    def fail(_: TrainCfg) -> ReachingEnv:
+        raise InvalidValueError("no such task")
+
+    (tmp_path / "mine").mkdir()
+    for folder in ("runs/a", "mine"):
+        with pytest.raises(InvalidValueError, match="no such task"):
+            train(SMALL, fail, CONTRACT, tmp_path / folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
 def test_damaged_or_foreign_checkpoints(tmp_path: Path) -> None:

@@ -15,14 +15,15 @@ class Train:
     """Train a policy. What is not given comes from the preset.
 
     Attributes:
-        method: What to train: proposed, journal, only_wh, only_center, single_agent.
+        method: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position or
+            journal.
         preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
         device: Where to simulate and learn: cpu, cuda, cuda:1, ... Default: cuda where there is one.
         physics_hz: Physics steps in a second, a multiple of 30. Default: 120, the paper's.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
         resume: Go on from the last checkpoint in that folder.
         seed: Seed of networks, exploration and environments.
-        num_envs: Environments that are simulated side by side.
+        num_envs: Environments that are simulated side by side, in all processes of torchrun together.
         transitions: Length of the training: control steps, summed over the environments.
         rollout_steps: Control steps of every environment between two updates.
         epochs: Passes over a rollout in an update.

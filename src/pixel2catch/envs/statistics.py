@@ -1,6 +1,6 @@
 """Sums over ended episodes, by object and by landing point, kept on the device until they are asked for."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -24,6 +24,10 @@ LANDING_BINS = (2, 4)
 """Bins of the throws' aim along x and y."""
 
 Row = list[float]
+
+
+def _of_one_process(values: Tensor) -> Tensor:
+    return values
 
 
 class EpisodeStatistics:
@@ -72,19 +76,26 @@ class EpisodeStatistics:
         means = torch.cat([values.mean(dim=0) for values in reward_terms.values()])
         self._rewards += torch.cat((torch.ones_like(means[:1]), means))
 
-    def pop(self) -> dict[str, float]:
-        """Rates and means since the last call; NaN where nothing was counted. Waits for the device once."""
-        buffers = (self._by_object, self._by_landing, self._maxima[None], self._rewards[None])
-        packed = torch.cat([buffer.flatten() for buffer in buffers]).tolist()
+    def pop(
+        self,
+        total: Callable[[Tensor], Tensor] = _of_one_process,
+        largest: Callable[[Tensor], Tensor] = _of_one_process,
+    ) -> dict[str, float]:
+        """Rates and means since the last call; NaN where nothing was counted. Waits for the device once.
+
+        Args:
+            total: Adds up the sums of all processes that count.
+            largest: Finds the largest of their maxima.
+        """
+        buffers = (self._by_object, self._by_landing, self._rewards, self._maxima)
+        *sums, maxima = (buffer.flatten() for buffer in buffers)
+        packed = torch.cat((total(torch.cat(sums)), largest(maxima.clone())))
+        objects, landings, rewards, maxima = (
+            part.view_as(buffer).tolist()
+            for part, buffer in zip(packed.cpu().split([b.numel() for b in buffers]), buffers, strict=True)
+        )
         for buffer in buffers:
             buffer.zero_()
-        rows: list[Row] = []
-        for buffer in buffers:
-            for _ in range(buffer.shape[0]):
-                rows.append(packed[: buffer.shape[1]])
-                packed = packed[buffer.shape[1] :]
-        num_objects = len(self._object_names)
-        objects, landings, (maxima, rewards) = rows[:num_objects], rows[num_objects:-2], rows[-2:]
         result = _means([sum(column) for column in zip(*objects, strict=True)])
         result |= dict(zip(MAXIMA, maxima, strict=True))
         result |= {

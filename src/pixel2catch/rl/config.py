@@ -17,9 +17,9 @@ class TrainCfg:
     """
 
     num_envs: int = 8192
-    """Number of environments that are simulated side by side."""
+    """Number of environments that are simulated side by side, in all processes together."""
     device: str = "cuda"
-    """Where to simulate and learn: "cuda", "cuda:1", … or "cpu"."""
+    """Where to simulate and learn: "cuda" (each process on its own device), "cuda:1", … or "cpu"."""
     seed: int = 0
     """Seed of the networks, the exploration and the environments."""
     transitions: int = 100_000_000

@@ -11,15 +11,18 @@ from pixel2catch.rl.metrics import Row
 class TrainingConsole:
     """Shows progress towards a number of transitions."""
 
-    def __init__(self, total: int, report_seconds: float, transitions: int = 0) -> None:
+    def __init__(
+        self, total: int, report_seconds: float, transitions: int = 0, *, is_silent: bool = False
+    ) -> None:
         """Begin to show.
 
         Args:
             total: Transitions at the end.
             report_seconds: Time between two lines where there is no terminal [s].
             transitions: Transitions that are behind already.
+            is_silent: Whether to show nothing.
         """
-        self._console = Console(highlight=False, soft_wrap=True)
+        self._console = Console(highlight=False, soft_wrap=True, quiet=is_silent)
         self._total, self._report_seconds, self._next_report = total, report_seconds, 0.0
         self._bar = Progress(
             TextColumn("training"),

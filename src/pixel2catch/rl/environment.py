@@ -1,5 +1,6 @@
 """What the learner needs of an environment. `CatchEnv` has it."""
 
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor
@@ -49,8 +50,13 @@ class Step(Protocol):
 class Statistics(Protocol):
     """Episode statistics, accumulated on the device."""
 
-    def pop(self) -> dict[str, float]:
-        """Return the statistics since the last call; the keys are always the same."""
+    def pop(self, total: Callable[[Tensor], Tensor], largest: Callable[[Tensor], Tensor]) -> dict[str, float]:
+        """Return the statistics since the last call; the keys are always the same.
+
+        Args:
+            total: Adds up the same sums of all processes; called once.
+            largest: Finds the largest of the same maxima of all processes; called once at the most.
+        """
         ...
 
 

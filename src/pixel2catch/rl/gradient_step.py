@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.models import GaussianPolicy, ValueFunction
+from pixel2catch.rl.workers import Workers
 
 NUM_EAGER_STEPS = 3
 """Steps before the graph is captured: libraries set themselves up in the first. Source: torch's manual."""
@@ -34,12 +35,13 @@ class GradientStep:
 
     Attributes:
         optimizer: Adam, with its learning rate in a tensor, so that a captured step sees it change.
-        totals: Sums of policy loss, value loss and KL divergence over the steps since they were put to zero.
+        totals: Sums of policy loss, value loss and KL divergence over the steps since they were put to zero;
+            of all processes together, like the gradients.
     """
 
-    def __init__(self, cfg: TrainCfg, policy: GaussianPolicy, value: ValueFunction) -> None:
+    def __init__(self, cfg: TrainCfg, policy: GaussianPolicy, value: ValueFunction, workers: Workers) -> None:
         """Prepare for the parameters of one agent's models."""
-        self._cfg, self._policy, self._value = cfg, policy, value
+        self._cfg, self._policy, self._value, self._workers = cfg, policy, value, workers
         self._parameters = [*policy.parameters(), *value.parameters()]
         self._is_cuda = cfg.device.startswith("cuda")
         rate = torch.tensor(cfg.learning_rate, device=cfg.device)
@@ -78,9 +80,13 @@ class GradientStep:
 
     def on_restored(self) -> None:
         """Forget what depends on the optimiser's former state, or on the device that the new is from."""
-        self._graph, self._num_steps = None, 0
+        self.close()
         for group in self.optimizer.param_groups:
             group["capturable"] = self._is_cuda
+
+    def close(self) -> None:
+        """Release the graph: a process group does not end while a graph holds a collective of it."""
+        self._graph, self._num_steps = None, 0
 
     def _step(self, batch: Batch) -> None:
         """Source: PPO with clipped ratio and clipped values, as in skrl (`MAPPO.update`)."""
@@ -96,11 +102,16 @@ class GradientStep:
         entropy_loss = -cfg.entropy_scale * self._policy.entropy()
         self.optimizer.zero_grad()
         (policy_loss + value_loss + entropy_loss).backward()
-        nn.utils.clip_grad_norm_(self._parameters, cfg.gradient_clip)
-        self.optimizer.step()
         with torch.no_grad():
             kl = (ratio - 1.0 - log_ratio).mean()
-            self.totals += torch.stack((policy_loss.detach(), value_loss.detach(), kl))
+            losses = torch.stack((policy_loss, value_loss, kl))
+        self._workers.average([*self._gradients(), losses])
+        nn.utils.clip_grad_norm_(self._parameters, cfg.gradient_clip)
+        self.optimizer.step()
+        self.totals += losses
+
+    def _gradients(self) -> list[Tensor]:
+        return [parameter.grad for parameter in self._parameters if parameter.grad is not None]
 
     def _step_aside(self, batch: Batch) -> None:
         """Step on another stream, as capturing requires of the steps before it."""
@@ -113,6 +124,7 @@ class GradientStep:
     def _capture(self, batch: Batch) -> torch.cuda.CUDAGraph:
         graph = torch.cuda.CUDAGraph()
         self.optimizer.zero_grad()
-        with torch.cuda.graph(graph):
+        # A thread of NCCL may ask for the state of its events meanwhile, which "global" forbids to all.
+        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
             self._step(batch)
         return graph

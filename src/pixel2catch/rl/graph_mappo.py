@@ -8,6 +8,8 @@ from skrl.multi_agents.torch.mappo.mappo import compute_gae
 
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.gradient_step import Batch, GradientStep
+from pixel2catch.rl.scaling import standardised
+from pixel2catch.rl.workers import Workers
 
 HIGHEST_LEARNING_RATE = 1e-2
 """Upper bound of the adaptive learning rate. Source: skrl (`KLAdaptiveLR`)."""
@@ -16,13 +18,13 @@ HIGHEST_LEARNING_RATE = 1e-2
 class GraphMAPPO(MAPPO):
     """MAPPO whose `update` waits for the device once; a test compares it with skrl's own."""
 
-    def __init__(self, train_cfg: TrainCfg, **arguments: Any) -> None:
+    def __init__(self, train_cfg: TrainCfg, workers: Workers, **arguments: Any) -> None:
         """Build skrl's MAPPO and replace its optimisers."""
         super().__init__(**arguments)
-        self._train_cfg = train_cfg
+        self._train_cfg, self._workers = train_cfg, workers
         self.steps: dict[str, GradientStep] = {}
         for agent, models in self.models.items():
-            self.steps[agent] = GradientStep(train_cfg, models["policy"], models["value"])  # pyright: ignore[reportArgumentType] (built in mappo.py)
+            self.steps[agent] = GradientStep(train_cfg, models["policy"], models["value"], workers)  # pyright: ignore[reportArgumentType] (built in mappo.py)
             self.optimizers[agent] = self.checkpoint_modules[agent]["optimizer"] = self.steps[agent].optimizer
 
     def update(self, *, timestep: int, timesteps: int, uid: str) -> None:
@@ -49,13 +51,16 @@ class GraphMAPPO(MAPPO):
 
     @torch.no_grad()
     def _estimate_advantages(self, uid: str) -> None:
-        """Fill in returns and advantages, and standardise values. Source: skrl (`MAPPO.update`)."""
+        """Fill in returns and advantages, and standardise them and the values. Source: skrl (`MAPPO.update`).
+
+        skrl standardises advantages by the statistics of one process; these are of all.
+        """
         cfg, memory = self._train_cfg, self.memories[uid]  # pyright: ignore[reportOptionalSubscript]
         scaler = self._value_preprocessor[uid]
         states = self._state_preprocessor[uid](self._current_next_states[uid])
         last_values, _ = self.models[uid]["value"].act({"states": states}, role="value")
         values = memory.get_tensor_by_name("values")
-        returns, advantages = compute_gae(
+        returns, _ = compute_gae(
             rewards=memory.get_tensor_by_name("rewards"),
             terminated=memory.get_tensor_by_name("terminated"),
             truncated=memory.get_tensor_by_name("truncated"),
@@ -64,6 +69,7 @@ class GraphMAPPO(MAPPO):
             discount_factor=cfg.discount,
             lambda_coefficient=cfg.gae_lambda,
         )
+        advantages = standardised(self._workers, returns - values)
         memory.set_tensor_by_name("values", scaler(values, train=True))
         memory.set_tensor_by_name("returns", scaler(returns, train=True))
         memory.set_tensor_by_name("advantages", advantages)

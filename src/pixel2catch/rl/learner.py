@@ -14,15 +14,22 @@ from pixel2catch.rl.graph_mappo import METRICS
 from pixel2catch.rl.mappo import build_mappo
 from pixel2catch.rl.memory import RolloutMemory
 from pixel2catch.rl.models import GaussianPolicy, ValueFunction
+from pixel2catch.rl.workers import OneProcess, Workers
 
 
 class Learner:
     """Acts, remembers and updates. Between two updates nothing waits for the device."""
 
-    def __init__(self, cfg: TrainCfg, env: Environment) -> None:
-        """Build untrained networks; the global torch generator decides on their weights."""
-        self.cfg = cfg
-        self.mappo = build_mappo(cfg, env)
+    def __init__(self, cfg: TrainCfg, env: Environment, workers: Workers | None = None) -> None:
+        """Build untrained networks; the global torch generator decides on their weights.
+
+        Args:
+            cfg: The configuration of this process.
+            env: The environments of this process.
+            workers: All processes, whose updates are one; this one alone if absent.
+        """
+        self.cfg, self.workers = cfg, workers or OneProcess(cfg.device)
+        self.mappo = build_mappo(cfg, env, self.workers)
         self.agents = tuple(env.action_sizes)
         self.models = cast(dict[str, dict[str, GaussianPolicy | ValueFunction]], self.mappo.models)
         self.memories = cast(dict[str, RolloutMemory], self.mappo.memories)
@@ -81,6 +88,11 @@ class Learner:
         """Forget the transitions since the last update."""
         for memory in self.memories.values():
             memory.reset()
+
+    def close(self) -> None:
+        """Release what would keep the process group from ending."""
+        for step in self.mappo.steps.values():
+            step.close()
 
     @torch.no_grad()
     def export(self, contract: PolicyContract) -> Policy:

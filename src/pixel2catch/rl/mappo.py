@@ -7,16 +7,17 @@ import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Box
 from skrl.multi_agents.torch.mappo import MAPPO_CFG
-from skrl.resources.preprocessors.torch import RunningStandardScaler
 
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.environment import Environment
 from pixel2catch.rl.graph_mappo import GraphMAPPO
 from pixel2catch.rl.memory import RolloutMemory
 from pixel2catch.rl.models import GaussianPolicy, ValueFunction
+from pixel2catch.rl.scaling import JointScaler
+from pixel2catch.rl.workers import Workers
 
 
-def build_mappo(cfg: TrainCfg, env: Environment) -> GraphMAPPO:
+def build_mappo(cfg: TrainCfg, env: Environment, workers: Workers) -> GraphMAPPO:
     """Build models, memories and the learner; one agent is as good as two.
 
     skrl writes no files here, and its own tracking of rewards, which waits for the device at every step, is
@@ -36,6 +37,7 @@ def build_mappo(cfg: TrainCfg, env: Environment) -> GraphMAPPO:
     memory_size = {"memory_size": cfg.rollout_steps, "num_envs": env.num_envs, "device": cfg.device}
     mappo = GraphMAPPO(
         cfg,
+        workers,
         possible_agents=agents,
         models=models,
         memories={agent: RolloutMemory(**memory_size) for agent in agents},
@@ -43,7 +45,7 @@ def build_mappo(cfg: TrainCfg, env: Environment) -> GraphMAPPO:
         state_spaces=state_spaces,
         action_spaces=action_spaces,
         device=cfg.device,
-        cfg=_mappo_cfg(cfg, observation_spaces, state_spaces),
+        cfg=_mappo_cfg(observation_spaces, state_spaces, {"device": cfg.device, "workers": workers}),
     )
     mappo.init()
     mappo.enable_training_mode(True)
@@ -55,7 +57,9 @@ def _unbounded(size: int) -> Space[Any]:
 
 
 def _mappo_cfg(
-    cfg: TrainCfg, observation_spaces: Mapping[str, Space[Any]], state_spaces: Mapping[str, Space[Any]]
+    observation_spaces: Mapping[str, Space[Any]],
+    state_spaces: Mapping[str, Space[Any]],
+    scaler: Mapping[str, Any],
 ) -> MAPPO_CFG:
     """Translate the configuration.
 
@@ -66,16 +70,14 @@ def _mappo_cfg(
     return MAPPO_CFG(
         rollouts=1,
         learning_rate_scheduler_kwargs={agent: {} for agent in observation_spaces},
-        observation_preprocessor=RunningStandardScaler,
-        observation_preprocessor_kwargs=_scaler_kwargs(observation_spaces, cfg.device),
-        state_preprocessor=RunningStandardScaler,
-        state_preprocessor_kwargs=_scaler_kwargs(state_spaces, cfg.device),
-        value_preprocessor=RunningStandardScaler,
-        value_preprocessor_kwargs={agent: {"size": 1, "device": cfg.device} for agent in observation_spaces},
+        observation_preprocessor=JointScaler,
+        observation_preprocessor_kwargs={
+            agent: {**scaler, "size": space} for agent, space in observation_spaces.items()
+        },
+        state_preprocessor=JointScaler,
+        state_preprocessor_kwargs={agent: {**scaler, "size": space} for agent, space in state_spaces.items()},
+        value_preprocessor=JointScaler,
+        value_preprocessor_kwargs={agent: {**scaler, "size": 1} for agent in observation_spaces},
         time_limit_bootstrap=False,
         experiment={"write_interval": 0, "checkpoint_interval": 0},  # pyright: ignore[reportArgumentType]
     )
-
-
-def _scaler_kwargs(spaces: Mapping[str, Space[Any]], device: str) -> dict[str, dict[str, Any]]:
-    return {agent: {"size": space, "device": device} for agent, space in spaces.items()}

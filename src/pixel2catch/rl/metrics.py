@@ -48,6 +48,9 @@ class CsvLog:
             _append(self._path, _format(self._rows[self._num_written :], columns).encode())
         self._columns, self._num_written = columns, len(self._rows)
 
+    def close(self) -> None:
+        """Nothing to do: no file stays open."""
+
 
 class TensorBoardLog:
     """The same rows for TensorBoard, over transitions."""

@@ -1,5 +1,6 @@
 """The folder of a training run: where its files are, and under which circumstances they came about."""
 
+import contextlib
 import dataclasses
 import datetime
 import importlib.metadata
@@ -8,7 +9,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +42,9 @@ class RunFolder:
         """The policy, for every other command."""
         return self.path / "policy"
 
-    def open(self, *, resume: bool) -> None:
-        """Make the folder, or see that there is something to resume.
+    @contextlib.contextmanager
+    def open(self, *, resume: bool) -> Iterator[None]:
+        """Make the folder, or see that there is something to resume. Folders left empty go again at the end.
 
         Raises:
             CheckpointError: The folder holds a run already, holds none to resume, or cannot be made.
@@ -51,17 +53,25 @@ class RunFolder:
             raise CheckpointError(f"'{self.path}' holds no checkpoint to resume; start without --resume.")
         if not resume and (self.path / "config.json").exists():
             raise CheckpointError(f"'{self.path}' holds a run already; name another folder, or add --resume.")
+        made = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise CheckpointError(f"cannot make the run folder '{self.path}': {error.strerror}.") from error
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # the first that is not empty ends it
+                for folder in made:
+                    folder.rmdir()
 
-    def describe(self, config: Mapping[str, Any]) -> None:
+    def describe(self, config: Mapping[str, Any], num_processes: int) -> None:
         """Write the resolved configuration and append this session's circumstances."""
         self.write_json("config.json", config)
         sessions_file = self.path / "sessions.json"
         sessions = json.loads(sessions_file.read_text()) if sessions_file.exists() else []
-        self.write_json("sessions.json", [*sessions, {**circumstances(), "config": config}])
+        session = {**circumstances(), "processes": num_processes}
+        self.write_json("sessions.json", [*sessions, {**session, "config": config}])
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, all or nothing. What JSON does not know is written as text."""

@@ -9,17 +9,18 @@ from typing import Literal
 
 import torch
 
-from pixel2catch.errors import CheckpointError, DeviceUnavailableError, PolicyMismatchError
+from pixel2catch.errors import CheckpointError, PolicyMismatchError
 from pixel2catch.policy import PolicyContract
 from pixel2catch.rl.checkpoint import Progress, load_checkpoint, save_checkpoint
 from pixel2catch.rl.config import TrainCfg
-from pixel2catch.rl.console import TrainingConsole
 from pixel2catch.rl.environment import Environment, Observation
 from pixel2catch.rl.finite import check_rollout, check_update
 from pixel2catch.rl.interruption import StopRequest
 from pixel2catch.rl.learner import Learner
-from pixel2catch.rl.metrics import METRICS_FILE, CsvLog, Row, TensorBoardLog
+from pixel2catch.rl.log import TrainingLog
+from pixel2catch.rl.metrics import Row
 from pixel2catch.rl.run_folder import RunFolder
+from pixel2catch.rl.workers import start_workers
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -49,11 +50,12 @@ def train(
     *,
     resume: bool = False,
 ) -> TrainResult:
-    """Train a method and write its run folder.
+    """Train a method and write its run folder; in a process that torchrun started, together with the others.
 
     Args:
-        cfg: The configuration.
-        make_env: Makes the environment from num_envs, device and seed of the configuration; closed here.
+        cfg: The configuration of the whole training.
+        make_env: Makes this process's environments, from num_envs, device and seed of its share of the
+            configuration; closed here.
         contract: What the policy will need to act elsewhere.
         out_dir: The run folder; see `RunFolder` for its files.
         resume: Go on from the checkpoint in `out_dir`.
@@ -62,32 +64,35 @@ def train(
         NonFiniteError: NaN or infinity appeared; the message names the quantity, the last checkpoint is good.
         CheckpointError: The folder cannot be used, or the last checkpoint could not be written.
         DeviceUnavailableError: The machine does not have `cfg.device`.
+        WorkerError: Another process failed; only in the first, which alone reports it.
+        InvalidValueError: The environments cannot be split over the processes.
     """
-    _require_device(cfg.device)
     folder = RunFolder(out_dir)
-    folder.open(resume=resume)
-    torch.manual_seed(cfg.seed)
-    with contextlib.closing(make_env(cfg)) as env:
-        _require_fit(cfg, env, contract)
-        training = _Training(cfg, env, contract, folder)
-        if resume:
-            training.progress = load_checkpoint(folder.checkpoint, training.learner, contract)
-        folder.describe(
-            {
-                "train": dataclasses.asdict(cfg),
-                "env": dataclasses.asdict(env.cfg),
-                "policy": contract.to_dict(),
-            }
-        )
+    with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
+        with workers.together():
+            share = workers.share(cfg)
+            if workers.is_first:
+                stack.enter_context(folder.open(resume=resume))
+        with workers.together():
+            env = stack.enter_context(contextlib.closing(make_env(share)))
+            _require_fit(share, env, contract)
+            torch.manual_seed(cfg.seed)
+            learner = stack.enter_context(contextlib.closing(Learner(share, env, workers)))
+            training = _Training(cfg, env, contract, folder, learner)
+            if resume:
+                training.progress = load_checkpoint(folder.checkpoint, learner, contract)
+            workers.diverge(cfg.seed, training.progress.transitions)
         return training.run()
 
 
 class _Training:
     """The loop and what it holds."""
 
-    def __init__(self, cfg: TrainCfg, env: Environment, contract: PolicyContract, folder: RunFolder) -> None:
+    def __init__(
+        self, cfg: TrainCfg, env: Environment, contract: PolicyContract, folder: RunFolder, learner: Learner
+    ) -> None:
         self.cfg, self.env, self.contract, self.folder = cfg, env, contract, folder
-        self.learner = Learner(cfg, env)
+        self.learner, self.workers = learner, learner.workers
         self.progress = Progress()
         self.row: Row = {}
 
@@ -96,36 +101,53 @@ class _Training:
         status: Literal["failed", "interrupted", "finished"] = "failed"
         try:
             with contextlib.ExitStack() as stack:
-                log = stack.enter_context(_Log(self.cfg, self.folder, self.progress.transitions))
+                with self.workers.together():
+                    log = stack.enter_context(self._open_log())
                 stop = stack.enter_context(StopRequest())
-                self._loop(log, stop)
-                status = "interrupted" if stop.is_set else "finished"
-                self._save_last(log, status)
+                status = self._loop(log, stop)
+                with self.workers.together():
+                    self._save_last(log, status)
         finally:
             result = {"status": status, **dataclasses.asdict(self.progress), "metrics": self.row}
-            with contextlib.suppress(OSError):
-                self.folder.write_json("summary.json", result)
+            if self.workers.is_first:
+                with contextlib.suppress(OSError):
+                    self.folder.write_json("summary.json", result)
         return TrainResult(
             status=status, **dataclasses.asdict(self.progress), policy=self.folder.policy, metrics=self.row
         )
 
-    def _loop(self, log: "_Log", stop: StopRequest) -> None:
-        observation = self.env.reset()
+    def _open_log(self) -> TrainingLog:
+        """Write down under which circumstances this session begins, and open its log."""
+        is_first = self.workers.is_first
+        if is_first:
+            train, env = dataclasses.asdict(self.cfg), dataclasses.asdict(self.env.cfg)
+            config = {"train": train, "env": env, "policy": self.contract.to_dict()}
+            self.folder.describe(config, self.workers.size)
+        return TrainingLog(self.cfg, self.folder, self.progress.transitions, is_silent=not is_first)
+
+    def _loop(self, log: TrainingLog, stop: StopRequest) -> Literal["interrupted", "finished"]:
+        with self.workers.together():
+            observation = self.env.reset()
         next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
         while self.progress.transitions < self.cfg.transitions:
             started = time.monotonic()
-            observation = self._collect(observation, stop)
-            if stop.is_set:
+            with self.workers.together():
+                observation = self._collect(observation, stop)
+            if self.workers.any(stop.is_set):
                 self.learner.discard_rollout()
-                return
+                return "interrupted"
             self._update(started)
             log.write(self.row)
             if time.monotonic() >= next_checkpoint:
                 log.attempt("checkpoint", self._save)
                 next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
+        return "finished"
 
     def _collect(self, observation: Observation, stop: StopRequest) -> Observation:
-        """Fill the learner's memory. Inputs are copied: an environment may reuse its buffers in `step`."""
+        """Fill the learner's memory, and wait for the device to see that the simulation is well.
+
+        Inputs are copied: an environment may reuse its buffers in `step`.
+        """
         for _ in range(self.cfg.rollout_steps):
             if stop.is_set:
                 break
@@ -135,16 +157,18 @@ class _Training:
             step = self.env.step(actions)
             self.learner.record(policy, state, actions, step)
             observation = step.observation
+        self.env.check()
         return observation
 
     def _update(self, started: float) -> None:
-        """Check, learn, check, and make a row of metrics; the only place that waits for the device."""
-        self.env.check()
-        statistics = self.env.statistics.pop()
-        rewards = check_rollout(self.learner, self.contract, statistics)
+        """Check, learn, check, and make a row of metrics."""
+        statistics = self.env.statistics.pop(self.workers.sum, self.workers.max)
+        with self.workers.together():
+            rewards = check_rollout(self.learner, self.contract, statistics)
         rolled_out = time.monotonic()
         losses = self.learner.update(self.progress.transitions / self.cfg.transitions)
-        check_update(self.learner, losses)
+        with self.workers.together():
+            check_update(self.learner, losses)
         ended = time.monotonic()
         self.progress = Progress(
             transitions=self.progress.transitions + self.cfg.rollout_transitions,
@@ -156,15 +180,16 @@ class _Training:
             "rollout_seconds": rolled_out - started,
             "update_seconds": ended - rolled_out,
             **statistics,
-            **rewards,
+            **self.workers.means(rewards),
             **losses,
         }
 
     def _save(self) -> None:
-        save_checkpoint(self.folder.checkpoint, self.learner, self.contract, self.progress)
-        self.learner.export(self.contract).save(self.folder.policy)
+        if self.workers.is_first:
+            save_checkpoint(self.folder.checkpoint, self.learner, self.contract, self.progress)
+            self.learner.export(self.contract).save(self.folder.policy)
 
-    def _save_last(self, log: "_Log", status: str) -> None:
+    def _save_last(self, log: TrainingLog, status: str) -> None:
         try:
             self._save()
         except OSError as error:
@@ -176,42 +201,6 @@ class _Training:
         log.console.say(
             f"{status}: {transitions:,} transitions in {minutes:.1f} min; policy in '{self.folder.policy}'"
             + ("; go on with --resume" if status == "interrupted" else "")
-        )
-
-
-class _Log:
-    """Console, CSV and TensorBoard; a full disk is reported and does not end the training."""
-
-    def __init__(self, cfg: TrainCfg, folder: RunFolder, transitions: int) -> None:
-        self.console = TrainingConsole(cfg.transitions, cfg.report_seconds, transitions)
-        self._csv = CsvLog(folder.path / METRICS_FILE, transitions)
-        self._tensorboard = TensorBoardLog(folder.path, transitions)
-
-    def __enter__(self) -> "_Log":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.attempt("TensorBoard events", self._tensorboard.close)
-        self.console.close()
-
-    def write(self, row: Row) -> None:
-        """Show and write a row of metrics."""
-        self.console.report(row)
-        self.attempt("metrics", lambda: self._csv.write(row))
-        self.attempt("TensorBoard events", lambda: self._tensorboard.write(row))
-
-    def attempt(self, what: str, write: Callable[[], None]) -> None:
-        """Write something; if that fails, say so and go on."""
-        try:
-            write()
-        except OSError as error:
-            self.console.say(f"warning: could not write {what} ({error}); training goes on")
-
-
-def _require_device(device: str) -> None:
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise DeviceUnavailableError(
-            f"device '{device}' was asked for, but torch finds no CUDA device; use 'cpu'."
         )
 
 

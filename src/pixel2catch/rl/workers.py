@@ -1,0 +1,221 @@
+"""The processes that train together, one for each GPU, and what they tell each other.
+
+    torchrun --nproc-per-node 2 -m pixel2catch train proposed
+
+Every process simulates its share of the environments. Gradients, statistics and decisions are combined, so
+that all hold the same networks and leave at the same point; the first process alone prints and writes files.
+"""
+
+import contextlib
+import dataclasses
+import os
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from typing import final
+
+import torch
+from torch import Tensor
+from torch import distributed as dist
+
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, Pixel2CatchError, WorkerError
+from pixel2catch.rl.config import TrainCfg
+
+
+class Workers(ABC):
+    """What a process knows of all; every process calls the same methods in the same order.
+
+    Attributes:
+        rank: Number of this process, from 0.
+        size: Number of processes.
+        device: Device of this process, "cpu" or "cuda:N".
+    """
+
+    def __init__(self, rank: int, size: int, device: str) -> None:
+        """Take a place."""
+        self.rank, self.size, self.device = rank, size, device
+
+    @property
+    def is_first(self) -> bool:
+        """Whether this is the process that prints and writes."""
+        return self.rank == 0
+
+    @abstractmethod
+    def sum(self, values: Tensor) -> Tensor:
+        """Return the sums over all processes; `values` is overwritten."""
+
+    @abstractmethod
+    def max(self, values: Tensor) -> Tensor:
+        """Return the largest values of all processes; `values` is overwritten."""
+
+    @abstractmethod
+    def average(self, tensors: Sequence[Tensor]) -> None:
+        """Put the means over all processes into tensors of one type; nothing waits for the device."""
+
+    @abstractmethod
+    def together(self) -> contextlib.AbstractContextManager[None]:
+        """Around work in which nothing is combined: if it fails in one process, all leave.
+
+        Raises:
+            WorkerError: In the first process, if only others failed; the message is theirs.
+            SystemExit: In the other processes, which have nothing more to say.
+        """
+
+    def any(self, flag: bool) -> bool:
+        """Return whether a flag is set in any process."""
+        return bool(self.max(torch.tensor(float(flag))))
+
+    def means(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the mean of each value over all processes."""
+        totals = self.sum(torch.tensor(list(values.values()), dtype=torch.float64))
+        return dict(zip(values, (totals / self.size).tolist(), strict=True))
+
+    def share(self, cfg: TrainCfg) -> TrainCfg:
+        """Return the configuration of this process: its environments, its device and their seed.
+
+        Raises:
+            InvalidValueError: The environments or their transitions cannot be split equally.
+        """
+        if cfg.num_envs % self.size:
+            raise InvalidValueError(
+                f"num_envs is {cfg.num_envs}; it is split over {self.size} processes and must be a multiple "
+                f"of {self.size}, such as {self.size * -(-cfg.num_envs // self.size)}."
+            )
+        return dataclasses.replace(
+            cfg, num_envs=cfg.num_envs // self.size, device=self.device, seed=self._seed(cfg.seed)
+        )
+
+    def diverge(self, seed: int, transitions: int) -> None:
+        """Let exploration differ: the first process goes on as if it were alone, others seed torch anew.
+
+        Args:
+            seed: Seed of the training.
+            transitions: Its progress, so that a resumed training repeats nothing.
+        """
+        if not self.is_first:
+            torch.manual_seed(self._seed(seed, transitions))
+
+    def _seed(self, seed: int, *others: int) -> int:
+        return seed if self.is_first else random.Random(repr((self.rank, seed, *others))).getrandbits(31)
+
+
+@final
+class OneProcess(Workers):
+    """A process that trains alone: nothing to combine."""
+
+    def __init__(self, device: str = "cpu") -> None:
+        """Take the only place."""
+        super().__init__(0, 1, device)
+
+    def sum(self, values: Tensor) -> Tensor:  # noqa: D102 (documented in the interface)
+        return values
+
+    def max(self, values: Tensor) -> Tensor:  # noqa: D102
+        return values
+
+    def average(self, tensors: Sequence[Tensor]) -> None:  # noqa: D102
+        pass
+
+    def together(self) -> contextlib.AbstractContextManager[None]:  # noqa: D102
+        return contextlib.nullcontext()
+
+
+@final
+class ManyProcesses(Workers):
+    """A process among others of torch's default process group.
+
+    Attributes:
+        is_agreed: Whether all processes know that the training has failed.
+    """
+
+    is_agreed = False
+
+    def sum(self, values: Tensor) -> Tensor:  # noqa: D102
+        dist.all_reduce(values)
+        return values
+
+    def max(self, values: Tensor) -> Tensor:  # noqa: D102
+        dist.all_reduce(values, dist.ReduceOp.MAX)
+        return values
+
+    def average(self, tensors: Sequence[Tensor]) -> None:
+        """Average in one collective, since its cost is in the call; it can be part of a CUDA graph."""
+        flat = self.sum(torch.cat([tensor.flatten() for tensor in tensors])) / self.size
+        parts = flat.split([tensor.numel() for tensor in tensors])
+        for tensor, part in zip(tensors, parts, strict=True):
+            tensor.copy_(part.view_as(tensor))
+
+    @contextlib.contextmanager
+    def together(self) -> Iterator[None]:  # noqa: D102
+        failure: Exception | None = None
+        try:
+            yield
+        except Exception as error:
+            failure = error
+        messages: list[str] = [""] * self.size
+        dist.all_gather_object(messages, _message(failure))
+        failed = [f"process {rank}: {message}" for rank, message in enumerate(messages) if message]
+        if not failed:
+            return
+        self.is_agreed = True
+        if failure and (self.is_first or not isinstance(failure, Pixel2CatchError)):
+            raise failure
+        if self.is_first:
+            raise WorkerError(failed[0])
+        raise SystemExit(0)
+
+
+@contextlib.contextmanager
+def start_workers(device: str) -> Iterator[Workers]:
+    """Join the processes that torchrun started; a process started by hand is alone.
+
+    Args:
+        device: "cpu" or "cuda"; a process that is alone may take any one CUDA device, such as "cuda:1".
+
+    Raises:
+        DeviceUnavailableError: There is no such device, or none for this process.
+        InvalidValueError: One CUDA device is named for several processes.
+    """
+    is_alone = not dist.is_torchelastic_launched() or int(os.environ["WORLD_SIZE"]) == 1
+    local = _own_device(device, None if is_alone else int(os.environ["LOCAL_RANK"]))
+    if local.startswith("cuda"):
+        torch.cuda.set_device(local)
+    if is_alone:
+        yield OneProcess(local)
+        return
+    # What is told on the host goes over gloo, which finds a lost process at once and waits for no device.
+    if local.startswith("cuda"):
+        dist.init_process_group("cpu:gloo,cuda:nccl", device_id=torch.device(local))
+    else:
+        dist.init_process_group("gloo")
+    workers = ManyProcesses(dist.get_rank(), dist.get_world_size(), local)
+    try:
+        yield workers
+    except BaseException:
+        # To end the group in order is to wait for the others, who do not come if they know of no failure.
+        if workers.is_agreed:
+            dist.destroy_process_group()
+        raise
+    dist.destroy_process_group()
+
+
+def _own_device(device: str, local_rank: int | None) -> str:
+    """Name the device of this process, of which there are others on the machine if it has a local rank."""
+    kind, _, index = device.partition(":")
+    if kind != "cuda":
+        return device
+    if index and local_rank is not None:
+        raise InvalidValueError(f"device is '{device}', one device for several processes; use 'cuda'.")
+    number = int(index or local_rank or 0)
+    if number >= torch.cuda.device_count():
+        raise DeviceUnavailableError(
+            f"'cuda:{number}' was asked for, but torch finds {torch.cuda.device_count()} CUDA devices; "
+            "use 'cpu', or a device that is there, and with torchrun no more processes than devices."
+        )
+    return f"cuda:{number}"
+
+
+def _message(failure: Exception | None) -> str:
+    if failure is None or isinstance(failure, Pixel2CatchError):
+        return str(failure or "")
+    return f"{type(failure).__name__}: {failure}"
