@@ -37,10 +37,12 @@ SMALL = TrainCfg(
     device="cpu",
     num_envs=64,
     rollout_steps=16,
+    physics_hz=(120.0,),
     transitions=4096,
     epochs=4,
     mini_batches=4,
     hidden=(64, 64),
+    initial_log_std=0.0,
     learning_rate=1e-3,
     final_learning_rate=1e-4,
 )

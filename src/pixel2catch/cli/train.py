@@ -19,7 +19,7 @@ class Train:
             journal.
         preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
         device: Where to simulate and learn: cpu, cuda, cuda:1, ... Default: cuda where there is one.
-        physics_hz: Physics steps in a second, a multiple of 30. Default: 120, the paper's.
+        physics_hz: Physics steps in a second, multiples of 30; several: one after the other, in equal shares.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
         resume: Go on from the last checkpoint in that folder.
         seed: Seed of networks, exploration and environments.
@@ -48,7 +48,7 @@ class Train:
     method: Positional[str] = "proposed"
     preset: Literal["fast", "cpu", "paper"] | None = None
     device: str | None = None
-    physics_hz: float = 120.0
+    physics_hz: tuple[float, ...] | None = None
     out: Path | None = None
     resume: bool = False
     seed: int | None = None
@@ -82,13 +82,14 @@ class Train:
         from pixel2catch.robot.scene import SceneCfg
 
         method, cfg = find_method(self.method), self.resolve()
-        task = CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz))
+        scenes = {rate: SceneCfg(physics_hz=rate) for rate in cfg.physics_hz}
 
         def make_env(cfg: "TrainCfg") -> CatchEnv:
+            task = CatchEnvCfg(scene=scenes[cfg.physics_hz[0]])
             return CatchEnv(task, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed)
 
         out = self.out or Path("runs") / f"{method.name}-seed{cfg.seed}"
-        train(cfg, make_env, contract_of(method, task.scene.handedness), out, resume=self.resume)
+        train(cfg, make_env, contract_of(method, SceneCfg().handedness), out, resume=self.resume)
 
     def resolve(self) -> "TrainCfg":
         """Return the preset with what was given on the command line.

@@ -12,19 +12,22 @@ class TrainCfg:
     """Configuration of a training run; the defaults are the preset `fast`.
 
     Source: paper, Sec. IV-E, and the release for what the paper leaves open.
-    Differs: batch size and learning-rate schedule of `fast` and `cpu` are ours: with big batches the KL rule
-    hardly ever lowers the rate, and training stalls.
+    Differs: batch size, learning-rate schedule and physics rates of `fast` and `cpu` are ours: with big
+    batches the KL rule hardly ever lowers the rate, and training stalls (`experiments/LOG.md`).
     """
 
-    num_envs: int = 8192
+    num_envs: int = 4096
     """Number of environments that are simulated side by side, in all processes together."""
     device: str = "cuda"
     """Where to simulate and learn: "cuda" (each process on its own device), "cuda:1", … or "cpu"."""
     seed: int = 0
     """Seed of the networks, the exploration and the environments."""
-    transitions: int = 100_000_000
-    """Length of the training: control steps, summed over the environments."""
-    rollout_steps: int = 16
+    physics_hz: tuple[float, ...] = (120.0, 120.0, 240.0)
+    """Physics steps in a second, in equal shares of the training: coarse first (120: paper), then finer, so
+    that the policy does not live by what coarse steps do to an impact (ours)."""
+    transitions: int = 51_200_000
+    """Length of the training: control steps, summed over the environments. Source: release."""
+    rollout_steps: int = 8
     """Control steps of every environment between two updates."""
     epochs: int = 4
     """Passes over a rollout in an update. Source: release."""
@@ -32,7 +35,7 @@ class TrainCfg:
     """Gradient steps a pass. Source: release."""
     schedule: Literal["linear", "kl"] = "linear"
     """How the learning rate changes: "linear" from first to last over the transitions, or "kl" adaptive."""
-    learning_rate: float = 1.5e-3
+    learning_rate: float = 1e-3
     """Learning rate at the start."""
     final_learning_rate: float = 3e-5
     """Learning rate at the end ("linear"), or its lower bound ("kl")."""
@@ -54,8 +57,8 @@ class TrainCfg:
     """Largest norm of an agent's gradient. Source: release."""
     hidden: tuple[int, ...] = HIDDEN
     """Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E."""
-    initial_log_std: float = 0.0
-    """Logarithm of the standard deviation of the actions at the start. Source: release."""
+    initial_log_std: float = -0.7
+    """Logarithm of the standard deviation of the actions at the start. Source: ours (release: 0)."""
     checkpoint_seconds: float = 60.0
     """Time between two checkpoints [s]."""
     report_seconds: float = 10.0
@@ -66,6 +69,8 @@ class TrainCfg:
         for name in ("num_envs", "transitions", "rollout_steps", "epochs", "mini_batches", "learning_rate"):
             if getattr(self, name) <= 0:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be greater than 0.")
+        if not self.physics_hz:
+            raise InvalidValueError("physics_hz is empty; it needs a rate, such as 120.")
         for name in ("discount", "gae_lambda"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
@@ -74,6 +79,11 @@ class TrainCfg:
                 f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
                 f"{self.mini_batches} equal mini-batches; change one of the three."
             )
+
+    def rate_at(self, transitions: int) -> float:
+        """Physics steps in a second after that many transitions."""
+        stage = len(self.physics_hz) * transitions // self.transitions
+        return self.physics_hz[min(stage, len(self.physics_hz) - 1)]
 
     @property
     def rollout_transitions(self) -> int:
@@ -89,14 +99,14 @@ PRESETS = {
         rollout_steps=32,
         transitions=5_000_000,
         epochs=3,
-        learning_rate=1e-3,
-        final_learning_rate=3e-5,
     ),
     "paper": TrainCfg(
         num_envs=512,
         rollout_steps=32,
         transitions=51_200_000,
         schedule="kl",
+        physics_hz=(120.0,),
+        initial_log_std=0.0,
         learning_rate=5e-4,
         final_learning_rate=1e-5,
     ),

@@ -9,7 +9,7 @@ from typing import Literal
 
 import torch
 
-from pixel2catch.errors import CheckpointError, PolicyMismatchError
+from pixel2catch.errors import CheckpointError
 from pixel2catch.policy import PolicyContract
 from pixel2catch.rl.checkpoint import Progress, load_checkpoint, save_checkpoint
 from pixel2catch.rl.config import TrainCfg
@@ -20,6 +20,7 @@ from pixel2catch.rl.learner import Learner
 from pixel2catch.rl.log import TrainingLog
 from pixel2catch.rl.metrics import Row
 from pixel2catch.rl.run_folder import RunFolder
+from pixel2catch.rl.stages import Stages
 from pixel2catch.rl.workers import start_workers
 
 
@@ -54,8 +55,8 @@ def train(
 
     Args:
         cfg: The configuration of the whole training.
-        make_env: Makes this process's environments, from num_envs, device and seed of its share of the
-            configuration; closed here.
+        make_env: Makes this process's environments, from num_envs, device, seed and the one physics rate of
+            its share of the configuration; called again where the rate changes; closed here.
         contract: What the policy will need to act elsewhere.
         out_dir: The run folder; see `RunFolder` for its files.
         resume: Go on from the checkpoint in `out_dir`.
@@ -74,11 +75,10 @@ def train(
             if workers.is_first:
                 stack.enter_context(folder.open(resume=resume))
         with workers.together():
-            env = stack.enter_context(contextlib.closing(make_env(share)))
-            _require_fit(share, env, contract)
+            stages = stack.enter_context(contextlib.closing(Stages(share, make_env, contract)))
             torch.manual_seed(cfg.seed)
-            learner = stack.enter_context(contextlib.closing(Learner(share, env, workers)))
-            training = _Training(cfg, env, contract, folder, learner)
+            learner = stack.enter_context(contextlib.closing(Learner(share, stages.env, workers)))
+            training = _Training(cfg, stages, contract, folder, learner)
             if resume:
                 training.progress = load_checkpoint(folder.checkpoint, learner, contract)
             workers.diverge(cfg.seed, training.progress.transitions)
@@ -89,9 +89,9 @@ class _Training:
     """The loop and what it holds."""
 
     def __init__(
-        self, cfg: TrainCfg, env: Environment, contract: PolicyContract, folder: RunFolder, learner: Learner
+        self, cfg: TrainCfg, stages: Stages, contract: PolicyContract, folder: RunFolder, learner: Learner
     ) -> None:
-        self.cfg, self.env, self.contract, self.folder = cfg, env, contract, folder
+        self.cfg, self.stages, self.contract, self.folder = cfg, stages, contract, folder
         self.learner, self.workers = learner, learner.workers
         self.progress = Progress()
         self.row: Row = {}
@@ -120,18 +120,19 @@ class _Training:
         """Write down under which circumstances this session begins, and open its log."""
         is_first = self.workers.is_first
         if is_first:
-            train, env = dataclasses.asdict(self.cfg), dataclasses.asdict(self.env.cfg)
+            train, env = dataclasses.asdict(self.cfg), dataclasses.asdict(self.stages.env.cfg)
             config = {"train": train, "env": env, "policy": self.contract.to_dict()}
             self.folder.describe(config, self.workers.size)
         return TrainingLog(self.cfg, self.folder, self.progress.transitions, is_silent=not is_first)
 
     def _loop(self, log: TrainingLog, stop: StopRequest) -> Literal["interrupted", "finished"]:
-        with self.workers.together():
-            observation = self.env.reset()
+        observation = None
         next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
         while self.progress.transitions < self.cfg.transitions:
             started = time.monotonic()
             with self.workers.together():
+                if self.stages.enter(self.progress.transitions) or observation is None:
+                    observation = self.stages.env.reset()
                 observation = self._collect(observation, stop)
             if self.workers.any(stop.is_set):
                 self.learner.discard_rollout()
@@ -154,15 +155,15 @@ class _Training:
             policy = {agent: inputs.clone() for agent, inputs in observation.policy.items()}
             state = observation.state.clone()
             actions = self.learner.act(observation)
-            step = self.env.step(actions)
+            step = self.stages.env.step(actions)
             self.learner.record(policy, state, actions, step)
             observation = step.observation
-        self.env.check()
+        self.stages.env.check()
         return observation
 
     def _update(self, started: float) -> None:
         """Check, learn, check, and make a row of metrics."""
-        statistics = self.env.statistics.pop(self.workers.sum, self.workers.max)
+        statistics = self.stages.env.statistics.pop(self.workers.sum, self.workers.max)
         with self.workers.together():
             rewards = check_rollout(self.learner, self.contract, statistics)
         rolled_out = time.monotonic()
@@ -202,22 +203,3 @@ class _Training:
             f"{status}: {transitions:,} transitions in {minutes:.1f} min; policy in '{self.folder.policy}'"
             + ("; go on with --resume" if status == "interrupted" else "")
         )
-
-
-def _require_fit(cfg: TrainCfg, env: Environment, contract: PolicyContract) -> None:
-    sizes = {
-        "num_envs": (cfg.num_envs, env.num_envs),
-        "observation_sizes": (
-            {name: agent.num_inputs for name, agent in contract.agents.items()},
-            env.observation_sizes,
-        ),
-        "action_sizes": (
-            {name: len(agent.joints) for name, agent in contract.agents.items()},
-            env.action_sizes,
-        ),
-    }
-    for name, (expected, found) in sizes.items():
-        if expected != found:
-            raise PolicyMismatchError(
-                f"{name}: configuration and contract say {expected}, the environment {found}."
-            )
