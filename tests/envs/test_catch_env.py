@@ -157,7 +157,7 @@ def test_throws_come_down_where_they_are_aimed():
         assert (crossing - target)[:2].norm() < 0.005
 
 
-@pytest.mark.parametrize("latency", [0, 1, 2])
+@pytest.mark.parametrize("latency", [0, 1, 2, 5])
 def test_a_box_is_measured_exactly_after_the_latency(latency):
     env = make(
         4, sensing=replace(EXACT, latency_steps=(latency, latency)), throws=ThrowCfg(hover_steps=(1, 1))

@@ -6,7 +6,13 @@ import pytest
 import torch
 from snapshots import tensors
 
-from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, by_joint, sample_parameters
+from pixel2catch.mdp.randomization import (
+    EpisodeParameters,
+    RandomizationCfg,
+    by_joint,
+    sample_command_delay,
+    sample_parameters,
+)
 from pixel2catch.mdp.sensing import SensingCfg
 
 NUM_ARM = 6
@@ -37,6 +43,7 @@ def test_numbers_of_table_1():
         "mass_scale": (0.5, 1.5),
         "restitution": (0.0, 0.5),
         "friction": (0.5, 1.5),
+        "command_delay": (0, 0),
     }
 
 
@@ -93,6 +100,13 @@ def test_every_object_is_thrown_as_often():
 def test_latency_takes_every_value_of_its_range(steps):
     latency = drawn(sensing=SensingCfg(latency_steps=steps)).latency
     assert set(latency.tolist()) == set(range(steps[0], steps[1] + 1))
+
+
+@pytest.mark.parametrize("steps", [(0, 0), (2, 2), (0, 3)])
+def test_command_delay_takes_every_value_of_its_range(steps):
+    generator = torch.Generator().manual_seed(0)
+    delay = sample_command_delay(RandomizationCfg(command_delay=steps), 400, generator)
+    assert set(delay.tolist()) == set(range(steps[0], steps[1] + 1))
 
 
 def test_randomization_can_be_switched_off():

@@ -1,64 +1,14 @@
-"""Latency of boxes, and what counts as a detection."""
+"""What counts as a detection, and what becomes of an object that is not seen."""
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
-from pixel2catch.mdp.sensing import Detection, DetectionStream, SensingCfg, detect
+from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
 from pixel2catch.robot.constants import RGB_CAMERA
 
 
 def detection(mark: float, num_envs: int = 1) -> Detection:
     return Detection(box=torch.full((num_envs, 4), mark), object_pos=torch.full((num_envs, 3), -mark))
-
-
-def stream(ages: int = 3, num_envs: int = 1) -> DetectionStream:
-    return DetectionStream.filled(detection(0.0, num_envs), ages)
-
-
-def delivered(detections: DetectionStream, *latency: int) -> list[float]:
-    """Marks of what arrives; box and position of a detection travel together."""
-    arrived = detections.delivered(torch.tensor(latency))
-    assert torch.equal(arrived.box[:, :3], -arrived.object_pos)
-    return arrived.box[:, 0].tolist()
-
-
-@pytest.mark.parametrize("latency", [0, 1, 2])
-def test_a_detection_arrives_exactly_after_the_latency(latency):
-    marked = stream().pushed(detection(9.0))
-    arrivals = []
-    for _ in range(4):
-        arrivals += delivered(marked, latency)
-        marked = marked.pushed(detection(0.0))
-    assert arrivals == [9.0 if age == latency else 0.0 for age in range(4)]
-
-
-def test_latency_is_each_environments_own():
-    detections = stream(num_envs=3)
-    for mark in (1.0, 2.0, 3.0):
-        detections = detections.pushed(detection(mark, 3))
-    assert delivered(detections, 0, 1, 2) == [3.0, 2.0, 1.0]
-    assert detections.newest.box[:, 0].tolist() == [3.0, 3.0, 3.0]
-
-
-@given(st.lists(st.floats(0.0, 640.0, width=32), min_size=1, max_size=12), st.integers(0, 2))
-def test_detections_arrive_in_order_and_none_is_lost(marks, latency):
-    detections, arrived = DetectionStream.filled(detection(marks[0]), 3), []
-    for mark in marks:
-        detections = detections.pushed(detection(mark))
-        arrived += delivered(detections, latency)
-    assert arrived == [marks[0]] * min(latency, len(marks)) + marks[: len(marks) - latency]
-
-
-def test_nothing_old_survives_filling():
-    assert {delivered(DetectionStream.filled(detection(1.0), 3), age)[0] for age in range(3)} == {1.0}
-
-
-def test_pushing_leaves_the_stream_before_as_it_was():
-    before = stream()
-    before.pushed(detection(7.0))
-    assert not before.newest.box.any()
 
 
 def test_what_is_not_seen_keeps_its_last_detection():
@@ -105,3 +55,9 @@ def test_numbers_of_the_task():
         0.005,
         0.001,
     )
+
+
+def test_a_sight_without_errors_is_the_default():
+    cfg = SensingCfg()
+    assert (cfg.camera_offset, cfg.camera_turn, cfg.focal_error) == (0.0, 0.0, 0.0)
+    assert (cfg.box_bias, cfg.box_scale, cfg.edge_noise, cfg.drop_rate, cfg.blackout_steps) == (0, 1, 0, 0, 0)

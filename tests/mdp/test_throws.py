@@ -84,6 +84,9 @@ def test_ranges_are_those_of_the_task():
         "peak_z": (1.6, 1.9),
         "clearance": 0.2,
         "hover_steps": (5, 19),
+        "speed_deviation": 0.0,
+        "angle_deviation": 0.0,
+        "spin": 0.0,
     }
 
 
@@ -119,3 +122,40 @@ def test_uniform_stays_in_any_range(bounds):
         slack = 1e-6 * (abs(low) + abs(high))  # float32
         assert column.min() >= low - slack
         assert column.max() <= high + slack
+
+
+def test_errors_of_the_thrower_have_their_deviations_and_leave_the_rest():
+    """2 % of the speed, 0.03 rad in elevation and in azimuth, each on its own."""
+    meant, thrown = throws(), throws(dataclasses.replace(CFG, speed_deviation=0.02, angle_deviation=0.03))
+    for name in ("pos", "quat", "aim", "hover_steps"):
+        assert torch.equal(getattr(meant, name), getattr(thrown, name))
+
+    def polar(vel: torch.Tensor) -> torch.Tensor:
+        along = vel[:, :2].norm(dim=-1)
+        speed, azimuth = vel.norm(dim=-1), torch.atan2(vel[:, 1], vel[:, 0]).remainder(2 * torch.pi)
+        return torch.stack((speed.log(), torch.atan2(vel[:, 2], along), azimuth), dim=-1)
+
+    error = polar(thrown.lin_vel) - polar(meant.lin_vel)
+    torch.testing.assert_close(error.std(dim=0), torch.tensor([0.02, 0.03, 0.03]), rtol=0.08, atol=0)
+    assert error.mean(dim=0).abs().max() < 0.003
+    assert torch.corrcoef(error.T).sub(torch.eye(3)).abs().max() < 0.08
+
+
+def test_spin_is_uniform_in_size_and_has_no_preferred_axis():
+    spin = throws(dataclasses.replace(CFG, spin=10.0)).ang_vel
+    speed = spin.norm(dim=-1)
+    assert 9.9 < speed.max() <= 10.0
+    assert speed.mean() == pytest.approx(5.0, rel=0.05)
+    assert spin.mean(dim=0).abs().max() < 0.4
+    assert not throws().ang_vel.any()
+
+
+def test_flight_time_by_hand():
+    """Up with g/2 m/s for half a second, down again to the same height: 1 s; to g/8 m above: earlier."""
+    still = torch.zeros(1, 3)
+    up = torch.tensor([[1.0, 0.0, GRAVITY / 2]])
+    cfg = {"pos": still, "quat": torch.zeros(1, 4), "hover_vel": still, "lin_vel": up, "ang_vel": still}
+    hover = torch.zeros(1, dtype=torch.long)
+    assert Throw(**cfg, aim=still, hover_steps=hover).flight_time().item() == pytest.approx(1.0)
+    peak = torch.tensor([[0.0, 0.0, GRAVITY / 8]])
+    assert Throw(**cfg, aim=peak, hover_steps=hover).flight_time().item() == pytest.approx(0.5, abs=1e-3)

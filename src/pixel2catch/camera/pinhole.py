@@ -1,5 +1,6 @@
-"""The pinhole camera: world points to continuous image coordinates."""
+"""The pinhole camera: world points to continuous image coordinates, and back."""
 
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
@@ -7,6 +8,51 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.robot.constants import CameraSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projection:
+    """A camera as numbers: the nominal one, or one of its own in every environment.
+
+    Attributes:
+        matrix: K Rᵀ, so that matrix (p - center) = (u z, v z, z) of a world point p at depth z.
+        center: Centre of projection, world frame [m].
+    """
+
+    matrix: Float[Tensor, "*turns 3 3"]
+    center: Float[Tensor, "*places 3"]
+
+    def pixels(
+        self, points: Float[Tensor, "num_envs num_points 3"]
+    ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
+        """Pixels (u, v) [px] and depths [m] of world points: see `project`."""
+        # Products and sums, not a matmul: that may round to TF32 on a GPU, an error of a third of a pixel.
+        rays = (points - self.center.unsqueeze(-2)).unsqueeze(-2)
+        homogeneous = (rays * self.matrix.unsqueeze(-3)).sum(-1)
+        depth = homogeneous[..., 2]
+        return homogeneous[..., :2] / depth.unsqueeze(-1), depth
+
+    def moved(self, offset: Float[Tensor, "num_envs 3"]) -> "Projection":
+        """The same camera elsewhere, by an offset in the world frame [m]."""
+        return replace(self, center=self.center + offset)
+
+    def turned(self, rotation: Float[Tensor, "num_envs 3"]) -> "Projection":
+        """The camera turned about its centre by a rotation vector in the world frame [rad]."""
+        angle = torch.linalg.vector_norm(rotation, dim=-1)[:, None, None]
+        turn = rotation[:, None].expand(-1, 3, -1)
+        rows = self.matrix.expand_as(turn)
+        # Rodrigues' formula; sin(x) / x and (1 - cos x) / x² by sinc, which is exact at 0, too.
+        across = torch.linalg.cross(turn, rows, dim=-1) * torch.sinc(angle / torch.pi)
+        along = 0.5 * torch.sinc(0.5 * angle / torch.pi).square() * (turn * rows).sum(-1, keepdim=True)
+        return replace(self, matrix=torch.cos(angle) * rows + across + along * turn)
+
+    def zoomed(self, factor: Float[Tensor, " num_envs"], camera: CameraSpec) -> "Projection":
+        """The camera with its focal length changed by a factor; the principal point stays."""
+        u, v, depth = self.matrix.unbind(-2)
+        scale = factor[:, None]
+        u = scale * u + (1.0 - scale) * camera.cx * depth
+        v = scale * v + (1.0 - scale) * camera.cy * depth
+        return replace(self, matrix=torch.stack((u, v, depth.expand_as(u)), dim=-2))
 
 
 def project(
@@ -24,23 +70,46 @@ def project(
         Pixels (u, v) [px], not clipped to the image, and depths z along the optical axis [m]. Where the depth
         is not positive the pixel means nothing.
     """
-    matrix, center = _projection(camera, points.dtype, points.device)
-    # Products and sums, not a matmul: that may round to TF32 on a GPU, an error of a third of a pixel.
-    homogeneous = ((points - center).unsqueeze(-2) * matrix).sum(-1)
-    depth = homogeneous[..., 2]
-    return homogeneous[..., :2] / depth.unsqueeze(-1), depth
+    return nominal_projection(camera, points).pixels(points)
+
+
+def back_project(
+    camera: CameraSpec, pixels: Float[Tensor, "num_envs 2"], depth: Float[Tensor, " num_envs"]
+) -> Float[Tensor, "num_envs 3"]:
+    """World points [m] at these pixels [px] and depths [m]: the inverse of `project`."""
+    inverse, center = _inverse(camera, pixels.dtype, pixels.device)
+    homogeneous = torch.cat((pixels * depth[:, None], depth[:, None]), dim=-1)
+    return center + (homogeneous.unsqueeze(-2) * inverse).sum(-1)
+
+
+def nominal_projection(camera: CameraSpec, like: Tensor) -> Projection:
+    """The camera as it is specified, with dtype and device of `like`."""
+    return _projection(camera, like.dtype, like.device)
 
 
 def camera_center(camera: CameraSpec, like: Tensor) -> Float[Tensor, "3"]:
     """Return the camera's centre of projection in the world frame [m], with dtype and device of `like`."""
-    return _projection(camera, like.dtype, like.device)[1]
+    return nominal_projection(camera, like).center
 
 
 @lru_cache(maxsize=16)
-def _projection(
+def _projection(camera: CameraSpec, dtype: torch.dtype, device: torch.device) -> Projection:
+    """The camera's projection, copied to a device once."""
+    matrix, center = _matrix(camera).to(device, dtype), torch.tensor(camera.pos, dtype=torch.float64)
+    return Projection(matrix=matrix, center=center.to(device, dtype))
+
+
+@lru_cache(maxsize=16)
+def _inverse(
     camera: CameraSpec, dtype: torch.dtype, device: torch.device
 ) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
-    """Return K Rᵀ and the camera's position: K Rᵀ (p - position) = (u z, v z, z). Copied to a device once."""
+    """The inverse of K Rᵀ and the camera's position, copied to a device once."""
+    inverse, center = torch.linalg.inv(_matrix(camera)), torch.tensor(camera.pos, dtype=torch.float64)
+    return inverse.to(device, dtype), center.to(device, dtype)
+
+
+def _matrix(camera: CameraSpec) -> Float[Tensor, "3 3"]:
+    """K Rᵀ in double precision."""
     w, x, y, z = camera.quat
     norm = w * w + x * x + y * y + z * z
     axes = [  # rows: the camera's right, down and forward axes in the world frame
@@ -49,5 +118,4 @@ def _projection(
         [2 * (x * z + w * y) / norm, 2 * (y * z - w * x) / norm, 1 - 2 * (x * x + y * y) / norm],
     ]
     intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
-    matrix = torch.tensor(intrinsics, dtype=torch.float64) @ torch.tensor(axes, dtype=torch.float64)
-    return matrix.to(device, dtype), torch.tensor(camera.pos, dtype=torch.float64).to(device, dtype)
+    return torch.tensor(intrinsics, dtype=torch.float64) @ torch.tensor(axes, dtype=torch.float64)

@@ -16,5 +16,6 @@ def prepare(device: str) -> None:
 
     if device.startswith("cuda"):
         require_cuda(device)
+        torch.cuda.set_device(device)  # where PyTorch and Warp capture their graphs
     else:
         torch.set_num_threads(1)

@@ -3,8 +3,12 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from pixel2catch.evaluation.metrics import Metrics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +24,7 @@ class Evaluate:
         device: Where to simulate: cpu, cuda, cuda:1, ...
         physics_hz: Physics steps in a second; training's default is the paper's 120.
         json: Print all metrics as one JSON object.
+        out: File that gets the same JSON object, all of it or nothing.
     """
 
     policy: Positional[Path | None] = None
@@ -30,14 +35,15 @@ class Evaluate:
     device: str = "cpu"
     physics_hz: float = 600.0
     json: bool = False
+    out: Path | None = None
 
     def run(self) -> None:
         """Evaluate and print."""
-        from pixel2catch.cli.console import results_console, round_reporter
+        from pixel2catch.cli.console import round_reporter
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg, assess
-        from pixel2catch.evaluation.tables import objects_table, quality_table, results_table
+        from pixel2catch.policy import write_atomically
         from pixel2catch.robot.objects import select_objects
 
         prepare(self.device)
@@ -50,13 +56,25 @@ class Evaluate:
             device=self.device,
             task=task_of(policy, self.physics_hz),
         )
-        name = " ".join(self.objects)
-        result = assess(policy, method, cfg, round_reporter(name, self.trials))
-        result = {"policy": str(self.policy or "shipped"), **result}
+        source = {"policy": str(self.policy or "shipped"), "policy_sha256": fingerprint(self.policy)}
+        if self.out:
+            self.out.parent.mkdir(parents=True, exist_ok=True)
+        report = round_reporter(" ".join(self.objects), self.trials)
+        result = source | assess(policy, method, cfg, report)
+        text = json.dumps(result, indent=2) + "\n"
+        if self.out:
+            write_atomically({self.out: text.encode()})
         if self.json:
-            print(json.dumps(result, indent=2))
-            return
-        console = results_console()
-        console.print(results_table({name: result}, method.name))
+            print(text, end="")
+        else:
+            self._print_tables(method.name, result)
+
+    def _print_tables(self, method: str, result: "Metrics") -> None:
+        """Print the metrics as tables, beside the paper's."""
+        from pixel2catch.cli.console import results_console
+        from pixel2catch.evaluation.tables import objects_table, quality_table, results_table
+
+        console, named = results_console(), {" ".join(self.objects): result}
+        console.print(results_table(named, method))
         console.print(objects_table(result))
-        console.print(quality_table({name: result}))
+        console.print(quality_table(named))

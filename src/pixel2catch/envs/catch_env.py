@@ -1,52 +1,31 @@
 """The catching environment: act, simulate, judge, reset, observe."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.agents import COMMANDS
-from pixel2catch.camera.boxes import perturb_box
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.envs.draws import Episode, draw_episode
 from pixel2catch.envs.episodes import EpisodeRecord
+from pixel2catch.envs.eye import Eye
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.step import Observation, Step
 from pixel2catch.envs.world import NUM_ARM_JOINTS, CatchWorld
 from pixel2catch.mdp.actions import ActionMap
+from pixel2catch.mdp.delay import DelayLine
 from pixel2catch.mdp.masks import assign, clone, select
 from pixel2catch.mdp.observations import observe, pixel_columns, privileged_state
-from pixel2catch.mdp.randomization import EpisodeParameters, RandomizationCfg, by_joint, sample_parameters
-from pixel2catch.mdp.sensing import Detection, DetectionStream, SensingCfg, detect
+from pixel2catch.mdp.randomization import by_joint
+from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import History, Measurement, Privileged, Transition
-from pixel2catch.mdp.terminations import EpisodeCfg, is_ended, is_near
-from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
+from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.robot.kinematics import palm_pose
-from pixel2catch.robot.objects import SEEN
-from pixel2catch.robot.scene import SceneCfg
-
-
-@dataclass(frozen=True, kw_only=True)
-class CatchEnvCfg:
-    """Everything that defines the task.
-
-    Attributes:
-        scene: What the model is made from.
-        objects: Names of the objects that are thrown.
-        throws: Where from and where to.
-        randomization: What differs from episode to episode.
-        sensing: Noise and delay of camera and encoders.
-        episode: When an episode ends.
-    """
-
-    scene: SceneCfg = field(default_factory=SceneCfg)
-    objects: tuple[str, ...] = SEEN
-    throws: ThrowCfg = field(default_factory=ThrowCfg)
-    randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
-    sensing: SensingCfg = field(default_factory=SensingCfg)
-    episode: EpisodeCfg = field(default_factory=EpisodeCfg)
 
 
 class CatchEnv:
@@ -87,8 +66,12 @@ class CatchEnv:
         self.statistics = EpisodeStatistics(
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
         )
+        self._eye = Eye(cfg.sensing, self.world, self._generator)
+        middles = torch.arange(cfg.scene.decimation, device=self.device) + 0.5
+        self._substep_times = middles[:, None] * cfg.scene.physics_dt
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._episode = clone(self._draw_episode())
+        self._commands = clone(self._waiting_commands())
         self._senses = self._first_senses()
         self._advance = self.world.simulation.record(self._control_step, self._generator)
         observation = self.reset()
@@ -96,11 +79,16 @@ class CatchEnv:
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
         self.state_size = observation.state.shape[1]
 
+    def seed(self, seed: int) -> None:
+        """Begin the draws anew: the next `reset` begins the episodes that belong to this seed."""
+        self._generator.manual_seed(seed)
+
     def reset(self) -> Observation:
         """Begin a new episode in every environment."""
         assign(self._episode, self._draw_episode())
         self.world.reset(self._everywhere, self._episode.parameters, self._episode.throw)
         self.world.forward(self._everywhere)
+        assign(self._commands, self._waiting_commands())
         assign(self._senses, self._first_senses())
         return self._observe()
 
@@ -130,13 +118,15 @@ class CatchEnv:
         target = self._action_map.joint_pos_target(
             self._disturbed(action), self._senses.history.now.joint_pos
         )
-        log = self.world.run(target)
+        commands = self._commands.pushed(target)
+        log = self.world.run(commands.delivered(self._episode.command_delay), self._base_acceleration())
         transition = self._transition(action, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
         record = self._episode.record.advanced(transition, log)
         self.statistics.add(terminated, record, terms)
         self._begin(terminated, record)
+        assign(self._commands, select(terminated, self._waiting_commands(), commands))
         self._sense(terminated, _Command(action=action, joint_pos_target=target), log)
         return Step(
             observation=self._observe(),
@@ -153,11 +143,11 @@ class CatchEnv:
         """What is seen and measured at the beginning of an episode."""
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
-        detection, _ = self._detect(now)
+        detection, _ = self._eye.look(now, self._episode)
         started = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
         measurement = self._measure(started, detection, detection.object_pos)
         senses = _Senses(
-            detections=DetectionStream.filled(detection, self.cfg.sensing.latency_steps[1] + 1),
+            detections=DelayLine.filled(detection, self.cfg.sensing.latency_steps[1]),
             history=History(measurement, measurement, measurement),
             before=now,
             now=now,
@@ -171,6 +161,15 @@ class CatchEnv:
         noise = torch.randn(action.shape, generator=self._generator, device=self.device)
         return action + self._episode.parameters.action_bias + self._action_noise * noise
 
+    def _waiting_commands(self) -> DelayLine[Tensor]:
+        """The line of targets at the beginning of an episode: to stay where the joints are."""
+        return DelayLine.filled(self.world.joint_pos, self.cfg.randomization.command_delay[1])
+
+    def _base_acceleration(self) -> Float[Tensor, "decimation num_envs 3"] | None:
+        """Acceleration of a base that shakes, in the middle of each physics step to come [m/s²]."""
+        shake, steps = self._episode.shake, self._episode.record.steps
+        return None if shake is None else shake.acceleration(CONTROL_DT * steps + self._substep_times)
+
     def _transition(self, action: Float[Tensor, "num_envs num_joints"], log: PhysicsLog) -> Transition:
         """What this control step changed."""
         now, record = self.world.privileged(log), self._episode.record
@@ -182,14 +181,9 @@ class CatchEnv:
             episode_steps=record.steps + 1,
         )
 
-    def _draw_episode(self) -> "_Episode":
+    def _draw_episode(self) -> Episode:
         """A new episode for every environment; those that need none ignore theirs."""
-        cfg = self.cfg
-        drawn = sample_parameters(
-            cfg.randomization, cfg.sensing, self._object_ids, self.num_envs, self._generator
-        )
-        throw = sample_throws(cfg.throws, self.num_envs, self._generator)
-        return _Episode(parameters=drawn, throw=throw, record=EpisodeRecord.start(drawn.object_id, throw.aim))
+        return draw_episode(self.cfg, self._object_ids, self.num_envs, self._generator)
 
     def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
         """Begin new episodes where one ended, and release the objects that have hovered long enough."""
@@ -197,18 +191,18 @@ class CatchEnv:
         assign(self._episode, select(ended, fresh, replace(self._episode, record=record)))
         self.world.reset(ended, fresh.parameters, fresh.throw)
         is_released = self._episode.record.steps == self._episode.throw.hover_steps
-        self.world.release(is_released, self._episode.throw.lin_vel)
+        self.world.release(is_released, self._episode.throw)
         self.world.forward(ended | is_released)
 
     def _sense(self, begun: Bool[Tensor, " num_envs"], command: "_Command", log: PhysicsLog) -> None:
         """Look and measure after a control step; nothing of an ended episode survives."""
         senses = self._senses
         truth = self.world.privileged(log.cleared(begun))
-        detected, is_seen = self._detect(truth)
+        detected, is_seen = self._eye.look(truth, self._episode)
         detection = detected.held(begun | is_seen, senses.detections.newest)
         detections = select(
             begun,
-            DetectionStream.filled(detection, len(senses.detections.ages)),
+            DelayLine.filled(detection, self.cfg.sensing.latency_steps[1]),
             senses.detections.pushed(detection),
         )
         joint_pos = self.world.joint_pos
@@ -226,14 +220,6 @@ class CatchEnv:
             now=truth,
         )
         assign(senses, updated)
-
-    def _detect(self, truth: Privileged) -> tuple[Detection, Bool[Tensor, " num_envs"]]:
-        """What the present image shows of the object, with noise, and whether it was seen at all."""
-        points, is_visible = self.world.surface_points()
-        box, is_seen = detect(points, is_visible, self.cfg.sensing.least_visible)
-        noise = 2.0 * torch.rand(box.shape, generator=self._generator, device=self.device) - 1.0
-        box = perturb_box(box, self.cfg.sensing.corner_noise * noise, RGB_CAMERA)
-        return Detection(box=box, object_pos=truth.object_pos), is_seen
 
     def _measure(
         self, command: "_Command", detection: Detection, initial_object_pos: Float[Tensor, "num_envs 3"]
@@ -266,15 +252,6 @@ class CatchEnv:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Episode:
-    """What was drawn for the present episode, and what became of it so far."""
-
-    parameters: EpisodeParameters
-    throw: Throw
-    record: EpisodeRecord
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Command:
     """What was last commanded."""
 
@@ -286,7 +263,7 @@ class _Command:
 class _Senses:
     """What was seen and measured up to now."""
 
-    detections: DetectionStream
+    detections: DelayLine[Detection]
     history: History
     before: Privileged
     now: Privileged

@@ -96,7 +96,8 @@ class CatchWorld:
             for name, rows in self.objects.fields.items()
             if self.simulation.can_expand(name)
         }
-        points = np.stack([surface_points(OBJECTS[name], NUM_SURFACE_POINTS) for name in self.objects.names])
+        thrown = [OBJECTS[name].scaled(scene.object_scale) for name in self.objects.names]
+        points = np.stack([surface_points(spec, NUM_SURFACE_POINTS) for spec in thrown])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)
         self._command = torch.zeros_like(self._fields.ctrl)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
@@ -116,22 +117,22 @@ class CatchWorld:
         start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
         fields.qpos.copy_(select(mask, start, fields.qpos))
         self._command.copy_(select(mask, joint_pos, self._command))
-        fields.qvel.masked_fill_(mask[:, None], 0.0)
+        start = torch.nn.functional.pad(throw.hover_vel, (NUM_JOINTS, 3)).to(joint_pos)
+        fields.qvel.copy_(select(mask, start, fields.qvel))
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
         weight = GRAVITY * self.simulation.expand("body_mass")[:, self.objects.indices.body]
         lift = fields.xfrc_applied[:, self.objects.indices.body, 2]
         lift.copy_(torch.where(mask, weight, lift))
 
-    def release(self, mask: Bool[Tensor, " num_envs"], lin_vel: Float[Tensor, "num_envs 3"]) -> None:
-        """Let the masked objects fly with this velocity [m/s]; nothing carries them any longer.
+    def release(self, mask: Bool[Tensor, " num_envs"], throw: Throw) -> None:
+        """Let the masked objects fly as they are thrown; nothing carries them any longer.
 
         The physics steps first change the speed and then move by the new one, which makes a path fall short
         by half a step of gravity; the release makes up for it, so that throws land where they are aimed at
-        any
-        rate.
+        any rate.
         """
-        velocity = self._fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3]
-        start = lin_vel.to(velocity, copy=True)
+        velocity = self._fields.qvel[:, NUM_JOINTS:]
+        start = torch.cat((throw.lin_vel, throw.ang_vel), dim=-1).to(velocity)
         start[:, 2] += 0.5 * GRAVITY * self._scene.physics_dt
         velocity.copy_(select(mask, start, velocity))
         self._fields.xfrc_applied[:, self.objects.indices.body, 2].masked_fill_(mask, 0.0)
@@ -140,13 +141,24 @@ class CatchWorld:
         """Make everything that can be read current after `reset` or `release`."""
         self.simulation.forward(mask)
 
-    def run(self, joint_pos_target: Float[Tensor, "num_envs num_joints"]) -> PhysicsLog:
-        """Simulate one control step; the commands ramp linearly to the target (a first-order hold)."""
+    def run(
+        self,
+        joint_pos_target: Float[Tensor, "num_envs num_joints"],
+        base_acceleration: Float[Tensor, "decimation num_envs 3"] | None = None,
+    ) -> PhysicsLog:
+        """Simulate one control step; the commands ramp linearly to the target (a first-order hold).
+
+        Args:
+            joint_pos_target: Where the joints shall be at its end [rad].
+            base_acceleration: Acceleration of a base that shakes in the middle of each physics step [m/s²].
+        """
         fields = self._fields
         increment = (joint_pos_target.to(self._command) - self._command) / self._decimation
         log = None
-        for _ in range(self._decimation):
+        for i in range(self._decimation):
             self._command.add_(increment)
+            if base_acceleration is not None:
+                self._push_object(-base_acceleration[i])
             state = self._servo_state()
             fields.ctrl.copy_(self._servos.limited(self._command, state))
             fields.qfrc_applied[:, :NUM_JOINTS].copy_(self._servos.friction(state.joint_vel))
@@ -154,6 +166,12 @@ class CatchWorld:
             log = self._read_log() if log is None else log.merged(self._read_log())
         assert log is not None
         return log
+
+    def _push_object(self, acceleration: Float[Tensor, "num_envs 3"]) -> None:
+        """Apply the force that accelerates a free object so [m/s²]."""
+        force = self._fields.qfrc_applied[:, NUM_JOINTS : NUM_JOINTS + 3]
+        mass = self.simulation.expand("body_mass")[:, self.objects.indices.body]
+        force.copy_(mass[:, None] * acceleration.to(force))
 
     def _servo_state(self) -> ServoState:
         """Joints and present gains."""

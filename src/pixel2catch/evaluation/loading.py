@@ -1,5 +1,6 @@
 """Finding and reading policies: those of training runs and the one that the package ships."""
 
+import hashlib
 from importlib import resources
 from pathlib import Path
 from typing import cast
@@ -48,13 +49,22 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
         PolicyMismatchError: If there is no policy, or it is of another robot, camera, method or format.
         UnknownNameError: If its method does not exist.
     """
-    folder = shipped_folder() if folder is None else folder
-    if (folder / "policy").is_dir():
-        folder = folder / "policy"
-    policy = Policy.load(folder, device)
+    policy = Policy.load(_policy_folder(folder), device)
     method = find_method(policy.contract.method)
     policy.contract.require(contract_of(method, policy.contract.handedness))
     return policy, method
+
+
+def fingerprint(folder: Path | None) -> str:
+    """SHA-256 of a policy's networks, to tell of which policy a result is.
+
+    Args:
+        folder: As for `load_policy`.
+
+    Raises:
+        OSError: If there is no policy.
+    """
+    return hashlib.sha256((_policy_folder(folder) / "policy.safetensors").read_bytes()).hexdigest()
 
 
 def task_of(policy: Policy, physics_hz: float = PHYSICS_HZ) -> CatchEnvCfg:
@@ -65,3 +75,9 @@ def task_of(policy: Policy, physics_hz: float = PHYSICS_HZ) -> CatchEnvCfg:
     """
     handedness = cast(Handedness, policy.contract.handedness)  # the scene refuses other values
     return CatchEnvCfg(scene=SceneCfg(handedness=handedness, physics_hz=physics_hz))
+
+
+def _policy_folder(folder: Path | None) -> Path:
+    """The policy's own folder."""
+    folder = shipped_folder() if folder is None else folder
+    return folder / "policy" if (folder / "policy").is_dir() else folder

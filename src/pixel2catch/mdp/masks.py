@@ -12,7 +12,10 @@ T = TypeVar("T")
 
 
 def select(mask: Bool[Tensor, " num_envs"], new: T, old: T) -> T:
-    """Tensors, or dataclasses or tuples of them: `new` in the masked environments, `old` in the others."""
+    """`new` in the masked environments, `old` in the others.
+
+    Both are tensors, or dataclasses, dictionaries or tuples of them; a part that is `None` stays so.
+    """
     return _map(lambda a, b: torch.where(mask.view(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
 
 
@@ -29,6 +32,8 @@ def assign(target: T, source: T) -> None:
 def _map(function: Callable[..., Tensor], *values: Any) -> Any:
     """Apply a function to the corresponding tensors of values of one structure."""
     first = values[0]
+    if first is None:
+        return None
     if isinstance(first, Tensor):
         return function(*values)
     if is_dataclass(first):

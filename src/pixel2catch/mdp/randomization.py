@@ -30,6 +30,8 @@ class RandomizationCfg:
         mass_scale: Factor on the object's mass and inertia.
         restitution: Restitution of contacts with the object.
         friction: Sliding friction of contacts with the object (release).
+        command_delay: Control steps between a command and its effect, first and last (ours, for tests of
+            policies; training has none).
     """
 
     arm_gain_scale: Range = (0.8, 1.2)
@@ -42,6 +44,7 @@ class RandomizationCfg:
     mass_scale: Range = (0.5, 1.5)
     restitution: Range = (0.0, 0.5)
     friction: Range = (0.5, 1.5)
+    command_delay: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +103,16 @@ def sample_parameters(
         friction=scalars[:, 2],
         latency=torch.randint(first, last + 1, (num_envs,), generator=generator, device=device),
     )
+
+
+def sample_command_delay(
+    cfg: RandomizationCfg, num_envs: int, generator: torch.Generator
+) -> Int[Tensor, " num_envs"]:
+    """Draw the delay of an episode's commands [control steps], on the generator's device."""
+    first, last = cfg.command_delay
+    if first == last:
+        return torch.full((num_envs,), first, device=generator.device)
+    return torch.randint(first, last + 1, (num_envs,), generator=generator, device=generator.device)
 
 
 @lru_cache(maxsize=8)

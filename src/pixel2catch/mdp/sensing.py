@@ -1,4 +1,4 @@
-"""What stands between the true state and a `Measurement`: occlusion, corner noise, latency, encoder noise.
+"""What stands between the true state and a `Measurement`: occlusion, noise, errors of the sight, latency.
 
 Training and evaluation in simulation only: on the robot the sensors themselves do this.
 """
@@ -6,13 +6,12 @@ Training and evaluation in simulation only: on the robot the sensors themselves 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_points, hold_box
-from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.camera.visibility import is_in_view
-from pixel2catch.mdp.masks import select
 from pixel2catch.robot.constants import RGB_CAMERA
 
 
@@ -29,6 +28,16 @@ class SensingCfg:
         joint_bias: Standard deviation of their error in an episode [rad] (Source: release).
         least_visible: Share of the object's surface points that must be visible for a detection (Source:
             ours, see `benchmarks/box_error.py`).
+        camera_offset: Distance of the true camera from where the policy assumes it, in a random direction
+            [m]. This and what follows disturbs nothing in training (Source: ours, for tests of policies;
+            values with their sources are in `evaluation.stress_suite`).
+        camera_turn: Angle between the two, about a random axis [rad].
+        focal_error: Relative error of the focal length, of random sign.
+        box_bias: Shift of every box of an episode in a random direction [px].
+        box_scale: Factor on the size of every box about its centre.
+        edge_noise: Largest error of each edge on top of `corner_noise` [px].
+        drop_rate: Share of the images in which the object is not found.
+        blackout_steps: Control steps of each flight, at a random time, without any image.
     """
 
     corner_noise: float = 5.0
@@ -36,6 +45,14 @@ class SensingCfg:
     joint_noise: float = 0.005
     joint_bias: float = 0.001
     least_visible: float = 0.05
+    camera_offset: float = 0.0
+    camera_turn: float = 0.0
+    focal_error: float = 0.0
+    box_bias: float = 0.0
+    box_scale: float = 1.0
+    edge_noise: float = 0.0
+    drop_rate: float = 0.0
+    blackout_steps: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,42 +74,11 @@ class Detection:
         return Detection(box=box, object_pos=object_pos)
 
 
-@dataclass(frozen=True)
-class DetectionStream:
-    """Detections on their way to the policy: the newest and its predecessors.
-
-    Attributes:
-        ages: Detections by age in control steps, newest first.
-    """
-
-    ages: tuple[Detection, ...]
-
-    def delivered(self, latency: Int[Tensor, " num_envs"]) -> Detection:
-        """The detection that is `latency` control steps old."""
-        result = self.ages[0]
-        for age, detection in enumerate(self.ages[1:], start=1):
-            result = select(latency >= age, detection, result)
-        return result
-
-    def pushed(self, detection: Detection) -> "DetectionStream":
-        """The stream one control step later."""
-        return DetectionStream((detection, *self.ages[:-1]))
-
-    @classmethod
-    def filled(cls, detection: Detection, num_ages: int) -> "DetectionStream":
-        """A stream in which every age is the same: how an episode begins."""
-        return cls((detection,) * num_ages)
-
-    @property
-    def newest(self) -> Detection:
-        """The last detection."""
-        return self.ages[0]
-
-
 def detect(
     points: Float[Tensor, "num_envs num_points 3"],
     is_visible: Bool[Tensor, "num_envs num_points"],
     least_visible: float,
+    camera: Projection | None = None,
 ) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
     """Box of the visible surface points, and whether enough of them are visible for a detection.
 
@@ -100,8 +86,10 @@ def detect(
         points: Surface points of the object, world frame [m].
         is_visible: Which of them nothing hides.
         least_visible: Share that must be visible and in the image.
+        camera: The camera that looks; the nominal one if absent.
     """
-    pixels, depth = project(RGB_CAMERA, points)
+    camera = camera or nominal_projection(RGB_CAMERA, points)
+    pixels, depth = camera.pixels(points)
     in_view = is_in_view(RGB_CAMERA, pixels, depth)
     is_seen = (is_visible & in_view).to(points.dtype).mean(dim=-1) >= least_visible
     return box_of_points(pixels, is_visible, RGB_CAMERA), is_seen

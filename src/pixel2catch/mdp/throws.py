@@ -10,8 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-GRAVITY = 9.81
-"""Standard value, as MuJoCo's default [m/s^2]."""
+from pixel2catch.mdp.drag import GRAVITY, flight_time, velocity_through_air
 
 Range = tuple[float, float]
 
@@ -30,6 +29,10 @@ class ThrowCfg:
         peak_z: Highest point of the path.
         clearance: Least height of the peak over release and aim.
         hover_steps: Control steps that the object hovers before it flies, first and last.
+        speed_deviation: Standard deviation of a relative error of the speed at release. This and what
+            follows is 0 in training (ours, for tests of policies).
+        angle_deviation: Standard deviation of the errors of its elevation and of its azimuth [rad].
+        spin: Largest angular speed of the object, uniform, about a random axis [rad/s].
     """
 
     release_x: Range = (2.4, 2.9)
@@ -41,6 +44,9 @@ class ThrowCfg:
     peak_z: Range = (1.6, 1.9)
     clearance: float = 0.2
     hover_steps: tuple[int, int] = (5, 19)
+    speed_deviation: float = 0.0
+    angle_deviation: float = 0.0
+    spin: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,20 +56,40 @@ class Throw:
     Attributes:
         pos: Release position [m].
         quat: Orientation, uniform over all rotations, (w, x, y, z).
+        hover_vel: Velocity before the release [m/s]; only that of a moving frame.
         lin_vel: Velocity at release [m/s].
-        aim: Where the path comes down through the catch height [m].
+        ang_vel: Angular velocity at release, frame of the object [rad/s].
+        aim: Where the path is meant to come down through the catch height [m].
         hover_steps: Control steps before the release.
     """
 
     pos: Float[Tensor, "num_envs 3"]
     quat: Float[Tensor, "num_envs 4"]
+    hover_vel: Float[Tensor, "num_envs 3"]
     lin_vel: Float[Tensor, "num_envs 3"]
+    ang_vel: Float[Tensor, "num_envs 3"]
     aim: Float[Tensor, "num_envs 3"]
     hover_steps: Int[Tensor, " num_envs"]
 
+    def flight_time(self) -> Float[Tensor, " num_envs"]:
+        """Time from the release until the path comes down through the catch height, but for drag [s]."""
+        return flight_time(self.lin_vel, self.aim[:, 2] - self.pos[:, 2])
 
-def sample_throws(cfg: ThrowCfg, num_envs: int, generator: torch.Generator) -> Throw:
-    """Draw throws on the generator's device."""
+
+def sample_throws(
+    cfg: ThrowCfg,
+    num_envs: int,
+    generator: torch.Generator,
+    drag: Float[Tensor, " num_envs"] | None = None,
+) -> Throw:
+    """Draw throws on the generator's device.
+
+    Args:
+        cfg: Their ranges.
+        num_envs: How many.
+        generator: Where they are drawn from.
+        drag: What the thrower makes up for: deceleration by air over the square of the speed [1/m].
+    """
     device = generator.device
     ranges = (cfg.release_x, cfg.release_y, cfg.release_z, cfg.aim_x, cfg.aim_y, cfg.aim_z, cfg.peak_z)
     draws = uniform(ranges, num_envs, generator)
@@ -71,15 +97,42 @@ def sample_throws(cfg: ThrowCfg, num_envs: int, generator: torch.Generator) -> T
     quat = torch.nn.functional.normalize(torch.randn(num_envs, 4, generator=generator, device=device), dim=-1)
     first, last = cfg.hover_steps
     hover_steps = torch.randint(first, last + 1, (num_envs,), generator=generator, device=device)
+    peak = torch.maximum(peak, cfg.clearance + torch.maximum(pos[:, 2], aim[:, 2]))
+    lin_vel, still = launch_velocity(pos, aim, peak), torch.zeros_like(pos)
+    if drag is not None:
+        lin_vel = velocity_through_air(pos, aim, lin_vel, drag)
     return Throw(
         pos=pos,
         quat=quat,
-        lin_vel=launch_velocity(
-            pos, aim, torch.maximum(peak, cfg.clearance + torch.maximum(pos[:, 2], aim[:, 2]))
-        ),
+        hover_vel=still,
+        lin_vel=_released(cfg, lin_vel, generator),
+        ang_vel=_spin(cfg.spin, num_envs, generator) if cfg.spin else still,
         aim=aim,
         hover_steps=hover_steps,
     )
+
+
+def _released(
+    cfg: ThrowCfg, lin_vel: Float[Tensor, "num_envs 3"], generator: torch.Generator
+) -> Float[Tensor, "num_envs 3"]:
+    """The intended velocity with the thrower's errors of speed, elevation and azimuth [m/s]."""
+    if not (cfg.speed_deviation or cfg.angle_deviation):
+        return lin_vel
+    error = torch.randn(len(lin_vel), 3, generator=generator, device=lin_vel.device)
+    speed = torch.linalg.vector_norm(lin_vel, dim=-1) * (1.0 + cfg.speed_deviation * error[:, 0])
+    along = torch.linalg.vector_norm(lin_vel[:, :2], dim=-1)
+    elevation = torch.atan2(lin_vel[:, 2], along) + cfg.angle_deviation * error[:, 1]
+    azimuth = torch.atan2(lin_vel[:, 1], lin_vel[:, 0]) + cfg.angle_deviation * error[:, 2]
+    level = speed * torch.cos(elevation)
+    return torch.stack(
+        (level * torch.cos(azimuth), level * torch.sin(azimuth), speed * torch.sin(elevation)), dim=-1
+    )
+
+
+def _spin(largest: float, num_envs: int, generator: torch.Generator) -> Float[Tensor, "num_envs 3"]:
+    """Angular velocities about random axes [rad/s]."""
+    speed = largest * torch.rand(num_envs, 1, generator=generator, device=generator.device)
+    return speed * random_directions(num_envs, generator)
 
 
 def launch_velocity(
@@ -98,6 +151,12 @@ def uniform(
     """Independent uniform draws, one column per range, on the generator's device."""
     lower, width = _bounds(ranges, generator.device)
     return lower + width * torch.rand(num_envs, len(ranges), generator=generator, device=generator.device)
+
+
+def random_directions(num_envs: int, generator: torch.Generator) -> Float[Tensor, "num_envs 3"]:
+    """Unit vectors, uniform over all directions, on the generator's device."""
+    normal = torch.randn(num_envs, 3, generator=generator, device=generator.device)
+    return torch.nn.functional.normalize(normal, dim=-1)
 
 
 @lru_cache(maxsize=32)

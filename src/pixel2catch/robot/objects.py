@@ -39,6 +39,25 @@ class ObjectSpec:
     mass: float
     inertia: Float[ndarray, "3"]
 
+    @property
+    def drag_area(self) -> float:
+        """Drag coefficient times area, mean over all orientations [m²].
+
+        Faces A of the box with the object's inertia, of coefficient 1: the mean of A |n|³ over all directions
+        n is A / 4. Source: MuJoCo documentation, Computation, Fluid forces, inertia model.
+        """
+        x, y, z = np.sqrt(6.0 / self.mass * (self.inertia.sum() / 2.0 - self.inertia) * 2.0)
+        return float(x * y + y * z + z * x) / 4.0
+
+    def scaled(self, factor: float) -> "ObjectSpec":
+        """The same object, larger by a factor but of the same mass, as of lighter foam."""
+        return ObjectSpec(
+            name=self.name,
+            parts=tuple(part.scaled(factor) for part in self.parts),
+            mass=self.mass,
+            inertia=self.inertia * factor**2,
+        )
+
 
 def _object(name: str, *parts: ConvexPart, overlap: ConvexPart | None = None) -> ObjectSpec:
     """Move the parts into the body frame; `overlap` is the part of space that both fill."""

@@ -45,6 +45,10 @@ class ConvexPart:
         """The same part, shifted by an offset [m]."""
         return ConvexPart(vertices=self.vertices + np.asarray(offset))
 
+    def scaled(self, factor: float) -> "ConvexPart":
+        """The same part, larger by a factor, as seen from the origin."""
+        return ConvexPart(vertices=self.vertices * factor)
+
     def turned(self, rotation: Float[ndarray, "3 3"]) -> "ConvexPart":
         """The same part, rotated about the origin."""
         return ConvexPart(vertices=self.vertices @ rotation.T)

@@ -1,0 +1,255 @@
+"""`pixel2catch reproduce`: the paper's table and curves, from nothing."""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from pixel2catch.evaluation.jobs import Lane, Part
+    from pixel2catch.evaluation.study import Plan, Run, StudyFolder
+
+METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "object_position")
+"""Methods that are compared, in the order of the paper's table; the last is ours, an oracle."""
+
+PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
+
+NEUTRAL = ("checkpoint_seconds", "report_seconds")
+"""Fields of a training's configuration that change no result."""
+
+JOBS_ON_CUDA = 3
+"""Trainings that share a GPU. Source: ours; one alone does not fill it, see `evaluation.gpu_sharing`."""
+
+TRAINING, EVALUATION = "training", "evaluation"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduce:
+    """Train and evaluate all methods with several seeds, and write a report: tables, curves, pictures.
+
+    Parts that are finished are not done again, and half-finished trainings go on: to continue after an
+    interruption, give the same command. Methods and seeds may be added later.
+
+    Attributes:
+        methods: Methods to compare.
+        seeds: Trainings of each method.
+        preset: Settings of the trainings: fast, cpu or paper. Default: fast on CUDA, else cpu.
+        transitions: Length of a training: control steps, summed over the environments. Default: the preset's.
+        physics_hz: Physics steps in a second of the trainings, one or several. Default: the preset's.
+        training: Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096.
+        device: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
+        jobs_per_device: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1.
+        num_envs: Throws in a round of an evaluation.
+        trials: Rounds of an evaluation.
+        evaluation_device: Where to evaluate: cpu, or one or several CUDA devices.
+        evaluation_physics_hz: Physics steps in a second of the evaluations.
+        out: Folder of the study.
+        report_only: Train and evaluate nothing; write the report of what is there.
+    """
+
+    methods: tuple[str, ...] = METHODS
+    seeds: int = 3
+    preset: Literal["fast", "cpu", "paper"] | None = None
+    transitions: int | None = None
+    physics_hz: tuple[float, ...] | None = None
+    training: tuple[str, ...] = ()
+    device: tuple[str, ...] = ()
+    jobs_per_device: int | None = None
+    num_envs: int = 100
+    trials: int = 10
+    evaluation_device: tuple[str, ...] = ("cpu",)
+    evaluation_physics_hz: float = 600.0
+    out: Path = Path("results")
+    report_only: bool = False
+
+    def run(self) -> None:
+        """Do what is left to do, and write the report."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.errors import StudyError
+        from pixel2catch.evaluation.report import write_report
+        from pixel2catch.evaluation.study import StudyFolder
+
+        folder = StudyFolder(self.out)
+        failures = [] if self.report_only else self._work(folder)
+        write_report(folder)
+        print((folder.report / "table.md").read_text(encoding="utf-8"), end="")
+        say(f"wrote the report: {folder.report / 'README.md'}")
+        if failures:
+            raise StudyError(
+                "\n".join(failures) + "\nthe other parts were done; the same command tries these again."
+            )
+
+    def _work(self, folder: "StudyFolder") -> list[str]:
+        """Train and evaluate; return what failed.
+
+        Raises:
+            KeyboardInterrupt: If it was asked to stop before everything was done.
+        """
+        from pixel2catch.cli.study_console import Board
+        from pixel2catch.evaluation.gpu_sharing import shared_gpus
+        from pixel2catch.evaluation.jobs import Runner, Status, last_lines, locked
+        from pixel2catch.rl.interruption import StopRequest
+
+        devices = self._devices()
+        training = self._training_options(devices[0])
+        plan = self._plan(training)
+        with locked(folder.path) as lock, shared_gpus() as shared:
+            parts = [part for run in plan.runs() for part in self._parts(folder, run, training)]
+            runner = Runner(parts, self._lanes(devices, shared), folder.logs, lock)
+            folder.open(plan, [_session()] if set(runner.status.values()) != {Status.DONE} else [])
+            logs = {run.name: folder.metrics(run) for run in plan.runs()}
+            with StopRequest() as stop, Board(logs, training["transitions"]) as board:
+                runner.run(board.show, lambda: stop.is_set)
+        if stop.is_set and set(runner.status.values()) != {Status.DONE}:
+            raise KeyboardInterrupt
+        failed = [name for name, status in runner.status.items() if status is Status.FAILED]
+        return [f"{name} failed; {runner.log(name)} ends:\n{last_lines(runner.log(name))}" for name in failed]
+
+    def _devices(self) -> tuple[str, ...]:
+        """Where to train.
+
+        Raises:
+            DeviceUnavailableError: If a CUDA device is asked for, to train or to evaluate, and absent.
+        """
+        import torch
+
+        from pixel2catch.sim.devices import require_cuda
+
+        devices = self.device or ("cuda" if torch.cuda.is_available() else "cpu",)
+        for device in (*devices, *self.evaluation_device):
+            if device.startswith("cuda"):
+                require_cuda(device)
+        return devices
+
+    def _lanes(self, devices: tuple[str, ...], shared: Mapping[str, str]) -> "list[Lane]":
+        """Lanes of trainings and evaluations, in turn on every device; a CPU does one evaluation at a time.
+
+        Args:
+            devices: Where to train.
+            shared: Environment variables with which processes share a GPU.
+        """
+        from pixel2catch.evaluation.jobs import Lane
+
+        def lane(kind: str, device: str) -> Lane:
+            is_cuda = device.startswith("cuda")
+            environment = {"OMP_NUM_THREADS": "1", **shared} if is_cuda else {}
+            return Lane(kind=kind, device=device, environment=environment)
+
+        on_cuda, lanes = self.jobs_per_device or JOBS_ON_CUDA, []
+        on_cpu = {TRAINING: self.jobs_per_device or 1, EVALUATION: 1}
+        for kind, places in ((TRAINING, devices), (EVALUATION, self.evaluation_device)):
+            numbers = {device: on_cuda if device.startswith("cuda") else on_cpu[kind] for device in places}
+            turns = [(turn, device) for device in places for turn in range(numbers[device])]
+            lanes += [lane(kind, device) for _, device in sorted(turns, key=lambda entry: entry[0])]
+        return lanes
+
+    def _training_options(self, device: str) -> dict[str, Any]:
+        """Resolved options of all trainings: those of `pixel2catch train` that the study does not set itself.
+
+        Args:
+            device: What the default preset is for.
+
+        Raises:
+            UnknownNameError: If a training has no such option, or the study sets it itself.
+            InvalidValueError: If no training is possible with the values.
+        """
+        import tyro
+
+        from pixel2catch.cli.train import Train
+        from pixel2catch.errors import UnknownNameError
+        from pixel2catch.rl import TrainCfg
+        from pixel2catch.robot.scene import SceneCfg
+
+        free = {field.name for field in fields(TrainCfg)} - {"device", "seed", "transitions"}
+        given: dict[str, Any] = {"device": device} | {
+            name: getattr(self, name) for name in ("preset", "transitions", "physics_hz")
+        }
+        for option in self.training:
+            name, _, value = option.partition("=")
+            if name not in free:
+                raise UnknownNameError("option in --training", name, sorted(free))
+            given[name] = value.split(",")
+        args = _options({name: value for name, value in given.items() if value is not None})
+        cfg = tyro.cli(Train, args=args, prog="pixel2catch train").resolve()
+        for physics_hz in (*cfg.physics_hz, self.evaluation_physics_hz):
+            SceneCfg(physics_hz=physics_hz)
+        return {name: value for name, value in asdict(cfg).items() if name not in ("device", "seed")}
+
+    def _plan(self, training: dict[str, Any]) -> "Plan":
+        """What is asked, with everything that changes results.
+
+        Raises:
+            UnknownNameError: If a method does not exist.
+            InvalidValueError: If there is nothing to do.
+        """
+        from pixel2catch.errors import InvalidValueError
+        from pixel2catch.evaluation.study import Plan
+        from pixel2catch.methods import find_method
+
+        for name in ("seeds", "num_envs", "trials", "jobs_per_device"):
+            if getattr(self, name) is not None and getattr(self, name) < 1:
+                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be at least 1.")
+        evaluation = {
+            "num_envs": self.num_envs,
+            "trials": self.trials,
+            "device": " ".join(sorted({device.split(":")[0] for device in self.evaluation_device})),
+            "physics_hz": self.evaluation_physics_hz,
+        }
+        return Plan(
+            methods=tuple(dict.fromkeys(find_method(name).name for name in self.methods)),
+            seeds=self.seeds,
+            configuration={f"training {n}": value for n, value in training.items() if n not in NEUTRAL}
+            | {f"evaluation {n}": value for n, value in evaluation.items()},
+        )
+
+    def _parts(self, folder: "StudyFolder", run: "Run", training: dict[str, Any]) -> "list[Part]":
+        """The training of a run, and the evaluations of its policy."""
+        from pixel2catch.evaluation.jobs import Part
+        from pixel2catch.evaluation.study import GROUPS
+
+        def train(device: str) -> list[str]:
+            options = training | {"seed": run.seed, "device": device, "out": folder.run(run)}
+            resume = ["--resume"] if folder.prepare(run) else []
+            return [*PROGRAM, "train", run.method, *_options(options), *resume]
+
+        def evaluate(group: str, device: str) -> list[str]:
+            options = {"objects": group, "num_envs": self.num_envs, "trials": self.trials, "seed": run.seed}
+            options |= {
+                "physics_hz": self.evaluation_physics_hz,
+                "device": device,
+                "out": folder.evaluation(run, group),
+            }
+            return [*PROGRAM, "evaluate", str(folder.run(run)), *_options(options)]
+
+        return [
+            Part(name=run.name, kind=TRAINING, command=train, is_done=lambda: folder.is_trained(run)),
+            *(
+                Part(
+                    name=f"{run.name}-{group}",
+                    kind=EVALUATION,
+                    command=partial(evaluate, group),
+                    is_done=partial(folder.has_result, run, group),
+                    after=(run.name,),
+                )
+                for group in GROUPS
+            ),
+        ]
+
+
+def _session() -> dict[str, Any]:
+    """When, how and where this process works."""
+    from pixel2catch.rl.run_folder import circumstances
+
+    session = circumstances()
+    return session | {"command": " ".join(["pixel2catch", *session["command"][1:]])}
+
+
+def _options(options: Mapping[str, Any]) -> list[str]:
+    """The options as arguments of a command."""
+    args: list[str] = []
+    for name, value in options.items():
+        values = value if isinstance(value, tuple | list) else [value]
+        args += [f"--{name.replace('_', '-')}", *map(str, values)]
+    return args

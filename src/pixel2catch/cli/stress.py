@@ -1,0 +1,71 @@
+"""`pixel2catch stress`: every policy under what the real world does and the training does not."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from pixel2catch.evaluation.metrics import Metrics
+    from pixel2catch.evaluation.stress import Cell
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stress:
+    """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted.
+
+    Attributes:
+        policies: Folders of policies, or of their training runs. Default: every policy that is shipped.
+        axes: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
+        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
+        num_envs: Throws in a round.
+        trials: Rounds.
+        seed: Seed of everything that is drawn.
+        device: Where to simulate: cpu, cuda, cuda:1, ...
+        physics_hz: Physics steps in a second, a multiple of 30.
+        out: Folder of the results.
+        json: Print the table as one JSON object.
+    """
+
+    policies: Positional[tuple[Path, ...]] = ()
+    axes: tuple[str, ...] = ()
+    objects: tuple[str, ...] = ("seen",)
+    num_envs: int = 100
+    trials: int = 2
+    seed: int = 0
+    device: str = "cpu"
+    physics_hz: float = 600.0
+    out: Path = Path("stress")
+    json: bool = False
+
+    def run(self) -> None:
+        """Compute what is missing, write the report and print it."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.evaluation.stress import StressCfg, find_contestants, plan_cells, run_cells
+        from pixel2catch.evaluation.stress_report import as_markdown, make_table, write_report
+        from pixel2catch.evaluation.stress_suite import select_settings
+        from pixel2catch.robot.objects import select_objects
+
+        settings = select_settings(self.axes)
+        cfg = StressCfg(
+            objects=select_objects(self.objects),
+            num_envs=self.num_envs,
+            trials=self.trials,
+            seed=self.seed,
+            device=self.device,
+            physics_hz=self.physics_hz,
+        )
+        prepare(self.device)
+        cells = plan_cells(find_contestants(self.policies), settings, self.out)
+
+        def report(number: int, cell: "Cell", metrics: "Metrics") -> None:
+            name, rate = f"{cell.contestant.name}, {cell.setting.title}", 100 * metrics["success_rate"]
+            say(f"{number} of {len(cells)}: {name}: success rate {rate:.1f} %")
+
+        table = make_table(cells, run_cells(cells, cfg, report))
+        write_report(self.out, table)
+        print(json.dumps(table, indent=2) if self.json else as_markdown(table), end="\n" if self.json else "")
+        say(f"wrote {self.out}: table.md, table.csv, table.json, heatmap.png")

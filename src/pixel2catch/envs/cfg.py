@@ -1,0 +1,34 @@
+"""The definition of the task."""
+
+from dataclasses import dataclass, field
+
+from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.mdp.shaking import ShakeCfg
+from pixel2catch.mdp.terminations import EpisodeCfg
+from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.robot.objects import SEEN
+from pixel2catch.robot.scene import SceneCfg
+
+
+@dataclass(frozen=True, kw_only=True)
+class CatchEnvCfg:
+    """Everything that defines the task.
+
+    Attributes:
+        scene: What the model is made from.
+        objects: Names of the objects that are thrown.
+        throws: Where from and where to.
+        randomization: What differs from episode to episode.
+        sensing: Noise and delay of camera and encoders.
+        shake: How the table shakes.
+        episode: When an episode ends.
+    """
+
+    scene: SceneCfg = field(default_factory=SceneCfg)
+    objects: tuple[str, ...] = SEEN
+    throws: ThrowCfg = field(default_factory=ThrowCfg)
+    randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
+    sensing: SensingCfg = field(default_factory=SensingCfg)
+    shake: ShakeCfg = field(default_factory=ShakeCfg)
+    episode: EpisodeCfg = field(default_factory=EpisodeCfg)

@@ -1,0 +1,83 @@
+"""A table that shakes, in the frame of the robot that stands on it.
+
+The robot's base moves by b(t) = A d sin(2 pi f t + phase) with d a random direction. In the frame of the base
+the free object feels the fictitious force -m b''(t), and whatever stands on the floor, camera and thrower,
+moves by -b(t). The servos hold the robot; its own inertial load is neglected.
+Source: ours, for tests of policies.
+"""
+
+from dataclasses import dataclass, replace
+from math import pi
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pixel2catch.mdp.throws import Throw, random_directions
+from pixel2catch.robot.constants import CONTROL_DT
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShakeCfg:
+    """How the table shakes.
+
+    Attributes:
+        amplitude: Largest displacement [m]; 0 is a table that stands still, as in training.
+        frequency: Frequency [Hz].
+    """
+
+    amplitude: float = 0.0
+    frequency: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shake:
+    """How the base moves in one episode of each environment; times are those of the episode [s].
+
+    Attributes:
+        sine: A d cos(phase) [m].
+        cosine: A d sin(phase) [m].
+        rate: 2 pi f [rad/s].
+    """
+
+    sine: Float[Tensor, "num_envs 3"]
+    cosine: Float[Tensor, "num_envs 3"]
+    rate: Float[Tensor, " num_envs"]
+
+    def displacement(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
+        """From where the base stands without shaking [m]."""
+        angle = (self.rate * time).unsqueeze(-1)
+        return self.sine * torch.sin(angle) + self.cosine * torch.cos(angle)
+
+    def velocity(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
+        """Velocity of the base [m/s]."""
+        angle = (self.rate * time).unsqueeze(-1)
+        return self.rate[:, None] * (self.sine * torch.cos(angle) - self.cosine * torch.sin(angle))
+
+    def acceleration(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
+        """Acceleration of the base [m/s²]."""
+        return -self.rate.square()[:, None] * self.displacement(time)
+
+    def seen_from_base(self, throw: Throw) -> Throw:
+        """A throw of the laboratory in the frame of the base; its aim stays the one in the laboratory."""
+        start, release = torch.zeros_like(throw.pos[:, 0]), throw.hover_steps * CONTROL_DT
+        return replace(
+            throw,
+            pos=throw.pos - self.displacement(start),
+            hover_vel=throw.hover_vel - self.velocity(start),
+            lin_vel=throw.lin_vel - self.velocity(release),
+        )
+
+
+def sample_shake(cfg: ShakeCfg, num_envs: int, generator: torch.Generator) -> Shake | None:
+    """Draw direction and phase, on the generator's device; nothing where the table stands still."""
+    if not (cfg.amplitude and cfg.frequency):
+        return None
+    device = generator.device
+    vector = cfg.amplitude * random_directions(num_envs, generator)
+    phase = 2.0 * pi * torch.rand(num_envs, 1, generator=generator, device=device)
+    return Shake(
+        sine=vector * torch.cos(phase),
+        cosine=vector * torch.sin(phase),
+        rate=torch.full((num_envs,), 2.0 * pi * cfg.frequency, device=device),
+    )

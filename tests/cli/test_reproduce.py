@@ -1,0 +1,193 @@
+"""Studies through the real command: real trainings and evaluations, as small as they can be."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from pixel2catch.cli.main import main
+from pixel2catch.cli.reproduce import METHODS as STUDY_METHODS
+from pixel2catch.methods import METHODS
+
+SMALL = (
+    *("--device", "cpu", "--preset", "cpu", "--transitions", "320", "--physics-hz", "60"),
+    *("--training", "num_envs=4", "rollout_steps=16", "hidden=16,8", "checkpoint_seconds=0"),
+    *("--num-envs", "4", "--trials", "1", "--evaluation-physics-hz", "60"),
+)
+TINY = (*SMALL, "--methods", "only_wh", "--seeds", "1")
+RUN = "only_wh-seed0"
+
+
+def read(path: Path) -> dict:
+    return json.loads(path.read_text())
+
+
+def times(folder: Path) -> dict[str, int]:
+    """When each result was written [ns]."""
+    files = [*folder.glob("evaluations/*"), *folder.glob("runs/*/summary.json"), folder / "study.json"]
+    return {str(path.relative_to(folder)): path.stat().st_mtime_ns for path in files}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A study that was interrupted in its first training and then continued."""
+
+    folder: Path
+    status_when_stopped: int
+    summary_when_stopped: dict
+    errors_when_stopped: str
+    status: int
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    out = tmp_path_factory.mktemp("study") / "with a, comma"
+    command = [sys.executable, "-m", "pixel2catch.cli.main", "reproduce", *TINY, "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 100.0
+    while not (out / "runs" / RUN / "checkpoint.pt").exists():
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    summary = read(out / "runs" / RUN / "summary.json")
+    return Study(
+        folder=out,
+        status_when_stopped=process.returncode,
+        summary_when_stopped=summary,
+        errors_when_stopped=errors,
+        status=main(["reproduce", *TINY, "--out", str(out)]),
+    )
+
+
+def test_methods_of_a_study_exist():
+    assert set(STUDY_METHODS) <= set(METHODS)
+
+
+def test_an_interrupted_study_saves_its_trainings(study: Study):
+    assert study.status_when_stopped == 130
+    assert study.summary_when_stopped["status"] == "interrupted"
+    assert 0 < study.summary_when_stopped["transitions"] < 320
+    assert f"{RUN} stopped" in study.errors_when_stopped
+
+
+def test_the_same_command_goes_on(study: Study):
+    assert study.status == 0
+    run = study.folder / "runs" / RUN
+    summary = read(run / "summary.json")
+    assert (summary["status"], summary["transitions"]) == ("finished", 320)
+    commands = [" ".join(session["command"]) for session in json.loads((run / "sessions.json").read_text())]
+    assert ["--resume" in command for command in commands] == [False, True]
+    assert len(read(study.folder / "study.json")["sessions"]) == 2
+
+
+def test_everything_is_written(study: Study):
+    for group in ("seen", "unseen"):
+        result = read(study.folder / "evaluations" / f"{RUN}-{group}.json")
+        assert (result["method"], result["trials"], result["physics_hz"]) == ("only_wh", 4, 60.0)
+        assert "success rate so far" in (study.folder / "logs" / f"{RUN}-{group}.log").read_text()
+    rows = read(study.folder / "report" / "table.json")["results"]
+    assert [(row["method"], row["objects"], row["trials"]) for row in rows] == [
+        ("only_wh", "seen", 4),
+        ("only_wh", "unseen", 4),
+    ]
+
+
+def test_again_there_is_nothing_to_do(study: Study, capsys: pytest.CaptureFixture[str]):
+    before = times(study.folder)
+    assert main(["reproduce", *TINY, "--out", str(study.folder)]) == 0
+    after = times(study.folder)
+    assert before.pop("study.json") <= after.pop("study.json")
+    assert before == after
+    assert len(read(study.folder / "study.json")["sessions"]) == 2
+    assert "| only_wh | seen | 1 |" in capsys.readouterr().out
+
+
+def test_a_deleted_evaluation_is_done_again_alone(study: Study):
+    before = times(study.folder)
+    deleted = f"evaluations/{RUN}-unseen.json"
+    result = read(study.folder / deleted)
+    (study.folder / deleted).unlink()
+    assert main(["reproduce", *TINY, "--out", str(study.folder)]) == 0
+    after = times(study.folder)
+    assert {name for name in after if after[name] != before[name]} == {deleted, "study.json"}
+    assert read(study.folder / deleted) | {"seconds": 0} == result | {"seconds": 0}
+
+
+def test_another_configuration_is_refused(study: Study, capsys: pytest.CaptureFixture[str]):
+    before = times(study.folder)
+    assert main(["reproduce", *TINY, "--out", str(study.folder), "--physics-hz", "120", "--trials", "2"]) == 2
+    message = capsys.readouterr().err
+    assert "training physics_hz: [60.0] in the study, [120.0] now" in message
+    assert "evaluation trials: 1 in the study, 2 now" in message
+    assert times(study.folder) == before
+
+
+def test_the_report_alone_needs_no_configuration(study: Study):
+    before = times(study.folder)
+    (study.folder / "report" / "curves.png").unlink()
+    assert main(["reproduce", "--report-only", "--out", str(study.folder)]) == 0
+    assert (study.folder / "report" / "curves.png").exists()
+    assert times(study.folder) == before
+
+
+def test_a_part_that_fails_is_shown_and_the_others_go_on(study: Study, capsys: pytest.CaptureFixture[str]):
+    """The second training has a damaged checkpoint: only that one fails, and its evaluations wait."""
+    damaged = study.folder / "runs" / "only_wh-seed1" / "checkpoint.pt"
+    damaged.parent.mkdir()
+    damaged.write_bytes(b"no checkpoint")
+    assert main(["reproduce", *TINY, "--out", str(study.folder), "--seeds", "2"]) == 2
+    message = capsys.readouterr().err
+    assert "only_wh-seed1 failed" in message
+    assert "is damaged" in message
+    assert damaged.read_bytes() == b"no checkpoint"
+    assert len(read(study.folder / "report" / "table.json")["results"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("--methods", "propose"), ("'propose'", "proposed")),
+        (("--seeds", "0"), ("seeds is 0",)),
+        (("--jobs-per-device", "0"), ("jobs_per_device is 0",)),
+        (("--training", "num_env=4"), ("num_env", "num_envs")),
+        (("--training", "seed=4"), ("'seed'", "epochs")),
+        (("--training", "num_envs=0"), ("num_envs is 0",)),
+        (("--physics-hz", "100"), ("100",)),
+        (("--report-only",), ("study.json",)),
+    ],
+)
+def test_bad_input_leaves_nothing(
+    args: tuple[str, ...], words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "out"
+    assert main(["reproduce", "--device", "cpu", "--out", str(out), *args]) == 2
+    message = capsys.readouterr().err
+    for word in words:
+        assert word in message
+    assert not list(out.glob("*.json"))
+
+
+@pytest.mark.slow
+def test_two_methods_with_two_seeds_side_by_side(tmp_path: Path):
+    methods = ("--methods", "only_wh", "proposed", "--seeds", "2", "--jobs-per-device", "2")
+    command = [sys.executable, "-m", "pixel2catch.cli.main", "reproduce", *SMALL, *methods]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    subprocess.run([*command, "--out", str(tmp_path)], env=environment, check=True, timeout=500)
+    rows = read(tmp_path / "report" / "table.json")["results"]
+    assert [(row["method"], row["objects"]) for row in rows] == [
+        (method, group) for method in ("only_wh", "proposed") for group in ("seen", "unseen")
+    ]
+    assert {(row["seeds"], row["trials"]) for row in rows} == {(2, 8)}
+    started = [
+        json.loads((tmp_path / "runs" / name / "sessions.json").read_text())[0]["started"]
+        for name in ("only_wh-seed0", "proposed-seed0", "only_wh-seed1", "proposed-seed1")
+    ]
+    assert max(started[:2]) <= min(started[2:])

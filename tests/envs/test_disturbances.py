@@ -1,0 +1,226 @@
+"""What tests of policies disturb: each has its effect on the environment, and none where it is zero."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+
+from pixel2catch.agents import JOINTS
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.step import Step
+from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.mdp.shaking import ShakeCfg
+from pixel2catch.mdp.terminations import EpisodeCfg
+from pixel2catch.mdp.throws import GRAVITY, ThrowCfg
+from pixel2catch.methods import METHODS
+from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.robot.scene import SceneCfg
+
+PROPOSED = METHODS["proposed"]
+EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0, latency_steps=(0, 0))
+STILL = RandomizationCfg(
+    arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
+)
+SHAKE = ShakeCfg(amplitude=0.02, frequency=2.0)
+FINE = SceneCfg(physics_hz=600.0)
+AT_ONCE = ThrowCfg(hover_steps=(2, 2))
+
+
+def make(num_envs: int = 4, seed: int = 0, **changes: Any) -> CatchEnv:
+    """Environments whose first draws after construction are those of the seed."""
+    env = CatchEnv(replace(CatchEnvCfg(), **changes), PROPOSED, num_envs=num_envs)
+    env.seed(seed)
+    env.reset()
+    return env
+
+
+def rollout(env: CatchEnv, num_steps: int, action: float = 0.0) -> Iterator[Step]:
+    for _ in range(num_steps):
+        yield env.step({name: torch.full((env.num_envs, n), action) for name, n in env.action_sizes.items()})
+
+
+def object_path(env: CatchEnv, num_steps: int) -> torch.Tensor:
+    """Positions of the object (num_steps + 1, num_envs, 3) in the robot's frame [m]."""
+    places = [env.world.privileged(env.world.quiet_log()).object_pos]
+    places += [env.world.privileged(step.log).object_pos for step in rollout(env, num_steps)]
+    return torch.stack(places)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensing": SensingCfg(camera_offset=1e-9)},
+        {"sensing": SensingCfg(box_bias=1e-6, edge_noise=1e-6)},
+        {"shake": ShakeCfg(amplitude=1e-9, frequency=2.0)},
+        {"throws": ThrowCfg(spin=1e-6)},
+        {"throws": ThrowCfg(speed_deviation=1e-8, angle_deviation=1e-8)},
+        {"scene": SceneCfg(air_density=1e-9)},
+        {"randomization": RandomizationCfg(command_delay=(0, 0))},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_a_vanishing_disturbance_throws_the_same(changes: dict[str, Any]):
+    """Draws for disturbances come after the others: the first episode is the same, but for rounding."""
+    plain, disturbed = make(seed=5), make(seed=5, **changes)
+    first, second = object_path(plain, 12), object_path(disturbed, 12)
+    torch.testing.assert_close(first, second, atol=2e-5, rtol=0)
+
+
+def test_a_seed_throws_the_same_whatever_is_wrong_with_the_camera():
+    paths = []
+    for sensing in (SensingCfg(), SensingCfg(camera_offset=0.02, box_bias=5.0, blackout_steps=3)):
+        env = make(sensing=sensing, seed=9)
+        paths.append(object_path(env, 15))
+    torch.testing.assert_close(*paths)
+
+
+def test_seed_and_reset_begin_anew():
+    env = make()
+    env.seed(3)
+    first = env.reset().state
+    list(rollout(env, 7, action=0.5))
+    env.seed(3)
+    assert torch.equal(env.reset().state, first)
+
+
+def test_a_bias_shifts_every_box_of_an_episode_and_the_tracked_position():
+    env, exact = make(sensing=replace(EXACT, box_bias=5.0)), make(sensing=EXACT)
+    first = None
+    for step, true in zip(rollout(env, 12), rollout(exact, 12), strict=True):
+        shift = step.measurement.box - true.measurement.box
+        torch.testing.assert_close(shift[:, :2], shift[:, 2:], atol=1e-3, rtol=0)
+        torch.testing.assert_close(shift[:, :2].norm(dim=-1), torch.full((4,), 5.0), atol=1e-3, rtol=0)
+        first = shift.clone() if first is None else first
+        torch.testing.assert_close(shift, first, atol=2e-3, rtol=0)
+        assert (step.measurement.object_pos - true.measurement.object_pos).norm(dim=-1).min() > 0.01
+
+
+def test_the_training_noise_does_not_reach_the_tracker_but_extra_noise_does():
+    """10 px on both edges of a side shift the centre by 10 px at the most: 5 cm at 3 m."""
+    for sensing, is_exact in (
+        (replace(EXACT, corner_noise=5.0), True),
+        (replace(EXACT, edge_noise=10.0), False),
+    ):
+        env = make(sensing=sensing)
+        for step in rollout(env, 5):
+            error = step.measurement.object_pos - env.world.privileged(step.log).object_pos
+            assert (error.norm(dim=-1).max() == 0.0) == is_exact
+            assert error.norm(dim=-1).max() < 0.08
+
+
+@pytest.mark.parametrize("rate", [0.3, 1.0])
+def test_a_dropped_detection_repeats_the_last(rate: float):
+    env = make(num_envs=200, sensing=replace(EXACT, drop_rate=rate), throws=AT_ONCE)
+    list(rollout(env, 3))
+    boxes = torch.stack([step.measurement.box.clone() for step in rollout(env, 12)])
+    is_repeated = (boxes[1:] == boxes[:-1]).all(dim=-1)
+    assert is_repeated.float().mean() == pytest.approx(rate, abs=0.04)
+
+
+def test_a_blackout_repeats_the_last_detection_for_its_length():
+    env = make(num_envs=50, sensing=replace(EXACT, blackout_steps=6), throws=AT_ONCE)
+    list(rollout(env, 1))
+    boxes = torch.stack([step.measurement.box.clone() for step in rollout(env, 24)])
+    repeated = (boxes[1:] == boxes[:-1]).all(dim=-1).sum(dim=0)
+    assert repeated.max() <= 7  # a flight may end within the last step
+    assert repeated.float().mean() > 5.0
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_a_target_arrives_exactly_after_the_delay(delay: int):
+    """Both robots stay, then get another hand target at step 5: the fingers move `delay` steps later."""
+    env = make(randomization=replace(STILL, command_delay=(delay, delay)), sensing=EXACT)
+    speed = []
+    for number in range(1, 12):
+        before = env.world.joint_pos
+        list(rollout(env, 1, action=0.0 if number < 5 else 0.8))
+        speed.append((env.world.joint_pos - before)[:, :6].abs().amax().item())
+    is_moving = [value > 0.02 for value in speed]
+    assert is_moving.index(True) + 1 == 5 + delay
+
+
+def test_a_spinning_object_turns_as_fast_and_flies_as_before():
+    env, plain = make(throws=replace(AT_ONCE, spin=25.0)), make(throws=AT_ONCE)
+    path, same = object_path(env, 10), object_path(plain, 10)
+    torch.testing.assert_close(path, same, atol=1e-4, rtol=0)
+    spin = env.world.simulation.bind("qvel")[:, len(JOINTS) + 3 :].norm(dim=-1)
+    assert 0.5 < spin.max() < 25.1
+    assert spin.max() > 5.0
+
+
+@pytest.mark.parametrize("mass_scale", [0.5, 1.0])
+def test_air_slows_throws_which_arrive_all_the_same(mass_scale: float):
+    """The thrower makes up for the mean drag of an object; how it tumbles is worth a few centimetres."""
+    mass = RandomizationCfg(mass_scale=(mass_scale, mass_scale))
+    env = make(8, throws=AT_ONCE, scene=SceneCfg(air_density=1.2), objects=("cube_s",), randomization=mass)
+    speed, aim = env._episode.throw.lin_vel.norm(dim=-1), env._episode.record.aim.clone()
+    plain = make(8, throws=AT_ONCE, objects=("cube_s",), randomization=mass)
+    assert ((speed / plain._episode.throw.lin_vel.norm(dim=-1)) > 1.005).all()
+    duration = plain._episode.throw.flight_time()
+    path, steps = object_path(env, 32), 2 + duration / CONTROL_DT
+    for row in range(8):
+        before, share = int(steps[row]), float(steps[row]) % 1.0
+        arrival = path[before, row] + share * (path[before + 1, row] - path[before, row])
+        assert (arrival - aim[row]).norm() < 0.08
+
+
+def test_free_flight_in_the_shaken_frame_is_the_ballistic_path_minus_the_base():
+    env, plain = make(shake=SHAKE, throws=AT_ONCE, scene=FINE), make(throws=AT_ONCE, scene=FINE)
+    shake = env._episode.shake
+    assert shake is not None
+    path, still = object_path(env, 20), object_path(plain, 20)
+    times = CONTROL_DT * torch.arange(21)[:, None].expand(21, 4)
+    torch.testing.assert_close(path + shake.displacement(times), still, atol=5e-4, rtol=0)
+    assert (path - still).abs().max() > 0.01
+    drop = still[-1, :, 2] - still[2, :, 2]
+    assert (drop.abs() < 0.5 * GRAVITY).all()
+
+
+def test_a_camera_beside_the_table_sees_nothing_of_the_shaking():
+    """Object and camera stand in the laboratory: the box stays, although the robot's frame moves."""
+    env = make(shake=SHAKE, throws=ThrowCfg(hover_steps=(40, 40)), sensing=EXACT, scene=FINE)
+    boxes = torch.stack([step.measurement.box.clone() for step in rollout(env, 20)])
+    assert (boxes - boxes[0]).abs().max() < 0.15
+
+
+def test_a_held_object_feels_the_shaking():
+    """An object at rest in the shaken frame is pushed with minus the base's acceleration."""
+    env = make(shake=SHAKE, throws=ThrowCfg(hover_steps=(40, 40)))
+    shake = env._episode.shake
+    assert shake is not None
+    before = env.world.simulation.bind("qvel")[:, len(JOINTS) : len(JOINTS) + 3].clone()
+    list(rollout(env, 1))
+    after = env.world.simulation.bind("qvel")[:, len(JOINTS) : len(JOINTS) + 3]
+    expected = -shake.acceleration(torch.full((4,), CONTROL_DT / 2)).double() * CONTROL_DT
+    torch.testing.assert_close(after - before, expected, atol=2e-3, rtol=0)
+
+
+EVERYTHING = {
+    "sensing": SensingCfg(
+        camera_offset=0.02, camera_turn=0.02, focal_error=0.02, box_bias=5.0, box_scale=1.1, edge_noise=5.0,
+        drop_rate=0.1, blackout_steps=3, latency_steps=(0, 5),
+    ),
+    "randomization": RandomizationCfg(command_delay=(0, 3)),
+    "throws": ThrowCfg(hover_steps=(2, 5), spin=10.0, speed_deviation=0.05, angle_deviation=0.04),
+    "shake": ShakeCfg(amplitude=0.01, frequency=2.0),
+    "scene": SceneCfg(air_density=1.2, object_scale=1.1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
+def test_everything_at_once_runs_and_a_seed_gives_it_again(device: str):
+    """Over resets, and on a CUDA device as one recording."""
+    rollouts = []
+    task = replace(CatchEnvCfg(), **EVERYTHING, episode=EpisodeCfg(max_steps=20))
+    for _ in range(2):
+        env = CatchEnv(task, METHODS["object_position"], num_envs=8, device=device, seed=4)
+        actions = {name: torch.full((8, n), 0.2, device=device) for name, n in env.action_sizes.items()}
+        states = [env.step(actions).observation.state for _ in range(45)]
+        rollouts.append(torch.stack(states))
+        env.close()
+    assert rollouts[0].isfinite().all()
+    torch.testing.assert_close(*rollouts)
+    assert (rollouts[0][1:] != rollouts[0][:-1]).any(dim=-1).all()

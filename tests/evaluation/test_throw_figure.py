@@ -1,0 +1,26 @@
+import numpy as np
+import torch
+
+from pixel2catch.evaluation.throw_figure import arm_points, sample_paths
+from pixel2catch.mdp.throws import GRAVITY, ThrowCfg, sample_throws
+from pixel2catch.robot.constants import ARM_JOINTS, ROBOT_BASE_POS
+from pixel2catch.robot.kinematics import palm_pose
+
+
+def test_paths_lead_from_release_to_aim_in_free_fall():
+    cfg = ThrowCfg()
+    paths = sample_paths(cfg, 30, seed=1)
+    throw = sample_throws(cfg, 30, torch.Generator().manual_seed(1))
+    assert np.allclose(paths[:, 0], throw.pos, atol=1e-6)
+    assert np.allclose(paths[:, -1], throw.aim, atol=1e-5)
+    bend = np.diff(paths, n=2, axis=1)
+    assert np.allclose(bend[..., :2], 0.0, atol=1e-9)
+    flight = np.sqrt(-bend[:, 0, 2] / GRAVITY) * (paths.shape[1] - 1)
+    assert np.all((flight > 0.7) & (flight < 1.2))
+
+
+def test_the_arm_leads_from_the_base_to_the_palm():
+    points = arm_points()
+    home = torch.tensor([[joint.home for joint in ARM_JOINTS]], dtype=torch.float64)
+    assert np.allclose(points[0], ROBOT_BASE_POS)
+    assert np.allclose(points[-1], palm_pose(home)[0][0], atol=1e-6)

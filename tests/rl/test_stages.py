@@ -1,0 +1,31 @@
+"""A training whose physics becomes finer."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from reaching import CONTRACT, SMALL, ReachingEnv
+
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.rl import TrainCfg, train
+
+
+def test_physics_rates_share_the_training(tmp_path: Path) -> None:
+    """Of four rollouts three begin in the first two thirds; at the change the environments are new."""
+    made: list[tuple[float, ReachingEnv]] = []
+
+    def make_env(cfg: TrainCfg) -> ReachingEnv:
+        made.append((cfg.physics_hz[0], ReachingEnv(cfg)))
+        return made[-1][1]
+
+    cfg = dataclasses.replace(SMALL, physics_hz=(120.0, 120.0, 240.0))
+    train(cfg, make_env, CONTRACT, tmp_path / "run")
+    assert [rate for rate, _ in made] == [120.0, 240.0]
+    assert [env.num_steps for _, env in made] == [3 * SMALL.rollout_steps, SMALL.rollout_steps]
+    assert all(env.is_closed for _, env in made)
+    assert [cfg.rate_at(n) for n in (0, 2730, 2731, 4095, 4096)] == [120.0, 120.0, 240.0, 240.0, 240.0]
+
+
+def test_a_training_needs_a_rate() -> None:
+    with pytest.raises(InvalidValueError, match="physics_hz is empty"):
+        dataclasses.replace(SMALL, physics_hz=())
