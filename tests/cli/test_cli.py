@@ -12,16 +12,14 @@ import pytest
 import torch
 
 from pixel2catch.cli.main import COMMANDS, main
+from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.cli.train import Train
-from pixel2catch.evaluation.loading import load_policy, shipped_folder
+from pixel2catch.evaluation.loading import load_policy, shipped_policies
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rl import TrainCfg
 
 needs_no_cuda = pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
-needs_no_shipped_policy = pytest.mark.skipif(
-    (Path(str(sys.modules["pixel2catch"].__path__[0])) / "policies").exists(), reason="a policy is shipped"
-)
 
 
 def pixel2catch(*args: str | Path) -> subprocess.CompletedProcess[str]:
@@ -105,17 +103,22 @@ def test_absent_cuda(command: str, capsys: pytest.CaptureFixture[str]):
     assert "--device cpu" in one_line_error(capsys, command, "--device", "cuda")
 
 
-@needs_no_shipped_policy
-def test_absent_shipped_policy(capsys: pytest.CaptureFixture[str]):
-    assert "pixel2catch train" in one_line_error(capsys, "evaluate")
+@pytest.mark.parametrize("name", shipped_policies())
+def test_shipped_policies_fit_this_code(name: str):
+    """They are called as their method, and `-seedN` where there are several."""
+    assert load_policy(Path(name))[1].name == name.partition("-")[0]
 
 
-def test_shipped_policy_fits_this_code():
-    try:
-        shipped_folder()
-    except Exception as error:
-        pytest.skip(str(error))
+def test_shipped_policies_of_every_compared_method():
+    """Three seeds of the paper's method and one of each other; the default is the paper's method."""
+    expected = {f"{method}-seed0" for method in METHODS} | {"proposed", "proposed-seed1", "proposed-seed2"}
+    assert set(shipped_policies()) == expected
     assert load_policy(None)[1] is PROPOSED
+
+
+def test_unknown_policy(capsys: pytest.CaptureFixture[str]):
+    message = one_line_error(capsys, "evaluate", "propsed")
+    assert all(name in message for name in ("propsed", "single_agent-seed0"))
 
 
 def test_folder_without_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -17,7 +17,7 @@ class Stress:
     """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted.
 
     Attributes:
-        policies: Folders of policies, or of their training runs. Default: every policy that is shipped.
+        policies: Folders of policies or training runs, or names of shipped policies. Default: all shipped.
         axes: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
         objects: What is thrown: seen, unseen, real, names of objects, or several of them.
         num_envs: Throws in a round.

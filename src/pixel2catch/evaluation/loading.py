@@ -19,30 +19,32 @@ At 120 Hz an object of 4.5 m/s is up to 38 mm inside the hand before a step sees
 must not live by that; at 600 Hz it is 8 mm at the most.
 """
 
-SHIPPED = "proposed"
-"""Folder of the shipped policy, in the package's folder `policies`."""
+DEFAULT_POLICY = "proposed"
+"""The shipped policy that commands take where none is named."""
 
 
-def shipped_folder() -> Path:
-    """Folder of the shipped policy.
+def shipped_policies() -> dict[str, Path]:
+    """Folders of the policies that the package ships, by name.
 
     Raises:
         PolicyMismatchError: If this installation has none.
     """
-    folder = Path(str(resources.files("pixel2catch"))) / "policies" / SHIPPED
-    if not folder.is_dir():
+    folder = Path(str(resources.files("pixel2catch"))) / "policies"
+    found = {file.parent.name: file.parent for file in sorted(folder.glob("*/policy.json"))}
+    if DEFAULT_POLICY not in found:
         raise PolicyMismatchError(
             "this installation ships no policy; train one with 'pixel2catch train' and name its folder: "
             "runs/NAME/policy."
         )
-    return folder
+    return found
 
 
 def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Method]:
     """Read a policy and see that it fits this code.
 
     Args:
-        folder: A policy's folder or the run folder around it; the shipped policy if absent.
+        folder: A policy's folder, the run folder around it, or the name of a shipped policy; the shipped
+            policy of the paper's method if absent.
         device: Device of the networks.
 
     Raises:
@@ -79,5 +81,11 @@ def task_of(policy: Policy, physics_hz: float = PHYSICS_HZ) -> CatchEnvCfg:
 
 def _policy_folder(folder: Path | None) -> Path:
     """The policy's own folder."""
-    folder = shipped_folder() if folder is None else folder
+    if folder is None or not folder.exists():
+        folder = shipped_policies().get(str(folder or DEFAULT_POLICY), folder)
+    if folder is None or not folder.exists():
+        raise PolicyMismatchError(
+            f"there is no folder '{folder}', and no shipped policy of that name; those are: "
+            f"{', '.join(shipped_policies())}."
+        )
     return folder / "policy" if (folder / "policy").is_dir() else folder

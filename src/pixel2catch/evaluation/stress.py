@@ -10,12 +10,11 @@ import dataclasses
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.errors import InvalidValueError, PolicyMismatchError, StudyError
-from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
+from pixel2catch.errors import InvalidValueError, StudyError
+from pixel2catch.evaluation.loading import fingerprint, load_policy, shipped_policies, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.rounds import Actor, Trials, run_round
@@ -98,7 +97,9 @@ def find_contestants(folders: Sequence[Path]) -> tuple[Contestant, ...]:
         PolicyMismatchError: If a policy does not fit this code, or none is shipped.
         InvalidValueError: If two have the same name.
     """
-    found = [_contestant(folder) for folder in folders] or _shipped()
+    found = [_contestant(folder) for folder in folders or shipped_policies().values()]
+    if not folders:
+        found.sort(key=lambda each: (list(METHODS).index(each.method), each.name))
     names = [each.name for each in found]
     for name in names:
         if names.count(name) > 1:
@@ -236,14 +237,3 @@ def _contestant(folder: Path) -> Contestant:
     resolved = folder.resolve()
     name = resolved.parent.name if resolved.name == "policy" else resolved.name
     return Contestant(name=name, folder=folder, method=method.name)
-
-
-def _shipped() -> list[Contestant]:
-    """The policies of the package, in the order of the methods."""
-    folder = Path(str(resources.files("pixel2catch"))) / "policies"
-    found = [_contestant(each.parent) for each in folder.glob("*/policy.json")]
-    if not found:
-        raise PolicyMismatchError(
-            "this installation ships no policy; train one with 'pixel2catch train' and name its folder."
-        )
-    return sorted(found, key=lambda each: (list(METHODS).index(each.method), each.name))
