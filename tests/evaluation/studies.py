@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.study import GROUPS, Plan, Run, StudyFolder
+from pixel2catch.evaluation.study.plan import GROUPS, Plan, Run, StudyFolder
 
 OBJECTS = {"seen": ("cube_s", "cone_l"), "unseen": ("cross",)}
 SESSION = {

@@ -7,8 +7,8 @@ import pytest
 from numpy import ndarray
 from studies import plan, write_study
 
-from pixel2catch.evaluation.curves import Columns, binned, curves_csv, gather, study_curves
-from pixel2catch.evaluation.study import StudyFolder
+from pixel2catch.evaluation.study.curves import Columns, binned, curves_csv, gather, study_curves
+from pixel2catch.evaluation.study.plan import StudyFolder
 
 
 def log(transitions: list[float], episodes: list[float], rate: list[float]) -> Columns:

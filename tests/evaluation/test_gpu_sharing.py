@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pixel2catch.evaluation.gpu_sharing import CONTROL, shared_gpus
+from pixel2catch.evaluation.study.gpu_sharing import CONTROL, shared_gpus
 
 RECORDER = """#!/bin/sh
 echo "$CUDA_MPS_PIPE_DIRECTORY [$*] $(if [ "$1" != -d ]; then cat; fi)" >> "$RECORD"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pixel2catch.errors import StudyError
-from pixel2catch.evaluation.jobs import Lane, Part, Runner, Status, last_lines, locked
+from pixel2catch.evaluation.study.jobs import Lane, Part, Runner, Status, last_lines, locked
 
 DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Status.STOPPED
 
@@ -126,7 +126,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 ORPHANING = """
 import sys
 from pathlib import Path
-from pixel2catch.evaluation.jobs import Lane, Part, Runner, locked
+from pixel2catch.evaluation.study.jobs import Lane, Part, Runner, locked
 folder = Path(sys.argv[1])
 command = ["sh", "-c", f"echo $$ > '{folder}/pid.tmp'; mv '{folder}/pid.tmp' '{folder}/pid'; exec sleep 60"]
 with locked(folder) as lock:

@@ -8,8 +8,9 @@ from PIL import Image
 from studies import SESSION, plan, write_study, write_training
 
 from pixel2catch.errors import StudyError
-from pixel2catch.evaluation.aggregate import object_rows, summary_rows, training_rows
-from pixel2catch.evaluation.report import (
+from pixel2catch.evaluation.study.aggregate import object_rows, summary_rows, training_rows
+from pixel2catch.evaluation.study.plan import Run, StudyFolder
+from pixel2catch.evaluation.study.report import (
     by_object_table,
     flat_csv,
     markdown,
@@ -18,7 +19,6 @@ from pixel2catch.evaluation.report import (
     trainings_table,
     write_report,
 )
-from pixel2catch.evaluation.study import Run, StudyFolder
 
 TABLES = {"table.md", "table.csv", "table.json", "by_object.md", "by_object.csv", "trainings.csv"}
 PICTURES = {"curves.png", "objects.png", "throws.png"}

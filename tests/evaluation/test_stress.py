@@ -15,9 +15,9 @@ from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.stress import find_contestants, throw_rounds
-from pixel2catch.evaluation.stress_axes import Setting
-from pixel2catch.evaluation.stress_suite import AXES, select_settings
+from pixel2catch.evaluation.stress.axes import Setting
+from pixel2catch.evaluation.stress.cells import find_contestants, throw_rounds
+from pixel2catch.evaluation.stress.suite import AXES, select_settings
 from pixel2catch.methods import METHODS, PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.objects import SEEN

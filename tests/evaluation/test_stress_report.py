@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.stress import Contestant, plan_cells
-from pixel2catch.evaluation.stress_figure import heatmap
-from pixel2catch.evaluation.stress_order import REAL_ROBOT, compare_orders
-from pixel2catch.evaluation.stress_report import SHOWN, as_csv, as_markdown, make_table
-from pixel2catch.evaluation.stress_suite import select_settings
+from pixel2catch.evaluation.stress.cells import Contestant, plan_cells
+from pixel2catch.evaluation.stress.heatmap import heatmap
+from pixel2catch.evaluation.stress.order import REAL_ROBOT, compare_orders
+from pixel2catch.evaluation.stress.report import SHOWN, as_csv, as_markdown, make_table
+from pixel2catch.evaluation.stress.suite import select_settings
 
 SURE = {method: (rate / 100 - 0.01, rate / 100 + 0.01) for method, rate in REAL_ROBOT.items()}
 

@@ -7,7 +7,7 @@ import torch
 from studies import SESSION, plan, write_evaluation, write_study, write_training
 
 from pixel2catch.errors import StudyError
-from pixel2catch.evaluation.study import Run, StudyFolder
+from pixel2catch.evaluation.study.plan import Run, StudyFolder
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.jobs import Lane, Part
-    from pixel2catch.evaluation.study import Plan, Run, StudyFolder
+    from pixel2catch.evaluation.study.jobs import Lane, Part
+    from pixel2catch.evaluation.study.plan import Plan, Run, StudyFolder
 
 METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "object_position")
 """Methods that are compared, in the order of the paper's table; the last is ours, an oracle."""
@@ -20,7 +20,7 @@ NEUTRAL = ("checkpoint_seconds", "report_seconds")
 """Fields of a training's configuration that change no result."""
 
 JOBS_ON_CUDA = 3
-"""Trainings that share a GPU. Source: ours; one alone does not fill it, see `evaluation.gpu_sharing`."""
+"""Trainings that share a GPU. Source: ours; one alone does not fill it, see `study.gpu_sharing`."""
 
 TRAINING, EVALUATION = "training", "evaluation"
 
@@ -68,8 +68,8 @@ class Reproduce:
         """Do what is left to do, and write the report."""
         from pixel2catch.cli.console import say
         from pixel2catch.errors import StudyError
-        from pixel2catch.evaluation.report import write_report
-        from pixel2catch.evaluation.study import StudyFolder
+        from pixel2catch.evaluation.study.plan import StudyFolder
+        from pixel2catch.evaluation.study.report import write_report
 
         folder = StudyFolder(self.out)
         failures = [] if self.report_only else self._work(folder)
@@ -88,8 +88,8 @@ class Reproduce:
             KeyboardInterrupt: If it was asked to stop before everything was done.
         """
         from pixel2catch.cli.study_console import Board
-        from pixel2catch.evaluation.gpu_sharing import shared_gpus
-        from pixel2catch.evaluation.jobs import Runner, Status, last_lines, locked
+        from pixel2catch.evaluation.study.gpu_sharing import shared_gpus
+        from pixel2catch.evaluation.study.jobs import Runner, Status, last_lines, locked
         from pixel2catch.rl.interruption import StopRequest
 
         devices = self._devices()
@@ -130,7 +130,7 @@ class Reproduce:
             devices: Where to train.
             shared: Environment variables with which processes share a GPU.
         """
-        from pixel2catch.evaluation.jobs import Lane
+        from pixel2catch.evaluation.study.jobs import Lane
 
         def lane(kind: str, device: str) -> Lane:
             is_cuda = device.startswith("cuda")
@@ -185,7 +185,7 @@ class Reproduce:
             InvalidValueError: If there is nothing to do.
         """
         from pixel2catch.errors import InvalidValueError
-        from pixel2catch.evaluation.study import Plan
+        from pixel2catch.evaluation.study.plan import Plan
         from pixel2catch.methods import find_method
 
         for name in ("seeds", "num_envs", "trials", "jobs_per_device"):
@@ -206,8 +206,8 @@ class Reproduce:
 
     def _parts(self, folder: "StudyFolder", run: "Run", training: dict[str, Any]) -> "list[Part]":
         """The training of a run, and the evaluations of its policy."""
-        from pixel2catch.evaluation.jobs import Part
-        from pixel2catch.evaluation.study import GROUPS
+        from pixel2catch.evaluation.study.jobs import Part
+        from pixel2catch.evaluation.study.plan import GROUPS
 
         def train(device: str) -> list[str]:
             options = training | {"seed": run.seed, "device": device, "out": folder.run(run)}

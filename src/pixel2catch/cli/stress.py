@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
-    from pixel2catch.evaluation.stress import Cell
+    from pixel2catch.evaluation.stress.cells import Cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +44,9 @@ class Stress:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.stress import StressCfg, find_contestants, plan_cells, run_cells
-        from pixel2catch.evaluation.stress_report import as_markdown, make_table, write_report
-        from pixel2catch.evaluation.stress_suite import select_settings
+        from pixel2catch.evaluation.stress.cells import StressCfg, find_contestants, plan_cells, run_cells
+        from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
+        from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.robot.objects import select_objects
 
         settings = select_settings(self.axes)

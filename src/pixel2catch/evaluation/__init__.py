@@ -1,1 +1,1 @@
-"""Protocol, metrics, stress suite, tables, figures, and pictures of trained policies."""
+"""Protocol, metrics, tables and pictures of policies; `study` compares methods, `stress` disturbs them."""

@@ -30,7 +30,7 @@ class SensingCfg:
             ours, see `benchmarks/box_error.py`).
         camera_offset: Distance of the true camera from where the policy assumes it, in a random direction
             [m]. This and what follows disturbs nothing in training (Source: ours, for tests of policies;
-            values with their sources are in `evaluation.stress_suite`).
+            values with their sources are in `evaluation.stress.suite`).
         camera_turn: Angle between the two, about a random axis [rad].
         focal_error: Relative error of the focal length, of random sign.
         box_bias: Shift of every box of an episode in a random direction [px].

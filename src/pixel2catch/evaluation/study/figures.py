@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pixel2catch.evaluation.aggregate import Row
-from pixel2catch.evaluation.curves import Curves
+from pixel2catch.evaluation.study.aggregate import Row
+from pixel2catch.evaluation.study.curves import Curves
 from pixel2catch.evaluation.tables import MAIN_RATES
 from pixel2catch.methods import METHODS
 

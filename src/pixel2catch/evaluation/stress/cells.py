@@ -18,7 +18,7 @@ from pixel2catch.evaluation.loading import fingerprint, load_policy, shipped_pol
 from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.rounds import Actor, Trials, run_round
-from pixel2catch.evaluation.stress_axes import Setting
+from pixel2catch.evaluation.stress.axes import Setting
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import write_atomically
 from pixel2catch.robot.objects import OBJECTS

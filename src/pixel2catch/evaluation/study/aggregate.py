@@ -5,7 +5,7 @@ from math import sqrt
 from typing import Any
 
 from pixel2catch.evaluation.metrics import Metrics, wilson_interval
-from pixel2catch.evaluation.study import GROUPS, Plan, Run, StudyFolder
+from pixel2catch.evaluation.study.plan import GROUPS, Plan, Run, StudyFolder
 from pixel2catch.evaluation.tables import MAIN_RATES, PAPER, RATES
 from pixel2catch.robot.objects import OBJECT_GROUPS
 

@@ -10,10 +10,10 @@ from statistics import fmean
 from typing import Any
 
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.stress import Cell, Json
-from pixel2catch.evaluation.stress_figure import heatmap
-from pixel2catch.evaluation.stress_order import REAL_ROBOT, compare_orders
-from pixel2catch.evaluation.stress_suite import REALITY
+from pixel2catch.evaluation.stress.cells import Cell, Json
+from pixel2catch.evaluation.stress.heatmap import heatmap
+from pixel2catch.evaluation.stress.order import REAL_ROBOT, compare_orders
+from pixel2catch.evaluation.stress.suite import REALITY
 from pixel2catch.policy import write_atomically
 
 SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")

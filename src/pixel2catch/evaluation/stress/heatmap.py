@@ -25,7 +25,7 @@ def heatmap(table: dict[str, Any]) -> bytes:
     """The picture as a PNG file.
 
     Args:
-        table: What `stress_report.make_table` returned.
+        table: What `report.make_table` returned.
     """
     settings, names = list(table["settings"].values()), list(table["policies"])
     rates = [[100.0 * row["rates"][name]["success_rate"] for name in names] for row in settings]

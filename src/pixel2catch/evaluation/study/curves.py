@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from pixel2catch.evaluation.study import Plan, Run, StudyFolder
+from pixel2catch.evaluation.study.plan import Plan, Run, StudyFolder
 from pixel2catch.evaluation.tables import MAIN_RATES
 
 NUM_BINS = 60

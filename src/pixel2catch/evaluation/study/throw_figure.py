@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy import ndarray
 
-from pixel2catch.evaluation.figures import PALETTE, STYLE
+from pixel2catch.evaluation.study.figures import PALETTE, STYLE
 from pixel2catch.mdp.throws import GRAVITY, Range, ThrowCfg, sample_throws
 from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, RGB_CAMERA, TABLE
 from pixel2catch.robot.scene import SceneCfg, build_model

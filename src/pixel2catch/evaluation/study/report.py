@@ -6,16 +6,16 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pixel2catch.evaluation.aggregate import (
+from pixel2catch.evaluation.study.aggregate import (
     Row,
     mean_and_deviation,
     object_rows,
     summary_rows,
     training_rows,
 )
-from pixel2catch.evaluation.curves import curves_csv, study_curves
-from pixel2catch.evaluation.page import page
-from pixel2catch.evaluation.study import Plan, StudyFolder
+from pixel2catch.evaluation.study.curves import curves_csv, study_curves
+from pixel2catch.evaluation.study.page import page
+from pixel2catch.evaluation.study.plan import Plan, StudyFolder
 from pixel2catch.evaluation.tables import CONTACT_RATES, MAIN_RATES
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.policy import write_atomically
@@ -155,8 +155,8 @@ def _tables(folder: StudyFolder, plan: Plan) -> tuple[dict[str, str], dict[str, 
 
 def _pictures(folder: StudyFolder, plan: Plan) -> dict[str, bytes]:
     """The pictures that there is something to draw for, with the numbers of the curves."""
-    from pixel2catch.evaluation.figures import curves_figure, objects_figure, png
-    from pixel2catch.evaluation.throw_figure import throws_figure
+    from pixel2catch.evaluation.study.figures import curves_figure, objects_figure, png
+    from pixel2catch.evaluation.study.throw_figure import throws_figure
 
     files = {"throws.png": png(throws_figure(ThrowCfg()))}
     if curves := study_curves(folder, plan):

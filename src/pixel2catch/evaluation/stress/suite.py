@@ -9,7 +9,7 @@ from dataclasses import replace
 from math import radians
 
 from pixel2catch.errors import UnknownNameError
-from pixel2catch.evaluation.stress_axes import Axis, Change, Level, Setting, part, together
+from pixel2catch.evaluation.stress.axes import Axis, Change, Level, Setting, part, together
 from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.throws import Range
 

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from pixel2catch.evaluation.study import Plan
+from pixel2catch.evaluation.study.plan import Plan
 
 PICTURES = {
     "curves.png": (

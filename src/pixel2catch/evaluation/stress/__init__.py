@@ -1,0 +1,1 @@
+"""Policies under what the real world does and nominal simulation does not."""

@@ -1,0 +1,1 @@
+"""All methods with several seeds: training, evaluation, report."""
