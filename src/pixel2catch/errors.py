@@ -51,3 +51,7 @@ class WorkerError(Pixel2CatchError):
 
 class StudyError(Pixel2CatchError):
     """A study that cannot go on, or a part of it that failed."""
+
+
+class RecordingError(Pixel2CatchError):
+    """Recorded motion that cannot be read, or that no robot can have done; the message says where."""

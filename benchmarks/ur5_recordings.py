@@ -1,0 +1,68 @@
+"""Read and check recorded motion of a real UR5: folders of log files, one file a signal.
+
+python benchmarks/ur5_recordings.py FOLDER...
+
+A folder has log_q_target.csv, log_q_actual.csv and perhaps log_qd_actual.csv:
+time [s], then a column for each joint.
+Source of such folders: repository kkufieta/ur5_modeling_force_estimate, 125 Hz. `q_target` is the input
+of the low-level loop of the controller.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from pixel2catch.identification.check_report import check_table
+from pixel2catch.identification.checks import check_recording
+from pixel2catch.identification.recording import ROBOTS, Recording
+from pixel2catch.identification.rules import require_motion
+from pixel2catch.identification.tables import read_table
+
+ARM = ROBOTS["ur5e"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folders", nargs="+", type=Path, help="folders of log files")
+    for folder in parser.parse_args().folders:
+        Console(width=120).print(check_table(folder.name, check_recording(read_ur5(folder))))
+
+
+def read_ur5(folder: Path) -> Recording:
+    """The motion in a folder of log files; a UR5's joints have the names of a UR5e's."""
+    t_cmd, q_cmd = read_log(folder / "log_q_target.csv")
+    t_meas, q = read_log(folder / "log_q_actual.csv")
+    return Recording(
+        name=folder.name,
+        joints=ARM,
+        t_cmd=t_cmd,
+        q_cmd=q_cmd,
+        t_meas=t_meas,
+        q=q,
+        qd=read_speed(folder, t_meas),
+    )
+
+
+def read_speed(folder: Path, time: np.ndarray) -> np.ndarray | None:
+    """The logged speeds at other times; a log of its own has times of its own, and may end earlier."""
+    path = folder / "log_qd_actual.csv"
+    if not path.exists():
+        return None
+    logged, speed = read_log(path)
+    return np.stack([np.interp(time, logged, column) for column in speed.T], axis=-1)
+
+
+def read_log(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of one file, which has no line of names."""
+    table = read_table(path, names=("time", *ARM))
+    time, values = table.column("time"), table.columns(ARM)
+    require_motion(table.place, ARM, time, values)
+    return time, values
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""From recorded motion to the joint dynamics of the simulator."""

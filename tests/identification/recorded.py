@@ -1,0 +1,83 @@
+"""Hand-made recordings: joints that follow sines with a known lag."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
+
+ARM = ROBOTS["ur5e"]
+LAG = 0.06
+FREQUENCIES = 1.1 + 0.13 * np.arange(6)
+AMPLITUDE = 0.25
+
+
+def position(time: np.ndarray, joints: tuple[str, ...] = ARM) -> np.ndarray:
+    """Sines of 0.25 rad and 1.1 to 1.75 Hz around the start pose."""
+    home = np.array([JOINT_SPECS[joint].home for joint in joints])
+    return home + AMPLITUDE * np.sin(2 * np.pi * FREQUENCIES[np.arange(len(joints)) % 6] * time[:, None])
+
+
+def speed(time: np.ndarray, joints: tuple[str, ...] = ARM) -> np.ndarray:
+    """Derivative of `position`."""
+    omega = 2 * np.pi * FREQUENCIES[np.arange(len(joints)) % 6]
+    return AMPLITUDE * omega * np.cos(omega * time[:, None])
+
+
+def clean(joints: tuple[str, ...] = ARM, noise: float = 2e-4) -> Recording:
+    """Eight seconds at 500 Hz with noise [rad], commands at 125 Hz, measured 60 ms behind the command."""
+    t_cmd = np.arange(0.0, 8.0, 0.008)
+    t_meas = np.arange(0.001, 8.0, 0.002)
+    q = position(t_meas - LAG, joints)
+    q = q + noise * np.random.default_rng(0).standard_normal(q.shape)
+    return Recording(joints=joints, t_cmd=t_cmd, q_cmd=position(t_cmd, joints), t_meas=t_meas, q=q)
+
+
+def rows(recording: Recording) -> np.ndarray:
+    """Times and positions of the measurements, as the rows of a file."""
+    return np.column_stack([recording.t_meas, recording.q])
+
+
+def short() -> Recording:
+    """Five commands and eleven measurements of all signals, for files."""
+    t_cmd, t_meas = np.arange(0.0, 0.5, 0.1), np.arange(0.02, 0.5, 0.04)[:11]
+    q, qd = position(t_meas), speed(t_meas)
+    return Recording(
+        joints=ARM, t_cmd=t_cmd, q_cmd=position(t_cmd), t_meas=t_meas, q=q, qd=qd, effort=10 * qd
+    )
+
+
+def assert_same(got: Recording, expected: Recording, tolerance: float = 0.0) -> None:
+    """Both have the same joints, the same optional signals and the same numbers."""
+    assert got.joints == expected.joints
+    for name in ("t_cmd", "q_cmd", "t_meas", "q", "qd", "effort"):
+        one, other = getattr(got, name), getattr(expected, name)
+        assert (one is None) == (other is None), name
+        if one is not None:
+            assert one.dtype == np.float64
+            np.testing.assert_allclose(one, other, rtol=0, atol=tolerance, err_msg=name)
+
+
+def write_rtde(folder: Path, recording: Recording, separator: str = ",") -> Path:
+    """A folder as a robot's log and a sender's log fill it, with a column that nobody asks for."""
+    folder.mkdir()
+    assert recording.qd is not None
+    names = ["timestamp", *(f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6)), "robot_mode"]
+    measured = np.column_stack([rows(recording), recording.qd, np.full(len(recording.q), 7)])
+    command = np.column_stack([recording.t_cmd, recording.q_cmd])
+    _write(folder / "rtde.csv", names, measured, separator)
+    _write(folder / "commands.csv", ["t", *(f"q_{i}" for i in range(6))], command, separator)
+    return folder
+
+
+def edit_line(path: Path, number: int, edit: Callable[[str], str]) -> None:
+    """Change one line of a text file, counted from 1."""
+    lines = path.read_text().splitlines()
+    lines[number - 1] = edit(lines[number - 1])
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _write(path: Path, names: list[str], values: np.ndarray, separator: str) -> None:
+    lines = [separator.join(names), *(separator.join(map(repr, map(float, row))) for row in values)]
+    path.write_text("\n".join(lines) + "\n")

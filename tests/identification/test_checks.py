@@ -1,0 +1,219 @@
+"""Each check finds its fault in a hand-made recording, and a clean recording passes all."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+from recorded import AMPLITUDE, ARM, FREQUENCIES, LAG, clean, position, speed
+from rich.console import Console
+
+from pixel2catch.identification.check_report import check_table
+from pixel2catch.identification.checks import Check, check_recording
+from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
+from pixel2catch.identification.signals import command_lag, excess_time, held, progress, smoothed
+
+WHOLE = ["measurement times", "command times", "speeds", "stalls", "repeated samples", "clock offset"]
+EACH = ["follows its command", "saturation", "excitation"]
+
+
+def find(checks: list[Check], name: str, joint: str | None = None) -> Check:
+    (check,) = (each for each in checks if (each.name, each.joint) == (name, joint))
+    return check
+
+
+def failures(recording: Recording) -> set[tuple[str, str | None]]:
+    return {(check.name, check.joint) for check in check_recording(recording) if check.is_good is False}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_clean_recording_passes(robot: str):
+    recording = clean(ROBOTS[robot])
+    qd = speed(recording.t_meas - LAG, ROBOTS[robot])
+    checks = check_recording(replace(recording, qd=qd, effort=np.zeros_like(recording.q)))
+    assert [check.name for check in checks] == WHOLE + EACH * len(ROBOTS[robot])
+    assert all(check.is_good for check in checks)
+
+
+def stalled(num_stalls: int) -> Recording:
+    """A clock that counts loops of 2 ms, of which some took 42."""
+    recording = clean()
+    is_stall = np.isin(np.arange(4000), 100 + 3000 // num_stalls * np.arange(num_stalls))
+    true_time = recording.t_meas + 0.04 * is_stall.cumsum()
+    noise = recording.q - position(recording.t_meas - LAG)
+    t_cmd = np.arange(0.0, true_time[-1], 0.008)
+    qd, q = speed(true_time - LAG), position(true_time - LAG) + noise
+    return replace(recording, q=q, qd=qd, t_cmd=t_cmd, q_cmd=position(t_cmd))
+
+
+@pytest.mark.parametrize("has_speed", [False, True])
+def test_stalled_clock_is_found(has_speed: bool):
+    recording = stalled(150)
+    check = find(check_recording(recording if has_speed else replace(recording, qd=None)), "stalls")
+    assert check.is_good is False
+    assert 0.9 * 150 <= int(check.detail.split()[0]) <= 150
+    median = re.search(r"(\d+) ms in the median: record the controller's time", check.detail)
+    assert median
+    assert float(median[1]) == pytest.approx(40, abs=4)
+    assert find(check_recording(clean()), "stalls").detail.startswith("0 steps (0.00 %)")
+
+
+def test_speeds_in_degrees_are_found():
+    """One radian is 57.3 degrees, so that the positions change by 0.0175 of such speeds."""
+    recording = clean()
+    good = replace(recording, qd=speed(recording.t_meas - LAG))
+    check = find(check_recording(replace(good, qd=np.degrees(speed(recording.t_meas - LAG)))), "speeds")
+    assert check.is_good is False
+    assert check.detail.startswith("the positions change by 0.017")
+    assert find(check_recording(good), "speeds").is_good
+    assert progress(good) == pytest.approx(1.0, abs=0.02)
+    assert find(check_recording(recording), "speeds").is_good is None
+
+
+def test_excess_time_of_one_stall_is_its_length():
+    """Without noise, a step of 42 ms that is stamped as 2 ms took 40 ms more."""
+    time = np.arange(0.0, 1.0, 0.002)
+    true_time = time + 0.04 * (np.arange(500) >= 200)
+    recording = Recording(
+        joints=ARM, t_cmd=time, q_cmd=position(time), t_meas=time, q=position(true_time), qd=speed(true_time)
+    )
+    excess, angle = excess_time(recording)
+    assert np.argmax(excess) == 199
+    assert excess[199] == pytest.approx(0.04, rel=0.02)
+    assert angle[199] == pytest.approx(0.04 * np.linalg.norm(speed(true_time[199:201]).mean(0)), rel=0.02)
+    assert np.abs(np.delete(excess, 199)).max() < 1e-5
+
+
+def drop_samples(recording: Recording) -> Recording:
+    keep = (recording.t_meas < 3.0) | (recording.t_meas > 3.2)
+    return replace(recording, t_meas=recording.t_meas[keep], q=recording.q[keep])
+
+
+def repeat_times(recording: Recording) -> Recording:
+    return replace(recording, t_meas=np.repeat(recording.t_meas[::2], 2))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "name", "detail"),
+    [
+        (drop_samples, "measurement times", "a gap of more than 0.1 s: split"),
+        (repeat_times, "measurement times", "2000 times twice: record the controller's time"),
+        (
+            lambda r: replace(r, t_meas=r.t_meas[:40], q=r.q[:40]),
+            "measurement times",
+            "fewer than 50 samples",
+        ),
+        (lambda r: replace(r, t_cmd=np.repeat(r.t_cmd[::2], 2)), "command times", "500 times twice: record"),
+        (lambda r: replace(r, t_cmd=1000 * r.t_cmd), "command times", "are both in seconds?"),
+    ],
+)
+def test_bad_clock_is_found_and_ends_the_checks(
+    spoil: Callable[[Recording], Recording], name: str, detail: str
+):
+    checks = check_recording(spoil(clean()))
+    assert [check.name for check in checks] == WHOLE[:2]
+    assert find(checks, name).is_good is False
+    assert detail in find(checks, name).detail
+
+
+def test_repeated_samples_are_found():
+    """A log at 500 Hz of a controller at 250 Hz has every second sample twice; a pause does not count."""
+    recording = clean(noise=0.0)
+    twice = replace(recording, q=np.repeat(recording.q[::2], 2, axis=0))
+    check = find(check_recording(twice), "repeated samples")
+    assert check.is_good is False
+    assert check.detail.startswith("50.0 % of the samples")
+    pause = replace(recording, q=np.where(np.arange(4000)[:, None] < 2000, recording.q, recording.q[2000]))
+    assert find(check_recording(pause), "repeated samples").is_good
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.1037, -3.0, 1_790_000_000.0])
+def test_lag_is_found_whatever_the_clocks(offset: float):
+    """The held command is late by half its step, so that the motion is 56 ms behind what is held."""
+    recording = replace(clean(), t_cmd=clean().t_cmd - offset)
+    lag = command_lag(recording) or 0.0
+    assert lag == pytest.approx(LAG - 0.004 + offset, abs=1.1e-3)
+    check = find(check_recording(recording), "clock offset")
+    assert check.is_good == (-0.02 <= lag <= 0.3)
+    assert check.is_good or f"add {lag:.3f} s to the command's times" in check.detail
+
+
+def test_command_holds_until_the_next():
+    recording = replace(clean(), t_cmd=np.array([0.0, 1.0]), q_cmd=position(np.array([0.0, 0.5])))
+    times = np.array([-1.0, 0.0, 0.999, 1.0, 9.0])
+    np.testing.assert_array_equal(held(recording, times), recording.q_cmd[[0, 0, 0, 1, 1]])
+
+
+def test_swapped_and_stopped_joints_are_found():
+    recording = clean()
+    swapped = replace(recording, q=recording.q[:, [0, 1, 2, 4, 3, 5]] + [0, 0, 0, 4.7, -4.7, 0])
+    name = "follows its command"
+    assert failures(swapped) == {(name, ARM[3]), (name, ARM[4])}
+    q = np.where(np.arange(6) == 2, recording.q[0], recording.q)
+    assert {(name, ARM[2]), ("excitation", ARM[2])} == failures(replace(recording, q=q))
+
+
+def test_what_does_not_move_cannot_be_told():
+    recording = clean()
+    still = replace(recording, q=0 * recording.q, q_cmd=0 * recording.q_cmd)
+    checks = check_recording(still)
+    for name, joint in (("repeated samples", None), ("clock offset", None), ("follows its command", ARM[0])):
+        assert find(checks, name, joint).is_good is None, name
+    assert failures(still) == {("excitation", joint) for joint in ARM}
+
+
+def test_saturation_is_the_share_at_the_limit():
+    """The elbow is at its limit in every fifth sample; a limit of one's own can clear it."""
+    effort = np.zeros_like(clean().q)
+    effort[::5, 2] = -200.0
+    recording = replace(clean(), effort=effort)
+    check = find(check_recording(recording), "saturation", "elbow_joint")
+    assert check.is_good is False
+    assert check.detail.startswith("20.0 % of the samples at the limit of 200 N·m")
+    limits = dict.fromkeys(ARM, 250.0)
+    assert find(check_recording(recording, limits), "saturation", "elbow_joint").is_good
+    assert find(check_recording(clean()), "saturation", "elbow_joint").is_good is None
+
+
+def test_motion_is_smoothed_to_its_derivatives():
+    """Speed and acceleration of a sine are known: Aω and Aω²; 0.2 mrad of noise does not hide them."""
+    motion = smoothed(clean().t_meas, clean().q)
+    omega = 2 * np.pi * FREQUENCIES
+    np.testing.assert_allclose(np.abs(motion.speed).max(0), AMPLITUDE * omega, rtol=0.02)
+    np.testing.assert_allclose(np.abs(motion.acceleration).max(0), AMPLITUDE * omega**2, rtol=0.1)
+
+
+def excited(path: np.ndarray) -> Check:
+    """The check of the elbow's excitation when it alone moves along a path."""
+    recording = clean()
+    q = recording.q.copy()
+    q[:, 2] = path
+    return find(check_recording(replace(recording, q=q)), "excitation", ARM[2])
+
+
+def test_excitation_names_what_is_lacking():
+    """The elbow needs 0.1 · 2.79 rad/s, 0.40 / 0.14 = 2.9 rad/s² and a reversal."""
+    time = clean().t_meas
+    spec = JOINT_SPECS[ARM[2]]
+    assert spec.frictionloss / spec.armature == pytest.approx(2.86, abs=0.01)
+    creeping = excited(0.1 * np.sin(2 * np.pi * 0.25 * time))
+    assert creeping.detail.endswith("4 reversals; needs 0.28 rad/s, 2.9 rad/s²")
+    one_way = excited(0.3 * time + 0.015 * np.sin(4 * np.pi * time))
+    assert one_way.detail.endswith("0 reversals; needs 2.9 rad/s², 1 reversal")
+    assert excited(0.25 * np.sin(2 * np.pi * time)).is_good
+
+
+def test_report_tells_every_answer_with_and_without_colour():
+    checks = [
+        Check(name="stalls", is_good=False, detail="5 steps [ms]"),
+        Check(name="saturation", joint="elbow_joint", is_good=None, detail="no effort"),
+        Check(name="clock offset", is_good=True, detail="2 ms"),
+    ]
+    output = StringIO()
+    console = Console(file=output, width=100, force_terminal=True, color_system="standard")
+    console.print(check_table("run [1]", checks))
+    assert "run [1]: 1 of 3 checks failed" in output.getvalue()
+    for coloured in ("\x1b[1;31mBAD", "\x1b[33munknown", "\x1b[32mgood", "5 steps [ms]", "elbow_joint"):
+        assert coloured in output.getvalue()
