@@ -1,0 +1,247 @@
+"""Simulates recorded motions under many candidate dynamics at once: the forward model of the fit.
+
+Servo limits and dry friction are those of `envs/servo.py`, so that what is identified is what a policy trains
+with. Joints that were not recorded are welded, nothing touches anything.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pixel2catch.envs.servo import Servos, ServoState
+from pixel2catch.errors import RecordingError
+from pixel2catch.identification.actuator import JointDynamics, filter_transition, mean_commands
+from pixel2catch.identification.recording import JOINT_SPECS, Recording
+from pixel2catch.robot.scene import SceneCfg, build_spec
+from pixel2catch.sim.batch import BatchSimulation
+
+FIT_DT = 1.0 / 480.0
+"""Physics time step of a fit [s]. Source: ours, the finer rate at which the shipped policy was trained.
+
+Fit at the rate at which the result is used: the implicit servo of a time step dt acts as if the armature were
+larger by damping · dt / 2, which for the arm is as much as the armature itself.
+"""
+
+START_WINDOW = 0.1
+"""Measurements that give the first position and speed [s]. Source: ours; a tenth of a servo's settling."""
+
+SETTLING = 0.5
+"""Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over
+stiffness of the slowest joint."""
+
+MAX_COPIES = 96
+"""Copies simulated at once, for the memory."""
+
+THREADED_COPIES = 48
+"""Copies from which on several threads are faster than one. Source: ours, measured with the arm."""
+
+
+def recorded_model(joints: Sequence[str], physics_dt: float) -> mujoco.MjModel:
+    """The robot with only these joints, without object, contacts, limits and MuJoCo's own dry friction."""
+    spec = build_spec(SceneCfg())
+    for element in (*spec.sensors, *spec.excludes):
+        spec.delete(element)
+    spec.delete(spec.body("object"))
+    for name in JOINT_SPECS:
+        if name not in joints:
+            spec.delete(spec.actuator(name))
+            spec.delete(spec.joint(name))
+    spec.compiler.fusestatic = True
+    spec.option.timestep = physics_dt
+    model = spec.compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    model.dof_frictionloss[:] = 0.0
+    model.actuator_ctrllimited[:] = 0
+    model.actuator_forcelimited[:] = 0
+    return model
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Motion:
+    """A recording on the grid of physics steps.
+
+    Attributes:
+        recording: What was recorded.
+        edges: Starts of the steps and the end of the last [s].
+        start: Position [rad] and speed [rad/s] of each joint at the first measurement.
+        is_settled: Which measurements are compared.
+        index: For each of these, the edge before it.
+        weight: And the share of the step after that edge.
+    """
+
+    recording: Recording
+    edges: Float[np.ndarray, " num_edges"]
+    start: Float[np.ndarray, "2 num_joints"]
+    is_settled: np.ndarray
+    index: np.ndarray
+    weight: Float[np.ndarray, " num_settled"]
+
+    @classmethod
+    def of(cls, recording: Recording, dt: float) -> "_Motion":
+        """Put a recording on the grid.
+
+        Raises:
+            RecordingError: It is too short to compare anything.
+        """
+        time = recording.t_meas - recording.t_meas[0]
+        is_settled = time > SETTLING
+        if np.count_nonzero(is_settled) < 10:
+            raise RecordingError(
+                f"{recording.name}: {time[-1]:.2f} s of measurements are too short; the first {SETTLING} s "
+                "are not compared: record at least 10 samples more."
+            )
+        edges = recording.t_meas[0] + dt * np.arange(int(np.ceil(time[-1] / dt)) + 1)
+        index = np.minimum((time[is_settled] / dt).astype(int), len(edges) - 2)
+        return cls(
+            recording=recording,
+            edges=edges,
+            start=_start(time, recording.q),
+            is_settled=is_settled,
+            index=index,
+            weight=time[is_settled] / dt - index,
+        )
+
+    def sample(
+        self, path: Float[np.ndarray, "num_edges num_joints"]
+    ) -> Float[np.ndarray, "num_settled num_joints"]:
+        """Simulated positions at the measurement times."""
+        before, after = path[self.index], path[self.index + 1]
+        return before + self.weight[:, None] * (after - before)
+
+
+def _start(
+    time: Float[np.ndarray, " num_samples"], q: Float[np.ndarray, "num_samples num_joints"]
+) -> Float[np.ndarray, "2 num_joints"]:
+    """First position and speed, by a parabola through the first measurements."""
+    is_first = time <= START_WINDOW
+    if np.count_nonzero(is_first) < 5:
+        return np.stack((q[0], np.zeros_like(q[0])))
+    coefficients = np.polynomial.polynomial.polyfit(time[is_first], q[is_first], 2)
+    return coefficients[:2]
+
+
+class RecordedMotion:
+    """Some recordings of the same joints, ready to be simulated under any dynamics."""
+
+    def __init__(self, recordings: Sequence[Recording], physics_dt: float = FIT_DT) -> None:
+        """Build the model of the recorded joints.
+
+        Args:
+            recordings: At least one; all of the same joints, in joint order.
+            physics_dt: Time step of the simulation [s].
+
+        Raises:
+            RecordingError: There is none, one is too short, or they are of different joints.
+        """
+        if not recordings:
+            raise RecordingError("there is no recording to simulate; give at least one.")
+        self.joints = recordings[0].joints
+        for recording in recordings:
+            if recording.joints != self.joints:
+                raise RecordingError(
+                    f"{recording.name}: joints {recording.joints}, but {recordings[0].name} has "
+                    f"{self.joints}; give recordings of the same joints."
+                )
+        self._dt = physics_dt
+        self._motions = [_Motion.of(recording, physics_dt) for recording in recordings]
+        self._model = recorded_model(self.joints, physics_dt)
+
+    @property
+    def measured(self) -> Float[np.ndarray, "num_settled num_joints"]:
+        """Measured positions that are compared, recording after recording [rad]."""
+        return np.concatenate([motion.recording.q[motion.is_settled] for motion in self._motions])
+
+    def simulate(
+        self, candidates: Sequence[JointDynamics]
+    ) -> Float[np.ndarray, "num_candidates num_settled num_joints"]:
+        """Positions at the measurement times under each candidate [rad]."""
+        chunk = max(1, MAX_COPIES // len(self._motions))
+        parts = [self._simulate(candidates[i : i + chunk]) for i in range(0, len(candidates), chunk)]
+        return np.concatenate(parts)
+
+    def _simulate(self, candidates: Sequence[JointDynamics]) -> np.ndarray:
+        """One batch: a copy for every recording under every candidate, candidate after candidate."""
+        copies = [(candidate, motion) for candidate in candidates for motion in self._motions]
+        paths = self._roll_out(copies)
+        sampled = [
+            motion.sample(paths[: len(motion.edges), i]) for i, (_, motion) in enumerate(copies)
+        ]  # fmt: skip
+        num = len(self._motions)
+        return np.stack([np.concatenate(sampled[i : i + num]) for i in range(0, len(sampled), num)])
+
+    def _roll_out(self, copies: Sequence[tuple[JointDynamics, _Motion]]) -> np.ndarray:
+        """Positions at every edge, (num_edges, num_copies, num_joints) [rad]."""
+        num_threads = 0 if len(copies) >= THREADED_COPIES else 1
+        simulation = BatchSimulation(self._model, len(copies), num_threads)
+        servos, stiffness, damping = _set_dynamics(simulation, [dynamics for dynamics, _ in copies])
+        qpos, qvel = simulation.bind("qpos"), simulation.bind("qvel")
+        ctrl, friction = simulation.bind("ctrl"), simulation.bind("qfrc_applied")
+        start = torch.from_numpy(np.stack([motion.start for _, motion in copies], axis=1))
+        qpos.copy_(start[0])
+        qvel.copy_(start[1])
+        step = torch.from_numpy(np.stack([filter_transition(dynamics, self._dt) for dynamics, _ in copies]))
+        commands = torch.from_numpy(_commands(copies, self._dt))
+        filtered, speed = start[0].clone(), start[1].clone()
+        paths = torch.empty((len(commands) + 1, *qpos.shape), dtype=qpos.dtype)
+        paths[0] = qpos
+        for k, command in enumerate(commands):
+            state = torch.stack((filtered, speed, command), dim=-1)
+            filtered, speed = (step @ state[..., None])[..., 0].unbind(-1)
+            joints = ServoState(
+                joint_pos=qpos.reshape(1, -1),
+                joint_vel=qvel.reshape(1, -1),
+                stiffness=stiffness,
+                damping=damping,
+            )
+            ctrl.copy_(servos.limited(filtered.reshape(1, -1), joints).view_as(ctrl))
+            friction.copy_(servos.friction(joints.joint_vel).view_as(friction))
+            simulation.step()
+            paths[k + 1] = qpos
+        return paths.numpy()
+
+
+def _commands(copies: Sequence[tuple[JointDynamics, _Motion]], dt: float) -> np.ndarray:
+    """Delayed commands, (num_steps, num_copies, num_joints) [rad]; a short recording holds its last.
+
+    A servo that aims at the mean command of a step leads by half a step, and so does a filter that answers at
+    the end of its step: both are taken back, so that the result hardly depends on the time step.
+    """
+    known: dict[tuple[int, bytes], np.ndarray] = {}
+    keys: list[tuple[int, bytes]] = []
+    num_steps = max(len(motion.edges) for _, motion in copies) - 1
+    for dynamics, motion in copies:
+        latency = dynamics.latency + dt / 2 * (1.0 + dynamics.has_filter)
+        keys.append((id(motion), latency.tobytes()))
+        if keys[-1] not in known:
+            recording = motion.recording
+            values = mean_commands(recording.t_cmd, recording.q_cmd, motion.edges, latency)
+            known[keys[-1]] = np.pad(values, ((0, num_steps - len(values)), (0, 0)), mode="edge")
+    return np.stack([known[key] for key in keys], axis=1)
+
+
+def _set_dynamics(
+    simulation: BatchSimulation, dynamics: Sequence[JointDynamics]
+) -> tuple[Servos, Float[Tensor, "1 num_rows"], Float[Tensor, "1 num_rows"]]:
+    """Give every copy its dynamics; return servos, stiffness and damping of all copies in one row."""
+    stiffness, damping, frictionloss, armature = (
+        torch.from_numpy(np.stack([getattr(each, name) for each in dynamics]))
+        for name in ("stiffness", "damping", "frictionloss", "armature")
+    )
+    simulation.expand("dof_armature").copy_(armature)
+    simulation.expand("actuator_gainprm")[:, :, 0] = stiffness
+    bias = simulation.expand("actuator_biasprm")
+    bias[:, :, 1], bias[:, :, 2] = -stiffness, -damping
+    limits = torch.tensor(
+        [JOINT_SPECS[name].effort_limit for name in dynamics[0].joints], dtype=torch.float64
+    )
+    servos = Servos(
+        effort_limit=limits.repeat(len(dynamics)),
+        velocity_limit=torch.full_like(stiffness, torch.inf).reshape(-1),  # a speed limit is the task's
+        frictionloss=frictionloss.reshape(-1),
+    )
+    return servos, stiffness.reshape(1, -1), damping.reshape(1, -1)

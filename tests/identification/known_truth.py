@@ -1,0 +1,49 @@
+"""Recordings of simulated joints whose dynamics are known."""
+
+import dataclasses
+
+import numpy as np
+
+from pixel2catch.identification.actuator import JointDynamics
+from pixel2catch.identification.fit_simulation import SETTLING, RecordedMotion
+from pixel2catch.identification.recording import JOINT_SPECS, Recording
+
+NOISE = 2e-4
+
+
+def stalled_clock(rng: np.random.Generator, seconds: float, period: float) -> np.ndarray:
+    """Times of a loop of which 5 % of the turns take 40 ms."""
+    turns = np.where(rng.random(int(seconds / period)) < 0.05, 0.04, period)
+    times = np.cumsum(turns) - turns[0]
+    return times[times < seconds]
+
+
+def excitation(
+    rng: np.random.Generator, joints: tuple[str, ...], seconds: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sines of four frequencies and steps every half a second, sent at 50 Hz: times and positions [rad]."""
+    t_cmd = stalled_clock(rng, seconds, 0.02)
+    motion = np.zeros((len(t_cmd), len(joints)))
+    for frequency in (0.3, 0.7, 1.3, 2.1):
+        phase = rng.uniform(0.0, 2 * np.pi, len(joints))
+        motion += 0.1 / frequency**0.5 * np.sin(2 * np.pi * frequency * t_cmd[:, None] + phase)
+    motion += rng.uniform(-0.15, 0.15, (int(2 * seconds) + 1, len(joints)))[(2 * t_cmd).astype(int)]
+    return t_cmd, np.array([JOINT_SPECS[name].home for name in joints]) + motion
+
+
+def record(rng: np.random.Generator, truth: JointDynamics, seconds: float, physics_dt: float) -> Recording:
+    """What encoders with noise say, read at 125 Hz by a clock that stalls; the robot rests at first."""
+    t_cmd, q_cmd = excitation(rng, truth.joints, seconds - SETTLING)
+    t_meas = stalled_clock(rng, seconds, 0.008)
+    q = np.repeat(q_cmd[:1], len(t_meas), axis=0)
+    blank = Recording(joints=truth.joints, t_cmd=SETTLING + t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=q)
+    (path,) = RecordedMotion([blank], physics_dt).simulate([truth])
+    q[-len(path) :] = path
+    return dataclasses.replace(blank, q=q + NOISE * rng.standard_normal(q.shape))
+
+
+def perturbed(rng: np.random.Generator, nominal: JointDynamics, latency: float) -> JointDynamics:
+    """Dynamics that are up to 40 % off in every parameter."""
+    names = ("stiffness", "damping", "frictionloss", "armature")
+    factors = {name: getattr(nominal, name) * rng.uniform(0.7, 1.4, len(nominal.joints)) for name in names}
+    return nominal.with_values(**factors, latency=latency)

@@ -1,0 +1,71 @@
+"""Known truth: simulated joints with noise, latency and stalled clocks give their dynamics back."""
+
+import numpy as np
+import pytest
+from known_truth import NOISE, perturbed, record
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.identification.actuator import JointDynamics
+from pixel2catch.identification.fit import correlation_time, fit_dynamics, tracking_error
+from pixel2catch.identification.fit_problem import FILTER_PARAMETERS, FitCfg
+from pixel2catch.identification.identifiability import half_widths, ratios
+
+DT = 1.0 / 120.0
+JOINTS = ("elbow_joint", "wrist_3_joint")
+
+
+def test_servo_is_recovered():
+    rng = np.random.default_rng(0)
+    nominal = JointDynamics.nominal(JOINTS)
+    truth = perturbed(rng, nominal, latency=0.012)
+    fitted, held_out = record(rng, truth, 2.5, DT), record(rng, truth, 1.5, DT)
+    fit = fit_dynamics([fitted], nominal, FitCfg(physics_dt=DT, max_iterations=10))
+    found = fit.dynamics
+    np.testing.assert_allclose(found.damping / found.stiffness, truth.damping / truth.stiffness, rtol=0.02)
+    np.testing.assert_allclose(found.latency, truth.latency, atol=0.001)
+    assert (tracking_error([held_out], nominal, DT) > 10 * NOISE).all()
+    np.testing.assert_allclose(tracking_error([held_out], found, DT), NOISE, rtol=0.15)
+    widths = dict(zip(fit.free, half_widths(fit).T, strict=True))
+    for name in ("stiffness", "damping", "frictionloss", "armature"):
+        error = np.abs(np.log(getattr(found, name) / getattr(truth, name)))
+        assert (error < 2.0 * widths[name]).all(), name
+    lag, *_ = ratios(fit)
+    assert (lag.half_width < 0.02).all()
+
+
+def test_command_filter_is_recovered():
+    rng = np.random.default_rng(1)
+    servo = JointDynamics.nominal(JOINTS)
+    start = servo.with_values(damping=servo.damping / 10, filter_gain=200.0, filter_lookahead=0.2)
+    truth = start.with_values(filter_gain=300.0, filter_lookahead=0.1, latency=0.004)
+    fitted, held_out = record(rng, truth, 2.0, DT), record(rng, truth, 1.5, DT)
+    found = fit_dynamics([fitted], start, FitCfg(free=FILTER_PARAMETERS, physics_dt=DT)).dynamics
+    np.testing.assert_allclose(found.filter_gain, 300.0, rtol=0.02)
+    np.testing.assert_allclose(found.filter_lookahead, 0.1, rtol=0.02)
+    np.testing.assert_allclose(found.latency, 0.004, atol=0.001)
+    np.testing.assert_allclose(tracking_error([held_out], found, DT), NOISE, rtol=0.15)
+
+
+def test_impossible_fits_are_refused():
+    rng = np.random.default_rng(2)
+    nominal = JointDynamics.nominal(JOINTS)
+    recording = record(rng, nominal, 1.0, DT)
+    with pytest.raises(InvalidValueError, match="start with filter_gain=300"):
+        fit_dynamics([recording], nominal, FitCfg(free=FILTER_PARAMETERS))
+    with pytest.raises(InvalidValueError, match="select the same joints"):
+        fit_dynamics([recording], JointDynamics.nominal(["elbow_joint"]), FitCfg())
+    with pytest.raises(UnknownNameError, match="Did you mean 'armature'"):
+        FitCfg(free=("armatures",))
+    with pytest.raises(InvalidValueError, match="nothing is free"):
+        FitCfg(free=())
+    with pytest.raises(InvalidValueError, match="prior is 0"):
+        FitCfg(prior=0.0)
+
+
+def test_correlated_errors_count_less():
+    """Each value of the second column is 0.9 of the last and something new: (1 + 0.9) / (1 - 0.9) = 19."""
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal((50_000, 2))
+    for k in range(1, len(white)):
+        white[k, 1] += 0.9 * white[k - 1, 1]
+    np.testing.assert_allclose(correlation_time(white), (1.0, 19.0), rtol=0.15)

@@ -1,0 +1,107 @@
+"""The forward model of the fit: it is the simulator that a policy trains in."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from pixel2catch.envs.servo import FRICTION_SPEED
+from pixel2catch.errors import RecordingError
+from pixel2catch.identification.actuator import JointDynamics
+from pixel2catch.identification.fit_simulation import RecordedMotion
+from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
+from pixel2catch.robot.scene import SceneCfg, build_model
+
+DT = 1.0 / 240.0
+ALL = ROBOTS["ur5e_allegro"]
+HOME = np.array([JOINT_SPECS[name].home for name in ALL])
+
+
+def held_steps(joints: tuple[str, ...], seconds: float = 0.8) -> Recording:
+    """A new command every 0.1 s, sent where a physics step takes it up whole; the robot is at its start."""
+    rng = np.random.default_rng(3)
+    home = np.array([JOINT_SPECS[name].home for name in joints])
+    t_meas = np.arange(round(seconds / DT) + 1) * DT
+    t_cmd = np.arange(0, len(t_meas), 24) * DT - DT / 2
+    q_cmd = home + rng.uniform(0.0, 0.07, (len(t_cmd), len(joints)))
+    return Recording(
+        joints=joints, t_cmd=t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=np.tile(home, (len(t_meas), 1))
+    )
+
+
+def simulated(recording: Recording, dynamics: JointDynamics, dt: float = DT) -> np.ndarray:
+    return RecordedMotion([recording], dt).simulate([dynamics])[0]
+
+
+def test_without_latency_and_filter_it_is_the_scene():
+    """The same commands in the whole scene, with the object far away, step by step."""
+    recording = held_steps(ALL)
+    model = build_model(SceneCfg(physics_hz=240))
+    loss = model.dof_frictionloss[:19].copy()
+    model.dof_frictionloss[:19] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    model.actuator_ctrllimited[:] = 0
+    data = mujoco.MjData(model)
+    data.qpos[:19] = HOME
+    path = [HOME]
+    for k in range(len(recording.t_meas) - 1):
+        data.ctrl[:] = recording.q_cmd[k // 24]
+        data.qfrc_applied[:19] = -loss * np.tanh(data.qvel[:19] / FRICTION_SPEED)
+        mujoco.mj_step(model, data)
+        path.append(data.qpos[:19].copy())
+    result = simulated(recording, JointDynamics.nominal(ALL))
+    assert np.ptp(result, axis=0).min() > 0.01
+    np.testing.assert_allclose(result, np.array(path)[-len(result) :], atol=2e-5)
+
+
+def test_a_torque_limit_bounds_the_acceleration():
+    """A step of 3 rad of the elbow: 200 N·m on an inertia of at least its own armature."""
+    elbow = JointDynamics.nominal(["elbow_joint"]).with_values(damping=1e-3, armature=50.0, frictionloss=0.0)
+    t_meas = np.arange(0.0, 0.71, DT)
+    t_cmd = np.array((0.0, 0.1))
+    recording = Recording(
+        joints=("elbow_joint",),
+        t_cmd=t_cmd,
+        q_cmd=np.array(((2.0,), (5.0,))),
+        t_meas=t_meas,
+        q=np.full((len(t_meas), 1), 2.0),
+    )
+    time = t_meas[-len(simulated(recording, elbow)) :] - 0.1
+    moved = simulated(recording, elbow)[:, 0] - 2.0
+    free = 0.5 * 200.0 / 50.0 * time**2
+    assert (moved < free).all()
+    np.testing.assert_allclose(moved, free, rtol=0.1)
+
+
+def test_latency_shifts_the_motion():
+    recording = held_steps(("wrist_1_joint",))
+    late = simulated(recording, JointDynamics.nominal(recording.joints).with_values(latency=6 * DT))
+    prompt = simulated(recording, JointDynamics.nominal(recording.joints))
+    np.testing.assert_allclose(late[6:], prompt[:-6], atol=1e-4)
+
+
+def test_the_time_step_hardly_matters():
+    recording = held_steps(("shoulder_pan_joint", "wrist_3_joint"))
+    dynamics = JointDynamics.nominal(recording.joints).with_values(latency=0.004)
+    coarse, fine = (simulated(recording, dynamics, dt) for dt in (DT, DT / 4))
+    np.testing.assert_allclose(coarse, fine, atol=1e-3)
+
+
+def test_candidates_and_recordings_do_not_mix():
+    """Alone or together with others, longer ones among them, a motion is the same."""
+    short, long = held_steps(("elbow_joint",)), held_steps(("elbow_joint",), 1.0)
+    nominal = JointDynamics.nominal(short.joints)
+    slow = nominal.with_values(damping=2 * nominal.damping, latency=0.01)
+    both = RecordedMotion([short, long], DT).simulate([nominal, slow])
+    for i, dynamics in enumerate((nominal, slow)):
+        alone = [simulated(recording, dynamics) for recording in (short, long)]
+        np.testing.assert_allclose(both[i], np.concatenate(alone), atol=1e-12)
+
+
+def test_useless_recordings_are_refused():
+    elbow, wrist = held_steps(("elbow_joint",)), held_steps(("wrist_1_joint",))
+    with pytest.raises(RecordingError, match="at least one"):
+        RecordedMotion([])
+    with pytest.raises(RecordingError, match="too short"):
+        RecordedMotion([held_steps(("elbow_joint",), 0.5)])
+    with pytest.raises(RecordingError, match="same joints"):
+        RecordedMotion([elbow, wrist])
