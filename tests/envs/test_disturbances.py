@@ -14,9 +14,9 @@ from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.mdp.throws import GRAVITY, ThrowCfg
+from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.robot.constants import CONTROL_DT, GRAVITY
 from pixel2catch.robot.scene import SceneCfg
 
 PROPOSED = METHODS["proposed"]

@@ -16,8 +16,8 @@ from pixel2catch.envs.servo import Servos, ServoState
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
-from pixel2catch.mdp.throws import GRAVITY, Throw
-from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA
+from pixel2catch.mdp.throws import Throw
+from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, RGB_CAMERA
 from pixel2catch.robot.contact import contact_solref
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS, surface_points

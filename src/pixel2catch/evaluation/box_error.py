@@ -18,8 +18,8 @@ from pixel2catch.camera.pinhole import camera_center, project
 from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions
 from pixel2catch.evaluation.rendering import RGB_VIEW, Renderer, View
 from pixel2catch.mdp.sensing import detect
-from pixel2catch.mdp.throws import GRAVITY, Throw, ThrowCfg, sample_throws
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, RGB_CAMERA, JointSpec
+from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
+from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, HAND_JOINTS, RGB_CAMERA, JointSpec
 from pixel2catch.robot.kinematics import palm_pose
 from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model

@@ -168,9 +168,7 @@ class RecordedMotion:
         """One batch: a copy for every recording under every candidate, candidate after candidate."""
         copies = [(candidate, motion) for candidate in candidates for motion in self._motions]
         paths = self._roll_out(copies)
-        sampled = [
-            motion.sample(paths[: len(motion.edges), i]) for i, (_, motion) in enumerate(copies)
-        ]  # fmt: skip
+        sampled = [motion.sample(paths[: len(motion.edges), i]) for i, (_, motion) in enumerate(copies)]
         num = len(self._motions)
         return np.stack([np.concatenate(sampled[i : i + num]) for i in range(0, len(sampled), num)])
 

@@ -4,8 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-GRAVITY = 9.81
-"""Standard value, as MuJoCo's default [m/s^2]."""
+from pixel2catch.robot.constants import GRAVITY
 
 NUM_STEPS = 16
 """Steps of the midpoint rule in a flight. Source: ours, a millimetre."""

@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pixel2catch.mdp.drag import GRAVITY, flight_time, velocity_through_air
+from pixel2catch.mdp.drag import flight_time, velocity_through_air
+from pixel2catch.robot.constants import GRAVITY
 
 Range = tuple[float, float]
 

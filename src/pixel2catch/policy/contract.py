@@ -91,7 +91,7 @@ class PolicyContract:
         Raises:
             PolicyMismatchError: They differ; the message names every field that does, with both values.
         """
-        ours, theirs = dict(_leaves(self.to_dict())), dict(_leaves(expected.to_dict()))
+        ours, theirs = dict(leaves(self.to_dict())), dict(leaves(expected.to_dict()))
         fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
         if fields:
             lines = [f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields]
@@ -119,9 +119,10 @@ def _plain(value: Any) -> Any:
     return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value
 
 
-def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted names and values of nested mappings: what two of them are compared by."""
     if isinstance(value, Mapping) and value:
         for key, entry in value.items():
-            yield from _leaves(entry, f"{name}.{key}" if name else str(key))
+            yield from leaves(entry, f"{name}.{key}" if name else str(key))
     else:
         yield name, value

@@ -11,6 +11,9 @@ from math import pi, radians
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 
+GRAVITY = 9.81
+"""Standard value, as MuJoCo's default [m/s²]."""
+
 PHYSICS_DT = 1.0 / 120.0
 """Physics time step [s]. Source: paper, 120 Hz."""
 

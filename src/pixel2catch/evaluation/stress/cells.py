@@ -8,7 +8,7 @@ are refused before anything is computed, and never overwritten.
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.rounds import Actor, Trials, run_round
 from pixel2catch.evaluation.stress.axes import Setting
 from pixel2catch.methods import METHODS, Method
-from pixel2catch.policy import write_atomically
+from pixel2catch.policy import leaves, write_atomically
 from pixel2catch.robot.objects import OBJECTS
 
 Json = dict[str, Any]
@@ -209,7 +209,7 @@ def _require_same(cell: Cell, origin: Json) -> None:
     found = cell.read()
     if found is None:
         return
-    before, now = dict(_leaves(found | {"metrics": None})), dict(_leaves(origin | {"metrics": None}))
+    before, now = dict(leaves(found | {"metrics": None})), dict(leaves(origin | {"metrics": None}))
     changes = [
         f"{name}: {before.get(name)} there, {now.get(name)} now"
         for name in sorted({*before, *now})
@@ -220,15 +220,6 @@ def _require_same(cell: Cell, origin: Json) -> None:
             f"'{cell.file}' was obtained otherwise ({'; '.join(changes)}); give the values that it has, or "
             "name another folder with --out."
         )
-
-
-def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Names and values of nested dictionaries."""
-    if isinstance(value, dict):
-        for key, entry in value.items():
-            yield from _leaves(entry, f"{name}.{key}" if name else key)
-    else:
-        yield name, value
 
 
 def _contestant(folder: Path) -> Contestant:

@@ -1,6 +1,5 @@
 """The stress suite as one picture: settings by policies, S.R. written in the cells."""
 
-import io
 from itertools import pairwise
 from typing import Any
 
@@ -8,6 +7,8 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from pixel2catch.evaluation.pictures import png
 
 PALETTE = "viridis"
 """A sequential palette for any kind of colour vision. Source: Smith and van der Walt 2015, Matplotlib."""
@@ -17,8 +18,6 @@ DARK = 60.0
 
 ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95
 """Size of a cell [inch]."""
-
-DPI = 160
 
 
 def heatmap(table: dict[str, Any]) -> bytes:
@@ -43,9 +42,7 @@ def heatmap(table: dict[str, Any]) -> bytes:
         bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.7, aspect=30, pad=0.01)
         bar.set_label("S.R. [% of throws]")
         bar.outline.set_visible(False)  # type: ignore[operator]
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
-    return buffer.getvalue()
+    return png(figure)
 
 
 def _label(axes: Axes, titles: list[str], names: list[str]) -> None:

@@ -3,8 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import sqrt
+from math import isnan
 from statistics import fmean
+
+from scipy.stats import kendalltau
 
 REAL_ROBOT: dict[str, float] = {
     "proposed": 52.8,
@@ -62,25 +64,15 @@ def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str,
     return Order(
         simulated=tuple(sorted(methods, key=lambda method: -simulated[method])),
         real=tuple(methods),
-        tau=kendall_tau([simulated[m] for m in methods], [REAL_ROBOT[m] for m in methods]),
+        tau=_kendall_tau([simulated[m] for m in methods], [REAL_ROBOT[m] for m in methods]),
         num_settled=sum(_is_apart(intervals[a], intervals[b]) for a, b in combinations(methods, 2)),
     )
 
 
-def kendall_tau(first: Sequence[float], second: Sequence[float]) -> float:
-    """Kendall's tau-b of two rankings of the same things; 0 where one of them tells nothing apart.
-
-    Source: Kendall 1945, the correlation of the signs of all differences.
-    """
-    pairs = [
-        (_sign(a - b), _sign(c - d)) for (a, c), (b, d) in combinations(zip(first, second, strict=True), 2)
-    ]
-    told_apart = sum(a * a for a, _ in pairs) * sum(b * b for _, b in pairs)
-    return sum(a * b for a, b in pairs) / sqrt(told_apart) if told_apart else 0.0
-
-
-def _sign(value: float) -> int:
-    return (value > 0) - (value < 0)
+def _kendall_tau(first: Sequence[float], second: Sequence[float]) -> float:
+    """Kendall's tau-b of two rankings of the same things; 0 where one of them tells nothing apart."""
+    tau = float(kendalltau(first, second)[0])
+    return 0.0 if isnan(tau) else tau
 
 
 def _is_apart(first: Interval, second: Interval) -> bool:

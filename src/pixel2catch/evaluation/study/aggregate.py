@@ -1,7 +1,7 @@
 """What several seeds of a method amount to: mean and deviation over seeds, intervals over all trials."""
 
 from collections.abc import Iterator, Sequence
-from math import sqrt
+from statistics import fmean, stdev
 from typing import Any
 
 from pixel2catch.evaluation.metrics import Metrics, wilson_interval
@@ -17,10 +17,7 @@ Row = dict[str, Any]
 
 def mean_and_deviation(values: Sequence[float]) -> tuple[float, float | None]:
     """Mean and sample deviation (divisor n - 1); one value has no deviation."""
-    mean = sum(values) / len(values)
-    if len(values) == 1:
-        return mean, None
-    return mean, sqrt(sum((value - mean) ** 2 for value in values) / (len(values) - 1))
+    return fmean(values), stdev(values) if len(values) > 1 else None
 
 
 def pooled(rates: Sequence[Metrics], name: str) -> Row:

@@ -1,6 +1,5 @@
 """Pictures of results: learning curves, and success by object. Throws are in `throw_figure.py`."""
 
-import io
 from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
@@ -32,7 +31,6 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "lines.solid_capstyle": "round",
 }
-DPI = 160
 
 
 def look(method: str) -> dict[str, Any]:
@@ -79,13 +77,6 @@ def objects_figure(rows: Sequence[Row]) -> Figure:
         panels[-1].set(xlabel="S.R. [% of throws], 95 % interval", xlim=(-1.0, 101.0))
         _legend(figure, panels[0])
         return figure
-
-
-def png(figure: Figure) -> bytes:
-    """The picture as a PNG file."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
-    return buffer.getvalue()
 
 
 def _draw_curve(axes: Axes, curves: Curves, method: str, name: str) -> None:

@@ -155,7 +155,8 @@ def _tables(folder: StudyFolder, plan: Plan) -> tuple[dict[str, str], dict[str, 
 
 def _pictures(folder: StudyFolder, plan: Plan) -> dict[str, bytes]:
     """The pictures that there is something to draw for, with the numbers of the curves."""
-    from pixel2catch.evaluation.study.figures import curves_figure, objects_figure, png
+    from pixel2catch.evaluation.pictures import png
+    from pixel2catch.evaluation.study.figures import curves_figure, objects_figure
     from pixel2catch.evaluation.study.throw_figure import throws_figure
 
     files = {"throws.png": png(throws_figure(ThrowCfg()))}

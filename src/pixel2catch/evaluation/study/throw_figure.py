@@ -11,8 +11,8 @@ from matplotlib.patches import Rectangle
 from numpy import ndarray
 
 from pixel2catch.evaluation.study.figures import PALETTE, STYLE
-from pixel2catch.mdp.throws import GRAVITY, Range, ThrowCfg, sample_throws
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, RGB_CAMERA, TABLE
+from pixel2catch.mdp.throws import Range, ThrowCfg, sample_throws
+from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, HAND_JOINTS, RGB_CAMERA, TABLE
 from pixel2catch.robot.scene import SceneCfg, build_model
 
 NUM_THROWS = 40
@@ -61,11 +61,10 @@ def throws_figure(cfg: ThrowCfg, seed: int = 0) -> Figure:
 def sample_paths(cfg: ThrowCfg, num_throws: int, seed: int) -> Float[ndarray, "num_throws num_points 3"]:
     """Positions [m] on sampled paths, at equal times from the release to the aim."""
     throw = sample_throws(cfg, num_throws, torch.Generator().manual_seed(seed))
-    pos, lin_vel, aim = (each.double().numpy() for each in (throw.pos, throw.lin_vel, throw.aim))
-    rise = lin_vel[:, 2] / GRAVITY
-    peak = pos[:, 2] + 0.5 * GRAVITY * rise**2
-    flight = rise + np.sqrt(2.0 * (peak - aim[:, 2]) / GRAVITY)
-    time = np.linspace(0.0, flight, 60, axis=1)[..., None]
+    pos, lin_vel, flight_time = (
+        each.double().numpy() for each in (throw.pos, throw.lin_vel, throw.flight_time())
+    )
+    time = np.linspace(0.0, flight_time, 60, axis=1)[..., None]
     return pos[:, None] + lin_vel[:, None] * time - 0.5 * GRAVITY * time**2 * np.array((0.0, 0.0, 1.0))
 
 
