@@ -71,7 +71,8 @@ def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str,
 
 def _kendall_tau(first: Sequence[float], second: Sequence[float]) -> float:
     """Kendall's tau-b of two rankings of the same things; 0 where one of them tells nothing apart."""
-    tau = float(kendalltau(first, second)[0])
+    result = kendalltau(first, second)
+    tau = float(result.statistic)  # pyright: ignore[reportAttributeAccessIssue] (made at run time)
     return 0.0 if isnan(tau) else tau
 
 
