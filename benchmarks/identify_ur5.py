@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from ur5_recordings import read_ur5
 
-from pixel2catch.identification.actuator import JointDynamics
 from pixel2catch.identification.fit import fit_dynamics, tracking_error
 from pixel2catch.identification.fit_problem import FitCfg
 from pixel2catch.identification.identifiability import describe
 from pixel2catch.identification.recording import Recording
+from pixel2catch.robot.joint_dynamics import JointDynamics
 
 PHYSICS_DT = 1.0 / 240.0
 STIFFNESS_FACTOR = 10.0

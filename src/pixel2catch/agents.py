@@ -15,7 +15,7 @@ from pixel2catch.mdp.actions import JointCommand, absolute_command, relative_com
 from pixel2catch.mdp.observations import PAPER_TERMS, ObservationTerm
 from pixel2catch.mdp.rewards import RewardTerm, term_values
 from pixel2catch.mdp.snapshot import Transition
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
 
 ACTION_WEIGHT = -0.01
 """Weight of the squared action of each agent. Source: paper, Eq. 3 and 4."""
@@ -73,9 +73,6 @@ class AgentSpec:
         """One agent over the joints of both, with the sum of both rewards. Source: paper, S-A RL."""
         return AgentSpec(name="robot", parts=(*self.parts, *other.parts), observation=self.observation)
 
-
-JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
-"""All controlled joints: the joint order of every tensor."""
 
 COMMANDS: tuple[JointCommand, ...] = (*map(relative_command, ARM_JOINTS), *map(absolute_command, HAND_JOINTS))
 """How the action of each joint becomes its target."""

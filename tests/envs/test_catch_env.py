@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from pixel2catch.agents import JOINTS
 from pixel2catch.camera.boxes import hold_box
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.step import Step
@@ -17,6 +16,7 @@ from pixel2catch.mdp.snapshot import History
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
+from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.objects import OBJECTS
 
 PROPOSED = METHODS["proposed"]

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 import torch
 
-from pixel2catch.agents import JOINTS
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.step import Step
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -16,7 +15,7 @@ from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.robot.constants import CONTROL_DT, GRAVITY
+from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS
 from pixel2catch.robot.scene import SceneCfg
 
 PROPOSED = METHODS["proposed"]

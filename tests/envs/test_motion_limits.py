@@ -7,11 +7,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pixel2catch.agents import JOINTS
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.servo import EFFORT_MARGIN, FRICTION_SPEED, SPEED_MARGIN, Servos, ServoState
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
+from pixel2catch.robot.constants import JOINTS
 
 SPEED_LIMIT = 2.79253
 SERVOS = Servos.on(torch.device("cpu"), torch.float64)

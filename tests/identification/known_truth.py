@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from pixel2catch.identification.actuator import JointDynamics
 from pixel2catch.identification.fit_simulation import SETTLING, RecordedMotion
 from pixel2catch.identification.recording import JOINT_SPECS, Recording
+from pixel2catch.robot.joint_dynamics import JointDynamics
 
 NOISE = 2e-4
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.actuator import (
+from pixel2catch.identification.commands import mean_commands
+from pixel2catch.robot.constants import ARM_JOINTS
+from pixel2catch.robot.joint_dynamics import (
     PARAMETERS,
     SERVOJ_GAIN,
     SERVOJ_LOOKAHEAD,
     JointDynamics,
     filter_transition,
-    mean_commands,
 )
-from pixel2catch.robot.constants import ARM_JOINTS
 
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pixel2catch.identification.actuator import JointDynamics
 from pixel2catch.identification.fit import Fit
 from pixel2catch.identification.fit_problem import SERVO_PARAMETERS
 from pixel2catch.identification.fit_ranges import gain_ranges
 from pixel2catch.identification.identifiability import describe, half_widths, ratios, weak_directions
 from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.robot.joint_dynamics import JointDynamics
 
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")
 SCALE = np.array((1.0, 1.0, 1.0, 1.0, 0.0))

@@ -5,10 +5,10 @@ import pytest
 from known_truth import NOISE, perturbed, record
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.actuator import JointDynamics
 from pixel2catch.identification.fit import correlation_time, fit_dynamics, tracking_error
 from pixel2catch.identification.fit_problem import FILTER_PARAMETERS, FitCfg
 from pixel2catch.identification.identifiability import half_widths, ratios
+from pixel2catch.robot.joint_dynamics import JointDynamics
 
 DT = 1.0 / 120.0
 JOINTS = ("elbow_joint", "wrist_3_joint")

@@ -6,9 +6,9 @@ import pytest
 
 from pixel2catch.envs.servo import FRICTION_SPEED
 from pixel2catch.errors import RecordingError
-from pixel2catch.identification.actuator import JointDynamics
 from pixel2catch.identification.fit_simulation import RecordedMotion
 from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
+from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.scene import SceneCfg, build_model
 
 DT = 1.0 / 240.0

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from recorded import ARM, assert_same, short
 
-from pixel2catch.agents import JOINTS
 from pixel2catch.errors import Pixel2CatchError, RecordingError, UnknownNameError
 from pixel2catch.identification.importers import read_recording
 from pixel2catch.identification.recording import ROBOTS, Recording
 from pixel2catch.identification.rules import Place, require_motion
+from pixel2catch.robot.constants import JOINTS
 
 
 def with_cell(values: np.ndarray, row: int, column: int, value: float) -> np.ndarray:

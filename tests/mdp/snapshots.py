@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pixel2catch.agents import JOINTS
 from pixel2catch.mdp.snapshot import Measurement, Privileged, Transition
+from pixel2catch.robot.constants import JOINTS
 
 NUM_JOINTS = len(JOINTS)
 

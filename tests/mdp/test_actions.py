@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from pixel2catch.agents import COMMANDS, JOINTS
+from pixel2catch.agents import COMMANDS
 from pixel2catch.mdp.actions import ActionMap, JointCommand, absolute_command, relative_command
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS
+from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS, JOINTS
 
 NUM_ARM = len(ARM_JOINTS)
 MAP = ActionMap.of(COMMANDS, torch.device("cpu"))

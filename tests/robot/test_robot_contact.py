@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.contact import PUSH_OUT, contact_solref
 from pixel2catch.robot.scene import SceneCfg, build_model
 
-HOME = np.array([joint.home for joint in (*ARM_JOINTS, *HAND_JOINTS)])
+HOME = np.array([joint.home for joint in JOINTS])
 TABLE_SPOT = np.array((-0.25, 0.2, 0.81))
 PALM_SPOT = np.array((0.44, 0.1333, 1.3915))
 PALM_NORMAL = np.array((0.20791, 0.0, 0.97815))

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, HAND_JOINTS
+from pixel2catch.robot.constants import FINGERS, JOINTS
 from pixel2catch.robot.kinematics import HOME_SIDE, palm_pose
 from pixel2catch.robot.scene import SceneCfg, build_model
 
-JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
 NUM_SAMPLES = 100
 
 # UR's table of the UR5e, typed in again: d, a, alpha.

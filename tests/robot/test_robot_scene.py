@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, HAND_JOINTS, RGB_CAMERA
+from pixel2catch.robot.constants import FINGERS, JOINTS, RGB_CAMERA
 from pixel2catch.robot.scene import SceneCfg, build_model, export
 
-JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
 LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint in JOINTS]).T
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pixel2catch.agents import JOINTS
 from pixel2catch.envs.world import MASS_POWER
+from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS
 from pixel2catch.robot.scene import SceneCfg, build_model

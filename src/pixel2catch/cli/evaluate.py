@@ -43,7 +43,7 @@ class Evaluate:
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg, assess
-        from pixel2catch.policy import write_atomically
+        from pixel2catch.files import write_atomically
         from pixel2catch.robot.objects import select_objects
 
         prepare(self.device)

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.agents import JOINTS
+from pixel2catch.robot.constants import JOINTS
 
 EFFORT_MARGIN = 0.999
 """Share of a joint's effort limit that a servo asks for; at the limit itself MuJoCo clamps."""

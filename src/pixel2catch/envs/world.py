@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.agents import JOINTS
 from pixel2catch.camera.pinhole import camera_center
 from pixel2catch.camera.visibility import is_unoccluded, ray_directions
 from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
@@ -17,7 +16,7 @@ from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
 from pixel2catch.mdp.throws import Throw
-from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, RGB_CAMERA
+from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, JOINTS, RGB_CAMERA
 from pixel2catch.robot.contact import contact_solref
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS, surface_points

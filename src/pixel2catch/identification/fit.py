@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from pixel2catch.identification.actuator import JointDynamics
 from pixel2catch.identification.fit_problem import FitCfg, Point, Problem
 from pixel2catch.identification.fit_simulation import FIT_DT, RecordedMotion
 from pixel2catch.identification.recording import Recording
+from pixel2catch.robot.joint_dynamics import JointDynamics
 
 LAG_PARAMETERS = ("damping", "filter_lookahead", "latency")
 """What is fitted first, alone: else an unexplained lag drives the armature into a far, wrong minimum."""

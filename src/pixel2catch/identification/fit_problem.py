@@ -9,9 +9,9 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.actuator import PARAMETERS, JointDynamics
 from pixel2catch.identification.fit_simulation import FIT_DT, RecordedMotion
 from pixel2catch.identification.recording import Recording
+from pixel2catch.robot.joint_dynamics import PARAMETERS, JointDynamics
 
 SERVO_PARAMETERS = ("stiffness", "damping", "frictionloss", "armature", "latency")
 """What is fitted where commands reach the servo unfiltered."""

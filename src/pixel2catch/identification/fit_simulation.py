@@ -15,8 +15,9 @@ from torch import Tensor
 
 from pixel2catch.envs.servo import Servos, ServoState
 from pixel2catch.errors import RecordingError
-from pixel2catch.identification.actuator import JointDynamics, filter_transition, mean_commands
+from pixel2catch.identification.commands import mean_commands
 from pixel2catch.identification.recording import JOINT_SPECS, Recording
+from pixel2catch.robot.joint_dynamics import JointDynamics, filter_transition
 from pixel2catch.robot.scene import SceneCfg, build_spec
 from pixel2catch.sim.batch import BatchSimulation
 

@@ -10,9 +10,9 @@ from numpy.lib.npyio import NpzFile
 
 from pixel2catch.errors import RecordingError, UnknownNameError
 from pixel2catch.identification.rules import Place, require_motion
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JointSpec
+from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS, JointSpec
 
-JOINT_SPECS: dict[str, JointSpec] = {spec.name: spec for spec in (*ARM_JOINTS, *HAND_JOINTS)}
+JOINT_SPECS: dict[str, JointSpec] = {spec.name: spec for spec in JOINTS}
 """All joints that can be identified, by name, in joint order."""
 
 ROBOTS: dict[str, tuple[str, ...]] = {

@@ -4,12 +4,12 @@ import dataclasses
 
 import torch
 
-from pixel2catch.agents import COMMANDS, JOINTS, AgentSpec
+from pixel2catch.agents import COMMANDS, AgentSpec
 from pixel2catch.mdp.observations import Frame, pixel_columns
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import Method
 from pixel2catch.policy.contract import AgentContract, PolicyContract
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.robot.constants import CONTROL_DT, JOINTS, RGB_CAMERA
 
 
 def contract_of(method: Method, handedness: str) -> PolicyContract:

@@ -12,8 +12,8 @@ from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.files import write_atomically
 from pixel2catch.policy.contract import PolicyContract
-from pixel2catch.policy.files import write_atomically
 from pixel2catch.policy.networks import HIDDEN, AgentNetwork
 
 WEIGHTS_FILE = "policy.safetensors"

@@ -13,7 +13,8 @@ from typing import Any
 import torch
 
 from pixel2catch.errors import CheckpointError
-from pixel2catch.policy import PolicyContract, write_atomically
+from pixel2catch.files import write_atomically
+from pixel2catch.policy import PolicyContract
 from pixel2catch.rl.learner import Learner
 
 FORMAT_VERSION = 1

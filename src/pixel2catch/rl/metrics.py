@@ -6,7 +6,7 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
-from pixel2catch.policy import write_atomically
+from pixel2catch.files import write_atomically
 
 METRICS_FILE = "metrics.csv"
 Row = dict[str, int | float]

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from pixel2catch.errors import CheckpointError
-from pixel2catch.policy import write_atomically
+from pixel2catch.files import write_atomically
 
 _PACKAGES = ("pixel2catch", "torch", "skrl", "mujoco", "mujoco-warp", "warp-lang", "numpy")
 

@@ -125,6 +125,9 @@ Source: limits, servo, friction and effort: release; lower limit of thumb joint 
 reaches -0.105); speed: public descriptions of the Allegro hand.
 """
 
+JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
+"""All controlled joints: the joint order of every tensor."""
+
 FINGERS = ("index", "middle", "ring", "thumb")
 """Names of the fingers; bodies, sites and sensors are named by them."""
 

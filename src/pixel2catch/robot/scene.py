@@ -12,9 +12,8 @@ import numpy as np
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robot.allegro import add_hand
 from pixel2catch.robot.constants import (
-    ARM_JOINTS,
     FINGERS,
-    HAND_JOINTS,
+    JOINTS,
     RGB_CAMERA,
     TABLE,
     UR5E_DH,
@@ -164,7 +163,7 @@ def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
 
 def _add_servos(spec: mujoco.MjSpec) -> None:
     """Limits, friction and a position servo for every joint, in the order of the joints."""
-    for joint_spec in (*ARM_JOINTS, *HAND_JOINTS):
+    for joint_spec in JOINTS:
         joint = spec.joint(joint_spec.name)
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.range = (joint_spec.lower, joint_spec.upper)

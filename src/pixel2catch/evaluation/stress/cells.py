@@ -19,8 +19,9 @@ from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.rounds import Actor, Trials, run_round
 from pixel2catch.evaluation.stress.axes import Setting
+from pixel2catch.files import write_atomically
 from pixel2catch.methods import METHODS, Method
-from pixel2catch.policy import leaves, write_atomically
+from pixel2catch.policy import leaves
 from pixel2catch.robot.objects import OBJECTS
 
 Json = dict[str, Any]

@@ -14,7 +14,7 @@ from pixel2catch.evaluation.stress.cells import Cell, Json
 from pixel2catch.evaluation.stress.heatmap import heatmap
 from pixel2catch.evaluation.stress.order import REAL_ROBOT, compare_orders
 from pixel2catch.evaluation.stress.suite import REALITY
-from pixel2catch.policy import write_atomically
+from pixel2catch.files import write_atomically
 
 SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")
 """Rates of a cell that the tables keep."""

@@ -10,7 +10,7 @@ from typing import Any
 from pixel2catch.errors import StudyError
 from pixel2catch.evaluation.loading import fingerprint
 from pixel2catch.evaluation.metrics import Metrics
-from pixel2catch.policy import write_atomically
+from pixel2catch.files import write_atomically
 
 GROUPS = ("seen", "unseen")
 """Sets of objects that every policy is evaluated on. Source: paper, Sec. V."""

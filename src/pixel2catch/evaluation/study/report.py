@@ -17,8 +17,8 @@ from pixel2catch.evaluation.study.curves import curves_csv, study_curves
 from pixel2catch.evaluation.study.page import page
 from pixel2catch.evaluation.study.plan import Plan, StudyFolder
 from pixel2catch.evaluation.tables import CONTACT_RATES, MAIN_RATES
+from pixel2catch.files import write_atomically
 from pixel2catch.mdp.throws import ThrowCfg
-from pixel2catch.policy import write_atomically
 
 Cells = Mapping[str, str]
 

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from pixel2catch.evaluation.study.figures import PALETTE, STYLE
 from pixel2catch.mdp.throws import Range, ThrowCfg, sample_throws
-from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, HAND_JOINTS, RGB_CAMERA, TABLE
+from pixel2catch.robot.constants import GRAVITY, JOINTS, RGB_CAMERA, TABLE
 from pixel2catch.robot.scene import SceneCfg, build_model
 
 NUM_THROWS = 40
@@ -72,7 +72,7 @@ def arm_points() -> Float[ndarray, "num_points 3"]:
     """Positions [m] along the arm in its start pose, from the base to the palm."""
     model = build_model(SceneCfg())
     data = mujoco.MjData(model)
-    home = [joint.home for joint in (*ARM_JOINTS, *HAND_JOINTS)]
+    home = [joint.home for joint in JOINTS]
     data.qpos[: len(home)] = home
     mujoco.mj_kinematics(model, data)
     return np.array([*(data.body(name).xpos for name in CHAIN), data.site("palm").xpos])

@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 
-from pixel2catch.agents import JOINTS
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.policy import write_atomically
+from pixel2catch.files import write_atomically
+from pixel2catch.robot.constants import JOINTS
 
 FORMAT_VERSION = 1
 
@@ -143,29 +143,6 @@ class JointDynamics:
 
 PARAMETERS = tuple(field.name for field in dataclasses.fields(JointDynamics) if field.name != "joints")
 """Names of the parameters of a joint."""
-
-
-def mean_commands(
-    t_cmd: Float[np.ndarray, " num_commands"],
-    q_cmd: Float[np.ndarray, "num_commands num_joints"],
-    edges: Float[np.ndarray, " num_edges"],
-    latency: Float[np.ndarray, " num_joints"],
-) -> Float[np.ndarray, "num_steps num_joints"]:
-    """Mean of the held, delayed commands over every time step: it depends smoothly on the latency.
-
-    Args:
-        t_cmd: When each command was sent [s].
-        q_cmd: The commands [rad]; the first also holds before it was sent.
-        edges: Starts of the steps, and the end of the last [s].
-        latency: Delay of each joint's commands [s].
-    """
-    end = max(float(edges[-1]), float(t_cmd[-1])) + 1.0
-    start = min(float(edges[0]) - float(latency.max()), float(t_cmd[0])) - 1.0
-    knots = np.concatenate(([start], t_cmd, [end]))
-    held = np.concatenate((q_cmd[:1], q_cmd))
-    area = np.concatenate((np.zeros((1, held.shape[1])), np.cumsum(np.diff(knots)[:, None] * held, axis=0)))
-    areas = [np.interp(edges - delay, knots, area[:, j]) for j, delay in enumerate(latency)]
-    return np.diff(np.stack(areas, axis=-1), axis=0) / np.diff(edges)[:, None]
 
 
 def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "num_joints 2 3"]:
