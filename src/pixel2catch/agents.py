@@ -43,11 +43,13 @@ class AgentSpec:
     Attributes:
         name: Name in logs, files and the agents' dictionaries.
         parts: The body parts that it moves, in joint order; its reward is the sum of theirs.
+        teammates: Body parts that others move, whose reward it gets as well.
         observation: Terms of one observation frame.
     """
 
     name: str
     parts: tuple[BodyPart, ...]
+    teammates: tuple[BodyPart, ...] = ()
     observation: tuple[ObservationTerm, ...] = PAPER_TERMS
 
     @property
@@ -62,12 +64,17 @@ class AgentSpec:
 
     @property
     def reward_names(self) -> tuple[str, ...]:
-        """Names of the reward terms of all parts, in the order of `reward_terms`."""
-        return tuple(f"{part.name}.{term.name}" for part in self.parts for term in part.reward)
+        """Names of the reward terms, in the order of `reward_terms`."""
+        return tuple(f"{part.name}.{term.name}" for part in self._rewarded for term in part.reward)
 
     def reward_terms(self, transition: Transition) -> Float[Tensor, "num_envs num_terms"]:
-        """Weighted reward terms of all parts; the agent's reward is their sum."""
-        return torch.cat([term_values(part.reward, part.joints, transition) for part in self.parts], dim=-1)
+        """Weighted reward terms of its parts and its teammates'; the agent's reward is their sum."""
+        values = [term_values(part.reward, part.joints, transition) for part in self._rewarded]
+        return torch.cat(values, dim=-1)
+
+    @property
+    def _rewarded(self) -> tuple[BodyPart, ...]:
+        return (*self.parts, *self.teammates)
 
     def __add__(self, other: "AgentSpec") -> "AgentSpec":
         """One agent over the joints of both, with the sum of both rewards. Source: paper, S-A RL."""

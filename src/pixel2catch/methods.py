@@ -46,11 +46,17 @@ METHODS: dict[str, Method] = {
         replace(PROPOSED, name="only_center", pixel_features=("cx", "cy", "dcx", "dcy")),
         replace(PROPOSED, name="single_agent", agents=(ARM + HAND,)),
         Method(name="object_position", agents=_seeing(object_position, *PROPRIOCEPTION), pixel_features=()),
+        replace(
+            PROPOSED,
+            name="shared_reward",
+            agents=(replace(ARM, teammates=HAND.parts), replace(HAND, teammates=ARM.parts)),
+        ),
         replace(PROPOSED, name="journal", agents=_seeing(*JOURNAL_TERMS)),
     )
 }
-"""Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D; release: `journal`,
-which adds palm displacement and joint targets."""
+"""Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D, and `shared_reward`,
+in which arm and hand are both paid the sum of their rewards; release: `journal`, which adds palm displacement
+and joint targets."""
 
 
 def find_method(name: str) -> Method:
