@@ -1,8 +1,10 @@
-"""Files that are either the old ones or the new ones, never half of each."""
+"""Files that are either the old ones or the new ones, never half of each; and what is written into them."""
 
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 
 def write_atomically(contents: Mapping[Path, bytes]) -> None:
@@ -29,3 +31,17 @@ def write_atomically(contents: Mapping[Path, bytes]) -> None:
     finally:
         for temporary in temporaries.values():
             temporary.unlink(missing_ok=True)
+
+
+def plain(value: Any) -> Any:
+    """What JSON does not know, for `json.dumps(default=plain)`: arrays as lists, anything else as text.
+
+    An infinite entry of an array is null, as JSON has no infinity.
+    """
+    return _without_infinity(value.tolist()) if hasattr(value, "tolist") else str(value)
+
+
+def _without_infinity(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_without_infinity(entry) for entry in value]
+    return None if isinstance(value, float) and math.isinf(value) else value

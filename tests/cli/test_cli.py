@@ -1,6 +1,7 @@
 """The command line, mostly as a user starts it: in a process of its own."""
 
 import dataclasses
+import hashlib
 import json
 import os
 import subprocess
@@ -15,6 +16,7 @@ from pixel2catch.cli.main import COMMANDS, main
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.cli.train import Train
 from pixel2catch.evaluation.loading import load_policy, shipped_policies
+from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rl import TrainCfg
@@ -138,15 +140,18 @@ def test_policy_of_another_robot(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "control_dt: policy 0.1" in one_line_error(capsys, "evaluate", tmp_path)
 
 
-def test_evaluate_prints_one_json_object(untrained: Path):
+def test_evaluate_prints_one_json_object(untrained: Path, tmp_path: Path):
+    file = tmp_path / "dynamics.json"
+    DynamicsFile().save(file)
     args = ("--objects", "cube_s", "cone_l", "--num-envs", "4", "--trials", "1", "--json")
-    result = pixel2catch("evaluate", untrained, *args)
+    result = pixel2catch("evaluate", untrained, *args, "--dynamics", file)
     assert result.returncode == 0, result.stderr
     metrics = json.loads(result.stdout)
     assert metrics["trials"] == 4
     assert metrics["objects_thrown"] == ["cube_s", "cone_l"]
     assert set(metrics["objects"]) <= {"cube_s", "cone_l"}
     assert metrics["policy"] == str(untrained)
+    assert metrics["dynamics_sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
     assert metrics.keys() >= {
         "tracking_rate",
         "success_rate",

@@ -16,6 +16,7 @@ from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS
+from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.scene import SceneCfg
 
 PROPOSED = METHODS["proposed"]
@@ -206,6 +207,7 @@ EVERYTHING = {
     "throws": ThrowCfg(hover_steps=(2, 5), spin=10.0, speed_deviation=0.05, angle_deviation=0.04),
     "shake": ShakeCfg(amplitude=0.01, frequency=2.0),
     "scene": SceneCfg(air_density=1.2, object_scale=1.1),
+    "dynamics": JointDynamics.nominal().with_values(latency=0.012, filter_gain=300.0, filter_lookahead=0.1),
 }  # fmt: skip
 
 

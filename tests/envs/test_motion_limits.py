@@ -12,9 +12,10 @@ from pixel2catch.envs.servo import EFFORT_MARGIN, FRICTION_SPEED, SPEED_MARGIN, 
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robot.joint_dynamics import JointDynamics
 
 SPEED_LIMIT = 2.79253
-SERVOS = Servos.on(torch.device("cpu"), torch.float64)
+SERVOS = Servos.on(torch.device("cpu"), torch.float64, JointDynamics.nominal())
 STIFFNESS = torch.tensor([joint.stiffness for joint in JOINTS], dtype=torch.float64)
 DAMPING = torch.tensor([joint.damping for joint in JOINTS], dtype=torch.float64)
 SEEDS = st.integers(0, 2**31)

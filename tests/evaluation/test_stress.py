@@ -65,7 +65,7 @@ def test_values_by_hand():
     assert changed("focal_length-5").sensing.focal_error == pytest.approx(0.05)
     assert changed("drops-15").sensing.drop_rate == pytest.approx(0.15)
     assert changed("mass-60").randomization.mass_scale == (2.0, 2.0)
-    assert changed("gains-50").randomization.hand_gain_scale == (0.5, 1.5)
+    assert changed("gains-50").randomization.gains.damping_scale == ((0.5, 1.5),) * 19
     edge = changed("edge_noise-10").sensing
     assert edge.corner_noise + edge.edge_noise == 10.0
 

@@ -6,8 +6,10 @@ import pytest
 import torch
 from snapshots import tensors
 
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.randomization import (
     EpisodeParameters,
+    GainRanges,
     RandomizationCfg,
     by_joint,
     sample_command_delay,
@@ -33,8 +35,11 @@ def drawn(
 
 def test_numbers_of_table_1():
     assert dataclasses.asdict(RandomizationCfg()) == {
-        "arm_gain_scale": (0.8, 1.2),
-        "hand_gain_scale": (0.7, 1.3),
+        "gains": {
+            "stiffness_scale": ((0.8, 1.2),) * 6 + ((0.7, 1.3),) * 13,
+            "damping_scale": ((0.8, 1.2),) * 6 + ((0.7, 1.3),) * 13,
+            "is_damping_relative": (False,) * 19,
+        },
         "arm_action_noise": 0.03,
         "hand_action_noise": 0.02,
         "arm_action_bias": 0.01,
@@ -90,6 +95,34 @@ def test_stiffness_and_damping_are_drawn_apart():
     assert correlation.abs().max() < 0.08
 
 
+def test_relative_damping_follows_the_stiffness_within_its_own_range():
+    """The elbow's damping is the stiffness' factor times 0.95 to 1.05; every other draw stays as it was."""
+    narrow = ((0.8, 1.2),) * 2 + ((0.95, 1.05),) + ((0.8, 1.2),) * 3 + ((0.7, 1.3),) * 13
+    elbow = torch.arange(19) == 2
+    plain = drawn(RandomizationCfg(gains=GainRanges(damping_scale=narrow)))
+    relative = GainRanges(damping_scale=narrow, is_damping_relative=tuple(elbow.tolist()))
+    parameters = drawn(RandomizationCfg(gains=relative))
+    ratio = parameters.damping_scale / parameters.stiffness_scale
+    torch.testing.assert_close(ratio[:, elbow], plain.damping_scale[:, elbow])
+    assert torch.equal(parameters.damping_scale[:, ~elbow], plain.damping_scale[:, ~elbow])
+    assert torch.equal(parameters.stiffness_scale, plain.stiffness_scale)
+    assert parameters.damping_scale[:, 2].amax() > 1.15
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stiffness_scale": ((0.8, 1.2),)}, "stiffness_scale has 1 entries; it needs one for each of 19"),
+        ({"is_damping_relative": (True,) * 18}, "is_damping_relative has 18 entries"),
+        ({"damping_scale": ((1.2, 0.8),) * 19}, "damping_scale of shoulder_pan_joint is from 1.2 to 0.8"),
+        ({"damping_scale": ((0.0, 0.8),) * 19}, "more than 0"),
+    ],
+)
+def test_ranges_that_are_none_are_refused(changes, message):
+    with pytest.raises(InvalidValueError, match=message):
+        GainRanges(**changes)
+
+
 def test_every_object_is_thrown_as_often():
     counts = torch.bincount(drawn().object_id, minlength=12)
     assert counts.nonzero()[:, 0].tolist() == OBJECT_IDS.tolist()
@@ -112,9 +145,14 @@ def test_command_delay_takes_every_value_of_its_range(steps):
 def test_randomization_can_be_switched_off():
     one = (1.0, 1.0)
     cfg = RandomizationCfg(
-        arm_gain_scale=one, hand_gain_scale=one, arm_action_bias=0.0, hand_action_bias=0.0,
-        initial_joint_noise=0.0, mass_scale=one, restitution=(0.2, 0.2), friction=one,
-    )  # fmt: skip
+        gains=GainRanges(stiffness_scale=(one,) * 19, damping_scale=(one,) * 19),
+        arm_action_bias=0.0,
+        hand_action_bias=0.0,
+        initial_joint_noise=0.0,
+        mass_scale=one,
+        restitution=(0.2, 0.2),
+        friction=one,
+    )
     parameters = drawn(cfg, SensingCfg(joint_bias=0.0), num_envs=3)
     for scale in (parameters.stiffness_scale, parameters.damping_scale, parameters.mass_scale):
         assert (scale == 1.0).all()

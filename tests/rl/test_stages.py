@@ -29,3 +29,9 @@ def test_physics_rates_share_the_training(tmp_path: Path) -> None:
 def test_a_training_needs_a_rate() -> None:
     with pytest.raises(InvalidValueError, match="physics_hz is empty"):
         dataclasses.replace(SMALL, physics_hz=())
+
+
+@pytest.mark.parametrize("latency_steps", [(2, 1), (-1, 2)])
+def test_a_latency_has_a_range(latency_steps: tuple[int, int]) -> None:
+    with pytest.raises(InvalidValueError, match="latency_steps"):
+        dataclasses.replace(SMALL, latency_steps=latency_steps)

@@ -23,6 +23,8 @@ class Evaluate:
         seed: Seed of everything that is drawn.
         device: Where to simulate: cpu, cuda, cuda:1, ...
         physics_hz: Physics steps in a second; training's default is the paper's 120.
+        dynamics: Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal
+            robot, also for a policy that was trained with a dynamics file.
         json: Print all metrics as one JSON object.
         out: File that gets the same JSON object, all of it or nothing.
     """
@@ -34,6 +36,7 @@ class Evaluate:
     seed: int = 0
     device: str = "cpu"
     physics_hz: float = 600.0
+    dynamics: Path | None = None
     json: bool = False
     out: Path | None = None
 
@@ -41,7 +44,7 @@ class Evaluate:
         """Evaluate and print."""
         from pixel2catch.cli.console import round_reporter
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
+        from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg, assess
         from pixel2catch.files import write_atomically
         from pixel2catch.robot.objects import select_objects
@@ -54,9 +57,13 @@ class Evaluate:
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            task=task_of(policy, self.physics_hz),
+            task=task_of(policy, self.physics_hz, self.dynamics),
         )
-        source = {"policy": str(self.policy or "shipped"), "policy_sha256": fingerprint(self.policy)}
+        source = {
+            "policy": str(self.policy or "shipped"),
+            "policy_sha256": fingerprint(self.policy),
+            "dynamics_sha256": sha256(self.dynamics) if self.dynamics else None,
+        }
         if self.out:
             self.out.parent.mkdir(parents=True, exist_ok=True)
         report = round_reporter(" ".join(self.objects), self.trials)

@@ -17,6 +17,8 @@ class Play:
         objects: What is thrown: seen, unseen, real, names of objects, or several of them.
         throws: Number of throws.
         seed: Seed of everything that is drawn.
+        dynamics: Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy
+            that was trained with a dynamics file.
         view: What the pictures show.
     """
 
@@ -25,6 +27,7 @@ class Play:
     objects: tuple[str, ...] = ("seen",)
     throws: int = 4
     seed: int = 0
+    dynamics: Path | None = None
     view: Literal["rgb", "outside", "both"] = "both"
 
     def run(self) -> None:
@@ -40,7 +43,7 @@ class Play:
         prepare("cpu")
         find_gl_backend()
         policy, method = load_policy(self.policy)
-        task = task_of(policy)
+        task = task_of(policy, dynamics=self.dynamics)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )

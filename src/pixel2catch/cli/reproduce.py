@@ -16,6 +16,9 @@ METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "
 
 PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
 
+OWN = ("device", "seed", "dynamics")
+"""Fields of a training's configuration that a study sets for each training, or leaves as they are."""
+
 NEUTRAL = ("checkpoint_seconds", "report_seconds")
 """Fields of a training's configuration that change no result."""
 
@@ -162,7 +165,7 @@ class Reproduce:
         from pixel2catch.rl import TrainCfg
         from pixel2catch.robot.scene import SceneCfg
 
-        free = {field.name for field in fields(TrainCfg)} - {"device", "seed", "transitions"}
+        free = {field.name for field in fields(TrainCfg)} - {"transitions", *OWN}
         given: dict[str, Any] = {"device": device} | {
             name: getattr(self, name) for name in ("preset", "transitions", "physics_hz")
         }
@@ -175,7 +178,7 @@ class Reproduce:
         cfg = tyro.cli(Train, args=args, prog="pixel2catch train").resolve()
         for physics_hz in (*cfg.physics_hz, self.evaluation_physics_hz):
             SceneCfg(physics_hz=physics_hz)
-        return {name: value for name, value in asdict(cfg).items() if name not in ("device", "seed")}
+        return {name: value for name, value in asdict(cfg).items() if name not in OWN}
 
     def _plan(self, training: dict[str, Any]) -> "Plan":
         """What is asked, with everything that changes results.

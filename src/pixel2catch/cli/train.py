@@ -15,11 +15,15 @@ class Train:
     """Train a policy. What is not given comes from the preset.
 
     Attributes:
-        method: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position or
-            journal.
+        method: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
+            shared_reward or journal.
         preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
         device: Where to simulate and learn: cpu, cuda, cuda:1, ... Default: cuda where there is one.
         physics_hz: Physics steps in a second, multiples of 30; several: one after the other, in equal shares.
+        dynamics: Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps a copy.
+            Evaluations take it by their own --dynamics only. Default: the nominal robot.
+        latency_steps: Control steps between image and delivered box: least and most. Default: 1 2, as the
+            release; a camera that may be later needs a policy that learnt so.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
         resume: Go on from the last checkpoint in that folder.
         seed: Seed of networks, exploration and environments.
@@ -49,6 +53,8 @@ class Train:
     preset: Literal["fast", "cpu", "paper"] | None = None
     device: str | None = None
     physics_hz: tuple[float, ...] | None = None
+    dynamics: Path | None = None
+    latency_steps: tuple[int, int] | None = None
     out: Path | None = None
     resume: bool = False
     seed: int | None = None
@@ -76,6 +82,8 @@ class Train:
     def run(self) -> None:
         """Train to the end."""
         from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+        from pixel2catch.mdp.dynamics_file import DynamicsFile
+        from pixel2catch.mdp.sensing import SensingCfg
         from pixel2catch.methods import find_method
         from pixel2catch.policy import contract_of
         from pixel2catch.rl import train
@@ -83,9 +91,11 @@ class Train:
 
         method, cfg = find_method(self.method), self.resolve()
         scenes = {rate: SceneCfg(physics_hz=rate) for rate in cfg.physics_hz}
+        dynamics = DynamicsFile.load(cfg.dynamics)
 
         def make_env(cfg: "TrainCfg") -> CatchEnv:
-            task = CatchEnvCfg(scene=scenes[cfg.physics_hz[0]])
+            sensing = SensingCfg(latency_steps=cfg.latency_steps)
+            task = CatchEnvCfg(scene=scenes[cfg.physics_hz[0]], sensing=sensing).with_dynamics(dynamics)
             return CatchEnv(task, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed)
 
         out = self.out or Path("runs") / f"{method.name}-seed{cfg.seed}"

@@ -53,7 +53,7 @@ class CatchEnv:
             seed: Seed of everything that is drawn here.
         """
         self.cfg, self.method, self.num_envs = cfg, method, num_envs
-        self.world = CatchWorld(cfg.scene, num_envs=num_envs, device=device)
+        self.world = CatchWorld(cfg.scene, cfg.dynamics, num_envs=num_envs, device=device)
         self.device = self.world.device
         self._generator = torch.Generator(self.device).manual_seed(seed)
         names = self.world.objects.names

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robot.joint_dynamics import JointDynamics
 
 EFFORT_MARGIN = 0.999
 """Share of a joint's effort limit that a servo asks for; at the limit itself MuJoCo clamps."""
@@ -51,12 +52,10 @@ class Servos:
     frictionloss: Float[Tensor, " num_joints"]
 
     @classmethod
-    def on(cls, device: torch.device, dtype: torch.dtype) -> "Servos":
-        """Copy the joints' constants to a device."""
-        names = ("effort_limit", "velocity_limit", "frictionloss")
-        return cls(
-            *(torch.tensor([getattr(j, n) for j in JOINTS], dtype=dtype, device=device) for n in names)
-        )
+    def on(cls, device: torch.device, dtype: torch.dtype, dynamics: JointDynamics) -> "Servos":
+        """Copy the joints' limits, and the friction of all of them, to a device."""
+        limits = ([getattr(joint, name) for joint in JOINTS] for name in ("effort_limit", "velocity_limit"))
+        return cls(*(torch.tensor(v, dtype=dtype, device=device) for v in (*limits, dynamics.frictionloss)))
 
     def limited(
         self, command: Float[Tensor, "num_envs num_joints"], state: ServoState

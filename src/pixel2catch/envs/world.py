@@ -10,21 +10,21 @@ from torch import Tensor
 
 from pixel2catch.camera.pinhole import camera_center
 from pixel2catch.camera.visibility import is_unoccluded, ray_directions
+from pixel2catch.envs.drives import NUM_JOINTS, Drives
 from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
-from pixel2catch.envs.servo import Servos, ServoState
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
 from pixel2catch.mdp.throws import Throw
 from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, JOINTS, RGB_CAMERA
 from pixel2catch.robot.contact import contact_solref
+from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.sim.devices import make_simulation
 from pixel2catch.sim.simulation import Simulation
 
-NUM_JOINTS = len(JOINTS)
 NUM_ARM_JOINTS = len(ARM_JOINTS)
 OCCLUDER_GROUPS = (0, 3)
 """Geom groups that can hide the object: table and floor, robot."""
@@ -50,7 +50,6 @@ class _Fields:
 
     qpos: Tensor
     qvel: Tensor
-    ctrl: Tensor
     qacc_warmstart: Tensor
     xfrc_applied: Tensor
     qfrc_applied: Tensor
@@ -67,15 +66,17 @@ class CatchWorld:
     Everything read from it is float32; the simulation keeps its own precision.
     """
 
-    def __init__(self, scene: SceneCfg, *, num_envs: int, device: str) -> None:
+    def __init__(self, scene: SceneCfg, dynamics: JointDynamics, *, num_envs: int, device: str) -> None:
         """Build the model and its copies.
 
         Args:
             scene: What the model is made from.
+            dynamics: Of some joints or all; the others are nominal.
             num_envs: Number of environments.
             device: "cpu" or a CUDA device.
         """
-        model = build_model(scene)
+        dynamics = dynamics.over(JointDynamics.nominal())
+        model = build_model(scene, armature=dict(zip(dynamics.joints, dynamics.armature, strict=True)))
         model.dof_frictionloss[:NUM_JOINTS] = 0.0  # the servos apply it
         self.simulation: Simulation = make_simulation(model, num_envs, device)
         self.objects: ObjectTable = object_table(scene)
@@ -88,7 +89,7 @@ class CatchWorld:
         self._fields = _Fields(
             **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
         )
-        self._servos = Servos.on(self.device, self.simulation.dtype)
+        self._drives = Drives(self.simulation, dynamics)
         self._joints = _JointTensors.of(self.simulation.dtype, self.device)
         self._table = {
             name: torch.as_tensor(rows).to(self.device)
@@ -98,7 +99,6 @@ class CatchWorld:
         thrown = [OBJECTS[name].scaled(scene.object_scale) for name in self.objects.names]
         points = np.stack([surface_points(spec, NUM_SURFACE_POINTS) for spec in thrown])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)
-        self._command = torch.zeros_like(self._fields.ctrl)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
 
     @property
@@ -109,13 +109,12 @@ class CatchWorld:
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
         """Put the masked robots at their start, with new dynamics, and let a new object hover."""
         self._set_object(mask, parameters)
-        self._set_gains(mask, parameters)
         joints = self._joints
         joint_pos = torch.clamp(joints.home + parameters.joint_offset, joints.lower, joints.upper)
         fields = self._fields
         start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
         fields.qpos.copy_(select(mask, start, fields.qpos))
-        self._command.copy_(select(mask, joint_pos, self._command))
+        self._drives.reset(mask, joint_pos, parameters)
         start = torch.nn.functional.pad(throw.hover_vel, (NUM_JOINTS, 3)).to(joint_pos)
         fields.qvel.copy_(select(mask, start, fields.qvel))
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
@@ -151,16 +150,12 @@ class CatchWorld:
             joint_pos_target: Where the joints shall be at its end [rad].
             base_acceleration: Acceleration of a base that shakes in the middle of each physics step [m/s²].
         """
-        fields = self._fields
-        increment = (joint_pos_target.to(self._command) - self._command) / self._decimation
+        increment = self._drives.increment(joint_pos_target, self._decimation)
         log = None
         for i in range(self._decimation):
-            self._command.add_(increment)
             if base_acceleration is not None:
                 self._push_object(-base_acceleration[i])
-            state = self._servo_state()
-            fields.ctrl.copy_(self._servos.limited(self._command, state))
-            fields.qfrc_applied[:, :NUM_JOINTS].copy_(self._servos.friction(state.joint_vel))
+            self._drives.advance(increment)
             self.simulation.step()
             log = self._read_log() if log is None else log.merged(self._read_log())
         assert log is not None
@@ -171,15 +166,6 @@ class CatchWorld:
         force = self._fields.qfrc_applied[:, NUM_JOINTS : NUM_JOINTS + 3]
         mass = self.simulation.expand("body_mass")[:, self.objects.indices.body]
         force.copy_(mass[:, None] * acceleration.to(force))
-
-    def _servo_state(self) -> ServoState:
-        """Joints and present gains."""
-        return ServoState(
-            joint_pos=self._fields.qpos[:, :NUM_JOINTS],
-            joint_vel=self._fields.qvel[:, :NUM_JOINTS],
-            stiffness=self.simulation.expand("actuator_gainprm")[..., 0],
-            damping=-self.simulation.expand("actuator_biasprm")[..., 2],
-        )
 
     def quiet_log(self) -> PhysicsLog:
         """The log of a control step in which nothing was touched."""
@@ -231,21 +217,6 @@ class CatchWorld:
         friction = self.simulation.expand("geom_friction")[:, rows("geom_friction"), 0]
         friction.copy_(select(mask, parameters.friction.to(friction)[:, None].expand_as(friction), friction))
 
-    def _set_gains(self, mask: Tensor, parameters: EpisodeParameters) -> None:
-        """Stiffness and damping of the servos: torque = stiffness (target - position) - damping speed."""
-        stiffness = self._joints.stiffness * parameters.stiffness_scale
-        damping = self._joints.damping * parameters.damping_scale
-        gainprm, biasprm = (
-            self.simulation.expand("actuator_gainprm"),
-            self.simulation.expand("actuator_biasprm"),
-        )
-        for target, value in (
-            (gainprm[..., 0], stiffness),
-            (biasprm[..., 1], -stiffness),
-            (biasprm[..., 2], -damping),
-        ):
-            target.copy_(select(mask, value.to(target), target))
-
     def _write(self, mask: Tensor, name: str, rows: slice, value: Tensor) -> None:
         """Set rows of a model field in the masked environments."""
         field = self.simulation.expand(name)[:, rows]
@@ -264,7 +235,7 @@ class CatchWorld:
             penetration=depth[:, hand],
             table_penetration=depth[:, hand + 1],
             joint_speed=fields.qvel[:, :NUM_ARM_JOINTS].abs().amax(dim=-1).float(),
-            torque_share=(fields.actuator_force.abs() / self._servos.effort_limit).amax(dim=-1).float(),
+            torque_share=(fields.actuator_force.abs() / self._drives.effort_limit).amax(dim=-1).float(),
         )
 
 
@@ -275,8 +246,6 @@ class _JointTensors:
     home: Tensor
     lower: Tensor
     upper: Tensor
-    stiffness: Tensor
-    damping: Tensor
 
     @classmethod
     def of(cls, dtype: torch.dtype, device: torch.device) -> "_JointTensors":

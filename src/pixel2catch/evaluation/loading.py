@@ -7,6 +7,7 @@ from typing import cast
 
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import Method, find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.allegro import Handedness
@@ -66,17 +67,33 @@ def fingerprint(folder: Path | None) -> str:
     Raises:
         OSError: If there is no policy.
     """
-    return hashlib.sha256((_policy_folder(folder) / "policy.safetensors").read_bytes()).hexdigest()
+    return sha256(_policy_folder(folder) / "policy.safetensors")
 
 
-def task_of(policy: Policy, physics_hz: float = PHYSICS_HZ) -> CatchEnvCfg:
-    """The task as in training, with finer physics and the hand that the policy was trained with.
+def sha256(file: Path) -> str:
+    """SHA-256 of a file.
 
     Raises:
-        InvalidValueError: If the rate does not divide a control step into whole physics steps.
+        OSError: If it cannot be read.
+    """
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def task_of(policy: Policy, physics_hz: float = PHYSICS_HZ, dynamics: Path | None = None) -> CatchEnvCfg:
+    """The task, with finer physics than in training and the hand that the policy was trained with.
+
+    Args:
+        policy: The policy.
+        physics_hz: Physics steps in a second.
+        dynamics: Dynamics file of the robot; nominal if absent, whatever the policy was trained with.
+
+    Raises:
+        InvalidValueError: If the rate does not divide a control step into whole physics steps, or the file
+            cannot be read.
     """
     handedness = cast(Handedness, policy.contract.handedness)  # the scene refuses other values
-    return CatchEnvCfg(scene=SceneCfg(handedness=handedness, physics_hz=physics_hz))
+    task = CatchEnvCfg(scene=SceneCfg(handedness=handedness, physics_hz=physics_hz))
+    return task.with_dynamics(DynamicsFile.load(dynamics))
 
 
 def _policy_folder(folder: Path | None) -> Path:

@@ -13,11 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.envs.command_path import filtered
 from pixel2catch.envs.servo import Servos, ServoState
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.commands import mean_commands
 from pixel2catch.identification.recording import JOINT_SPECS, Recording
-from pixel2catch.robot.joint_dynamics import JointDynamics, filter_transition
+from pixel2catch.robot.joint_dynamics import JointDynamics, command_lag, filter_transition
 from pixel2catch.robot.scene import SceneCfg, build_spec
 from pixel2catch.sim.batch import BatchSimulation
 
@@ -185,19 +186,18 @@ class RecordedMotion:
         qvel.copy_(start[1])
         step = torch.from_numpy(np.stack([filter_transition(dynamics, self._dt) for dynamics, _ in copies]))
         commands = torch.from_numpy(_commands(copies, self._dt))
-        filtered, speed = start[0].clone(), start[1].clone()
+        filters = start.movedim(0, -1)
         paths = torch.empty((len(commands) + 1, *qpos.shape), dtype=qpos.dtype)
         paths[0] = qpos
         for k, command in enumerate(commands):
-            state = torch.stack((filtered, speed, command), dim=-1)
-            filtered, speed = (step @ state[..., None])[..., 0].unbind(-1)
+            filters = filtered(step, filters, command)
             joints = ServoState(
                 joint_pos=qpos.reshape(1, -1),
                 joint_vel=qvel.reshape(1, -1),
                 stiffness=stiffness,
                 damping=damping,
             )
-            ctrl.copy_(servos.limited(filtered.reshape(1, -1), joints).view_as(ctrl))
+            ctrl.copy_(servos.limited(filters[..., 0].reshape(1, -1), joints).view_as(ctrl))
             friction.copy_(servos.friction(joints.joint_vel).view_as(friction))
             simulation.step()
             paths[k + 1] = qpos
@@ -205,20 +205,16 @@ class RecordedMotion:
 
 
 def _commands(copies: Sequence[tuple[JointDynamics, _Motion]], dt: float) -> np.ndarray:
-    """Delayed commands, (num_steps, num_copies, num_joints) [rad]; a short recording holds its last.
-
-    A servo that aims at the mean command of a step leads by half a step, and so does a filter that answers at
-    the end of its step: both are taken back, so that the result hardly depends on the time step.
-    """
+    """Delayed commands, (num_steps, num_copies, num_joints) [rad]; a short recording holds its last."""
     known: dict[tuple[int, bytes], np.ndarray] = {}
     keys: list[tuple[int, bytes]] = []
     num_steps = max(len(motion.edges) for _, motion in copies) - 1
     for dynamics, motion in copies:
-        latency = dynamics.latency + dt / 2 * (1.0 + dynamics.has_filter)
-        keys.append((id(motion), latency.tobytes()))
+        lag = command_lag(dynamics, dt)
+        keys.append((id(motion), lag.tobytes()))
         if keys[-1] not in known:
             recording = motion.recording
-            values = mean_commands(recording.t_cmd, recording.q_cmd, motion.edges, latency)
+            values = mean_commands(recording.t_cmd, recording.q_cmd, motion.edges, lag)
             known[keys[-1]] = np.pad(values, ((0, num_steps - len(values)), (0, 0)), mode="edge")
     return np.stack([known[key] for key in keys], axis=1)
 

@@ -3,16 +3,52 @@
 Source: paper, Table I; release (object friction, biases).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import Range, uniform
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
+
+TABLE_1_GAINS: tuple[Range, ...] = ((0.8, 1.2),) * len(ARM_JOINTS) + ((0.7, 1.3),) * len(HAND_JOINTS)
+"""Ranges of the factors on every joint's stiffness and damping. Source: paper, Table I."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainRanges:
+    """Ranges of the factors on the gains of every joint, in joint order.
+
+    Attributes:
+        stiffness_scale: Factor on a joint's stiffness.
+        damping_scale: Factor on its damping, drawn apart.
+        is_damping_relative: Whether the damping is multiplied by the factor on the stiffness as well, where
+            their ratio is better known than either.
+    """
+
+    stiffness_scale: tuple[Range, ...] = TABLE_1_GAINS
+    damping_scale: tuple[Range, ...] = TABLE_1_GAINS
+    is_damping_relative: tuple[bool, ...] = (False,) * len(JOINTS)
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that are not of all joints, or of no positive factor."""
+        for name in ("stiffness_scale", "damping_scale", "is_damping_relative"):
+            length = len(getattr(self, name))
+            if length != len(JOINTS):
+                raise InvalidValueError(
+                    f"{name} has {length} entries; it needs one for each of {len(JOINTS)}"
+                )
+        for name in ("stiffness_scale", "damping_scale"):
+            for joint, (low, high) in zip(JOINTS, getattr(self, name), strict=True):
+                if not 0.0 < low <= high < float("inf"):
+                    raise InvalidValueError(
+                        f"{name} of {joint.name} is from {low:g} to {high:g}; give two factors, the lower "
+                        "first, more than 0"
+                    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,8 +56,7 @@ class RandomizationCfg:
     """Ranges of uniform draws and standard deviations of Gaussian ones.
 
     Attributes:
-        arm_gain_scale: Factor on stiffness and, drawn apart, on damping of each arm joint.
-        hand_gain_scale: Likewise of each hand joint.
+        gains: Factors on stiffness and damping of each joint.
         arm_action_noise: Standard deviation of the noise on each arm action.
         hand_action_noise: Likewise of the hand.
         arm_action_bias: Standard deviation of an error of each arm action that lasts an episode (release).
@@ -34,8 +69,7 @@ class RandomizationCfg:
             policies; training has none).
     """
 
-    arm_gain_scale: Range = (0.8, 1.2)
-    hand_gain_scale: Range = (0.7, 1.3)
+    gains: GainRanges = field(default_factory=GainRanges)
     arm_action_noise: float = 0.03
     hand_action_noise: float = 0.02
     arm_action_bias: float = 0.01
@@ -82,19 +116,19 @@ def sample_parameters(
 ) -> EpisodeParameters:  # fmt: skip
     """Draw the parameters of one episode per environment, on the generator's device."""
     device = generator.device
-    num_joints = len(ARM_JOINTS) + len(HAND_JOINTS)
-    gains = (cfg.arm_gain_scale,) * len(ARM_JOINTS) + (cfg.hand_gain_scale,) * len(HAND_JOINTS)
-    offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * num_joints
+    offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * len(JOINTS)
     scalars = uniform((cfg.mass_scale, cfg.restitution, cfg.friction), num_envs, generator)
     first, last = sensing.latency_steps
 
     def normal() -> Tensor:
-        return torch.randn(num_envs, num_joints, generator=generator, device=device)
+        return torch.randn(num_envs, len(JOINTS), generator=generator, device=device)
 
+    object_id = object_ids[torch.randint(len(object_ids), (num_envs,), generator=generator, device=device)]
+    stiffness_scale, damping_scale = _sample_gains(cfg.gains, num_envs, generator)
     return EpisodeParameters(
-        object_id=object_ids[torch.randint(len(object_ids), (num_envs,), generator=generator, device=device)],
-        stiffness_scale=uniform(gains, num_envs, generator),
-        damping_scale=uniform(gains, num_envs, generator),
+        object_id=object_id,
+        stiffness_scale=stiffness_scale,
+        damping_scale=damping_scale,
         action_bias=normal() * by_joint(cfg.arm_action_bias, cfg.hand_action_bias, device),
         joint_bias=normal() * sensing.joint_bias,
         joint_offset=uniform(offset, num_envs, generator),
@@ -103,6 +137,22 @@ def sample_parameters(
         friction=scalars[:, 2],
         latency=torch.randint(first, last + 1, (num_envs,), generator=generator, device=device),
     )
+
+
+def _sample_gains(
+    ranges: GainRanges, num_envs: int, generator: torch.Generator
+) -> tuple[Float[Tensor, "num_envs num_joints"], Float[Tensor, "num_envs num_joints"]]:
+    """Factors on stiffness and damping."""
+    stiffness = uniform(ranges.stiffness_scale, num_envs, generator)
+    damping = uniform(ranges.damping_scale, num_envs, generator)
+    is_relative = _flags(ranges.is_damping_relative, generator.device)
+    return stiffness, damping * torch.where(is_relative, stiffness, 1.0)
+
+
+@lru_cache(maxsize=8)
+def _flags(values: tuple[bool, ...], device: torch.device) -> Bool[Tensor, " num_joints"]:
+    """Flags on a device, copied only once."""
+    return torch.tensor(values, device=device)
 
 
 def sample_command_delay(

@@ -1,9 +1,11 @@
 """What a training run can be told, and the presets."""
 
 import dataclasses
+from pathlib import Path
 from typing import Literal
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.policy import HIDDEN
 
 
@@ -25,6 +27,10 @@ class TrainCfg:
     physics_hz: tuple[float, ...] = (120.0, 120.0, 240.0)
     """Physics steps in a second, in equal shares of the training: coarse first (120: paper), then finer, so
     that the policy does not live by what coarse steps do to an impact (ours)."""
+    dynamics: Path | None = None
+    """Dynamics file of the robot that is simulated; the nominal robot if absent."""
+    latency_steps: tuple[int, int] = SensingCfg.latency_steps
+    """Control steps between image and delivered box, first and last of the draw per episode."""
     transitions: int = 51_200_000
     """Length of the training: control steps, summed over the environments. Source: release."""
     rollout_steps: int = 8
@@ -71,6 +77,10 @@ class TrainCfg:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be greater than 0.")
         if not self.physics_hz:
             raise InvalidValueError("physics_hz is empty; it needs a rate, such as 120.")
+        if not 0 <= self.latency_steps[0] <= self.latency_steps[1]:
+            raise InvalidValueError(
+                f"latency_steps is {self.latency_steps}; give 0 or more, then the same or more."
+            )
         for name in ("discount", "gae_lambda"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")

@@ -73,7 +73,7 @@ def train(
         with workers.together():
             share = workers.share(cfg)
             if workers.is_first:
-                stack.enter_context(folder.open(resume=resume))
+                stack.enter_context(folder.open(resume=resume, dynamics=cfg.dynamics))
         with workers.together():
             stages = stack.enter_context(contextlib.closing(Stages(share, make_env, contract)))
             torch.manual_seed(cfg.seed)
@@ -122,7 +122,7 @@ class _Training:
         if is_first:
             train, env = dataclasses.asdict(self.cfg), dataclasses.asdict(self.stages.env.cfg)
             config = {"train": train, "env": env, "policy": self.contract.to_dict()}
-            self.folder.describe(config, self.workers.size)
+            self.folder.describe(config, self.workers.size, self.cfg.dynamics)
         return TrainingLog(self.cfg, self.folder, self.progress.transitions, is_silent=not is_first)
 
     def _loop(self, log: TrainingLog, stop: StopRequest) -> Literal["interrupted", "finished"]:

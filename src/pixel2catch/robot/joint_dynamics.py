@@ -1,18 +1,16 @@
-"""What is identified: for each joint a servo, and the command path in front of it; the dynamics file.
+"""What is identified: for each joint a servo, and the command path in front of it.
 
-A command is held until the next one is sent. It reaches the joint `latency` later, passes the filter
+A command reaches the joint `latency` after it was sent, passes the filter
 
     q̈ = filter_gain (u − q − filter_lookahead q̇)
 
 and its output is the target of the servo: torque = stiffness (target − position) − damping velocity, with dry
-friction and the drive's armature. Without latency and filter this is the simulator's joint.
+friction and the drive's armature.
 """
 
 import dataclasses
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,10 +18,7 @@ from jaxtyping import Float
 from scipy.linalg import expm
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.files import write_atomically
 from pixel2catch.robot.constants import JOINTS
-
-FORMAT_VERSION = 1
 
 SERVOJ_GAIN = 300.0
 """Gain of the UR5e's servoJ filter [1/s²]. Source: the controller's setting, confirmed on recorded motion."""
@@ -34,7 +29,7 @@ SERVOJ_LOOKAHEAD = 0.1
 Parameter = Float[np.ndarray, " num_joints"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class JointDynamics:
     """The dynamics of some joints, one entry per joint.
 
@@ -82,6 +77,17 @@ class JointDynamics:
                 f"{name} of {self.joints[bad]} is {values[bad]:g}; it must be {least}, and finite"
             )
 
+    def __eq__(self, other: object) -> bool:
+        """Whether joints and all values are the same."""
+        return isinstance(other, JointDynamics) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        """Equal dynamics have equal hashes."""
+        return hash(self._key())
+
+    def _key(self) -> tuple[tuple[Any, ...], ...]:
+        return (self.joints, *(tuple(getattr(self, name).tolist()) for name in PARAMETERS))
+
     @classmethod
     def nominal(cls, joints: Sequence[str] | None = None) -> "JointDynamics":
         """What the simulator has without an identification: neither latency nor filter.
@@ -104,61 +110,84 @@ class JointDynamics:
         full = {name: np.full(len(self.joints), value, dtype=float) for name, value in values.items()}
         return dataclasses.replace(self, **full)
 
+    def select(self, joints: Sequence[str]) -> "JointDynamics":
+        """The dynamics of some of the joints, given in joint order."""
+        columns = [self.joints.index(name) for name in joints]
+        values = {name: getattr(self, name)[columns] for name in PARAMETERS}
+        return JointDynamics(joints=tuple(joints), **values)
+
+    def over(self, below: "JointDynamics") -> "JointDynamics":
+        """The joints of both; those that both have are as in here."""
+        joints = tuple(joint.name for joint in JOINTS if joint.name in {*self.joints, *below.joints})
+        owners = [self if name in self.joints else below for name in joints]
+        columns = [owner.joints.index(name) for owner, name in zip(owners, joints, strict=True)]
+        values = {
+            name: np.array([getattr(owner, name)[i] for owner, i in zip(owners, columns, strict=True)])
+            for name in PARAMETERS
+        }
+        return JointDynamics(joints=joints, **values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Lists and numbers, ready for JSON; an infinite gain is null there."""
+        values = {name: getattr(self, name).tolist() for name in PARAMETERS}
+        values["filter_gain"] = [gain if np.isfinite(gain) else None for gain in values["filter_gain"]]
+        return {"joints": list(self.joints), **values}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> "JointDynamics":
+        """Read what `to_dict` returned.
+
+        Raises:
+            UnknownNameError: There is no such joint.
+            InvalidValueError: A value is out of range, or an entry is missing or unknown.
+        """
+        for problem, names in (
+            ("is missing", {"joints", *PARAMETERS} - set(content)),
+            ("is unknown", set(content) - {"joints", *PARAMETERS}),
+        ):
+            if names:
+                raise InvalidValueError(f"the entry '{min(names)}' {problem}")
+        joints = tuple(content["joints"])
+        gains = [np.inf if gain is None else gain for gain in content["filter_gain"]]
+        columns = {name: np.array(content[name], dtype=float) for name in PARAMETERS if name != "filter_gain"}
+        columns["filter_gain"] = np.array(gains, dtype=float)
+        for name, values in columns.items():
+            if values.shape != (len(joints),):
+                raise InvalidValueError(f"{name} has {values.size} entries; it needs {len(joints)}")
+        return cls(joints=joints, **columns)
+
     @property
     def has_filter(self) -> np.ndarray:
         """Which joints have a command filter."""
         return np.isfinite(self.filter_gain)
-
-    def save(self, path: Path) -> None:
-        """Write the dynamics file, JSON; an infinite gain is null there."""
-        values = {name: getattr(self, name).tolist() for name in PARAMETERS}
-        values["filter_gain"] = [gain if np.isfinite(gain) else None for gain in self.filter_gain.tolist()]
-        content = {"format_version": FORMAT_VERSION, "joints": list(self.joints), **values}
-        write_atomically({path: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()})
-
-    @classmethod
-    def load(cls, path: Path) -> "JointDynamics":
-        """Read a dynamics file.
-
-        Raises:
-            InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
-        """
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            version = content.pop("format_version")
-            joints = tuple(content.pop("joints"))
-            content["filter_gain"] = [np.inf if gain is None else gain for gain in content["filter_gain"]]
-            values = {name: np.array(entry, dtype=float) for name, entry in content.items()}
-            if version != FORMAT_VERSION:
-                raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
-            for name, entry in values.items():
-                if entry.shape != (len(joints),):
-                    raise InvalidValueError(f"{name} has {entry.size} entries; it needs {len(joints)}")
-            return cls(joints=joints, **values)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, UnknownNameError) as error:
-            raise InvalidValueError(
-                f"cannot read the dynamics file '{path}': {error}. Identify again, or correct that entry."
-            ) from error
 
 
 PARAMETERS = tuple(field.name for field in dataclasses.fields(JointDynamics) if field.name != "joints")
 """Names of the parameters of a joint."""
 
 
-def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "num_joints 2 3"]:
-    """Exact step of every joint's filter: (position, velocity) after it, from those before and the command.
+def command_lag(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, " num_joints"]:
+    """How much earlier than the middle of a physics step its command was sent [s].
 
-    Without a filter the position is the command.
+    A servo that aims in a step at the command of the step's middle leads by half a step, and so does a filter
+    that answers at the end of its step: both are taken back, so that motion hardly depends on the time step.
+
+    Args:
+        dynamics: The joints.
+        dt: Length of the step [s].
+    """
+    return dynamics.latency + dt / 2 * (1.0 + dynamics.has_filter)
+
+
+def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "num_joints 2 2"]:
+    """Exact step of every joint's filter, for position minus command and speed; 0 where there is no filter.
 
     Args:
         dynamics: The joints.
         dt: Length of the step [s], in which the command is constant.
     """
-    step = np.zeros((len(dynamics.joints), 2, 3))
-    step[:, 0, 2] = 1.0
+    step = np.zeros((len(dynamics.joints), 2, 2))
     gain, lookahead = dynamics.filter_gain, dynamics.filter_lookahead
     for j in np.flatnonzero(dynamics.has_filter):
-        matrix = expm(dt * np.array(((0.0, 1.0), (-gain[j], -gain[j] * lookahead[j]))))
-        step[j, :, :2] = matrix
-        step[j, :, 2] = (1.0 - matrix[0, 0], -matrix[1, 0])  # at rest on its command, the filter stays
+        step[j] = expm(dt * np.array(((0.0, 1.0), (-gain[j], -gain[j] * lookahead[j]))))
     return step

@@ -3,6 +3,7 @@
 The model of every object has the same layout; only the values of a few fields differ (`object_table.py`).
 """
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
@@ -71,9 +72,20 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     return spec
 
 
-def build_model(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjModel:
-    """Compile the scene with one object; the layout is the same for all, so that fields can be exchanged."""
-    model = build_spec(cfg, object_name).compile()
+def build_model(
+    cfg: SceneCfg, object_name: str = "cube_s", armature: Mapping[str, float] | None = None
+) -> mujoco.MjModel:
+    """Compile the scene with one object; the layout is the same for all, so that fields can be exchanged.
+
+    Args:
+        cfg: What can be chosen.
+        object_name: The object.
+        armature: Reflected inertias by joint that differ from the nominal ones [kg·m²].
+    """
+    spec = build_spec(cfg, object_name)
+    for name, value in (armature or {}).items():
+        spec.joint(name).armature = value
+    model = spec.compile()
     _open_layout(model)
     return model
 

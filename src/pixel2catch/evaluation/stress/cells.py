@@ -19,7 +19,7 @@ from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.rounds import Actor, Trials, run_round
 from pixel2catch.evaluation.stress.axes import Setting
-from pixel2catch.files import write_atomically
+from pixel2catch.files import plain, write_atomically
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
 from pixel2catch.robot.objects import OBJECTS
@@ -197,7 +197,7 @@ def _origin(cell: Cell, cfg: StressCfg) -> Json:
         "method": method.name,
         "policy_sha256": fingerprint(cell.contestant.folder),
         "setting": cell.setting.name,
-        "evaluation": json.loads(json.dumps(dataclasses.asdict(evaluation))),
+        "evaluation": json.loads(json.dumps(dataclasses.asdict(evaluation), default=plain)),
     }
 
 

@@ -10,8 +10,10 @@ from math import radians
 
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.evaluation.stress.axes import Axis, Change, Level, Setting, part, together
+from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.throws import Range
+from pixel2catch.robot.constants import JOINTS
 
 AIR_DENSITY = 1.2
 """Density of air at 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded."""
@@ -30,8 +32,8 @@ def _latency(first: int, last: int) -> Change:
 
 
 def _gains(share: float) -> Change:
-    scale = (1.0 - share, 1.0 + share)
-    return part("randomization", arm_gain_scale=scale, hand_gain_scale=scale)
+    scale = ((1.0 - share, 1.0 + share),) * len(JOINTS)
+    return part("randomization", gains=GainRanges(stiffness_scale=scale, damping_scale=scale))
 
 
 def _mass(lightest: float, heaviest: float) -> Change:

@@ -1,0 +1,87 @@
+"""The drives of all joints: what becomes of a joint target on its way to MuJoCo's controls."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from pixel2catch.envs.command_path import CommandPath
+from pixel2catch.envs.servo import Servos, ServoState
+from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.randomization import EpisodeParameters
+from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.sim.simulation import Simulation
+
+NUM_JOINTS = len(JOINTS)
+
+
+class Drives:
+    """Command path, limits, friction and gains of every joint in every environment.
+
+    Nominal joints have no command path: in a physics step their servos aim at the command of its end, as in
+    the training of the shipped policies. That is a step earlier than behind a path without latency.
+
+    Attributes:
+        effort_limit: Largest torque of each joint [N·m].
+    """
+
+    def __init__(self, simulation: Simulation, dynamics: JointDynamics) -> None:
+        """Take over the simulation's controls; `reset` begins.
+
+        Args:
+            simulation: What is driven.
+            dynamics: Of all joints.
+        """
+        self._simulation = simulation
+        self._qpos = simulation.bind("qpos")[:, :NUM_JOINTS]
+        self._qvel = simulation.bind("qvel")[:, :NUM_JOINTS]
+        self._ctrl = simulation.bind("ctrl")
+        self._friction = simulation.bind("qfrc_applied")[:, :NUM_JOINTS]
+        self._servos = Servos.on(simulation.device, simulation.dtype, dynamics)
+        self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
+        self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
+        self._command = torch.zeros_like(self._ctrl)
+        self._path = None
+        if dynamics != JointDynamics.nominal():
+            self._path = CommandPath(dynamics, simulation.model.opt.timestep, self._command)
+        self.effort_limit: Float[Tensor, " num_joints"] = self._servos.effort_limit
+
+    def reset(
+        self,
+        mask: Bool[Tensor, " num_envs"],
+        joint_pos: Float[Tensor, "num_envs num_joints"],
+        parameters: EpisodeParameters,
+    ) -> None:
+        """Begin in the masked environments, with new gains, at joint positions [rad] that are the command."""
+        self._command.copy_(select(mask, joint_pos, self._command))
+        if self._path is not None:
+            self._path.reset(mask, joint_pos)
+        stiffness = self._stiffness * parameters.stiffness_scale
+        damping = self._damping * parameters.damping_scale
+        gainprm = self._simulation.expand("actuator_gainprm")
+        biasprm = self._simulation.expand("actuator_biasprm")
+        for target, value in (
+            (gainprm[..., 0], stiffness),
+            (biasprm[..., 1], -stiffness),
+            (biasprm[..., 2], -damping),
+        ):
+            target.copy_(select(mask, value.to(target), target))
+
+    def increment(
+        self, joint_pos_target: Float[Tensor, "num_envs num_joints"], num_steps: int
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """How far the command moves in each of `num_steps` physics steps to the target [rad]."""
+        return (joint_pos_target.to(self._command) - self._command) / num_steps
+
+    def advance(self, increment: Float[Tensor, "num_envs num_joints"]) -> None:
+        """Move the command, and set what drives the joints in the next physics step."""
+        self._command.add_(increment)
+        aim = self._command if self._path is None else self._path.advance(self._command)
+        state = ServoState(
+            joint_pos=self._qpos,
+            joint_vel=self._qvel,
+            stiffness=self._simulation.expand("actuator_gainprm")[..., 0],
+            damping=-self._simulation.expand("actuator_biasprm")[..., 2],
+        )
+        self._ctrl.copy_(self._servos.limited(aim, state))
+        self._friction.copy_(self._servos.friction(self._qvel))

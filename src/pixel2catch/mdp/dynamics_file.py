@@ -1,0 +1,100 @@
+"""The dynamics file: what an identification writes, and training, evaluation and videos take."""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.files import write_atomically
+from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.mdp.throws import Range
+from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robot.joint_dynamics import JointDynamics
+
+FORMAT_VERSION = 1
+"""Version of the files. Raised when an older one can no longer be read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicsFile:
+    """Content of a dynamics file; the defaults are the simulator's robot and the paper's ranges.
+
+    Attributes:
+        dynamics: Dynamics of some joints or of all.
+        gains: How the gains are randomised; those of other joints are not in the file.
+    """
+
+    dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)
+    gains: GainRanges = field(default_factory=GainRanges)
+
+    def save(self, path: Path) -> None:
+        """Write the file, all of it or nothing. Its folder must exist."""
+        rows = _rows(self.dynamics)
+        ranges = {
+            name: [values[row] for row in rows] for name, values in dataclasses.asdict(self.gains).items()
+        }
+        content = {"format_version": FORMAT_VERSION, **self.dynamics.to_dict(), "gain_ranges": ranges}
+        write_atomically({path: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()})
+
+    @classmethod
+    def load(cls, path: Path | None) -> "DynamicsFile":
+        """Read a file; without its ranges the gains keep the paper's.
+
+        Args:
+            path: The file; none is the nominal robot.
+
+        Raises:
+            InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
+        """
+        if path is None:
+            return cls()
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            version, ranges = content.pop("format_version"), content.pop("gain_ranges", {})
+            if version != FORMAT_VERSION:
+                raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+            dynamics = JointDynamics.from_dict(content)
+            return cls(dynamics=dynamics, gains=_gains(ranges, _rows(dynamics)))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, UnknownNameError) as error:
+            reason = f"there is no {error}" if isinstance(error, KeyError) else error
+            raise InvalidValueError(
+                f"cannot read the dynamics file '{path}': {reason}. Identify again, or correct that entry."
+            ) from error
+
+
+def _rows(dynamics: JointDynamics) -> list[int]:
+    """Numbers of the joints."""
+    names = [joint.name for joint in JOINTS]
+    return [names.index(name) for name in dynamics.joints]
+
+
+def _gains(content: Mapping[str, Any], rows: Sequence[int]) -> GainRanges:
+    """The paper's ranges, with those of the file for its joints.
+
+    Raises:
+        InvalidValueError: An entry is unknown, of another length, or no range.
+    """
+    columns = {name: list(values) for name, values in dataclasses.asdict(GainRanges()).items()}
+    for name, values in content.items():
+        if name not in columns:
+            raise InvalidValueError(f"gain_ranges has the unknown entry '{name}'")
+        if len(values) != len(rows):
+            raise InvalidValueError(f"{name} has {len(values)} entries; it needs {len(rows)}")
+        parse = _flag if name == "is_damping_relative" else _range
+        for row, value in zip(rows, values, strict=True):
+            columns[name][row] = parse(value)
+    return GainRanges(**{name: tuple(values) for name, values in columns.items()})
+
+
+def _range(value: Any) -> Range:
+    low, high = value
+    return float(low), float(high)
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InvalidValueError(f"is_damping_relative has the entry {value}; it must be true or false")
+    return value

@@ -1,0 +1,173 @@
+"""The joints' drives in simulation: what was identified is what a policy trains with, on both back ends."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.drives import Drives
+from pixel2catch.envs.world import CatchWorld
+from pixel2catch.identification.fit_simulation import RecordedMotion
+from pixel2catch.identification.recording import Recording
+from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.mdp.randomization import EpisodeParameters, GainRanges, RandomizationCfg, sample_parameters
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.mdp.throws import ThrowCfg, sample_throws
+from pixel2catch.methods import METHODS
+from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.sim.batch import BatchSimulation
+from pixel2catch.sim.simulation import Simulation
+from pixel2catch.sim.warp import WarpSimulation
+
+NOMINAL = JointDynamics.nominal()
+HOME = np.array([joint.home for joint in JOINTS])
+INWARDS = np.where(np.isclose(HOME, [joint.upper for joint in JOINTS]), -1.0, 1.0)
+"""Away from the limits of joints that begin at one."""
+
+IDENTIFIED = NOMINAL.with_values(
+    stiffness=1.2 * NOMINAL.stiffness,
+    damping=0.9 * NOMINAL.damping,
+    frictionloss=2.0 * NOMINAL.frictionloss,
+    armature=1.5 * NOMINAL.armature,
+    latency=np.linspace(0.003, 0.021, 19),
+    filter_gain=np.where(np.arange(19) % 2 == 0, 300.0, np.inf),
+    filter_lookahead=np.where(np.arange(19) % 2 == 0, 0.1, 0.0),
+)
+ONE = ((1.0, 1.0),) * 19
+UNCHANGED = RandomizationCfg(
+    gains=GainRanges(stiffness_scale=ONE, damping_scale=ONE), initial_joint_noise=0.0, mass_scale=(1.0, 1.0)
+)
+
+
+def parameters(num_envs: int) -> EpisodeParameters:
+    """Every joint at home, every factor 1."""
+    generator = torch.Generator().manual_seed(0)
+    return sample_parameters(UNCHANGED, SensingCfg(), torch.tensor([0]), num_envs, generator)
+
+
+def targets(num_steps: int) -> np.ndarray:
+    """A target of all joints for every control step, (num_steps, 19) [rad], as float32 knows them."""
+    frequency = 0.5 + 0.1 * (np.arange(19) % 7)
+    time = CONTROL_DT * np.arange(num_steps)[:, None]
+    motion = 0.04 * (1.5 - np.cos(2 * np.pi * frequency * time))
+    motion += np.random.default_rng(0).uniform(-0.01, 0.01, motion.shape)
+    return (HOME + INWARDS * motion).astype(np.float32).astype(float)
+
+
+def world_path(scene: SceneCfg, dynamics: JointDynamics, targets: np.ndarray) -> np.ndarray:
+    """Joint positions at the ends of control steps in the world of the environment, (num_steps, 19) [rad]."""
+    world = CatchWorld(scene, dynamics, num_envs=1, device="cpu")
+    everywhere = torch.ones(1, dtype=torch.bool)
+    throw = sample_throws(ThrowCfg(), 1, torch.Generator().manual_seed(0))
+    world.reset(everywhere, parameters(1), throw)
+    world.forward(everywhere)
+    path = []
+    for target in targets:
+        world.run(torch.tensor(target, dtype=torch.float32)[None])
+        path.append(world.simulation.bind("qpos")[0, :19].numpy().copy())
+    return np.stack(path)
+
+
+def recorded_path(scene: SceneCfg, dynamics: JointDynamics, targets: np.ndarray) -> np.ndarray:
+    """The same by the simulation of a recording whose commands are the ramp, sampled densely."""
+    dt, dense = scene.physics_dt, 16
+    knots, knot_times = np.concatenate((HOME[None], targets)), CONTROL_DT * np.arange(len(targets) + 1)
+    t_cmd = dt / dense * np.arange(len(targets) * scene.decimation * dense)
+    middles = t_cmd + dt / dense / 2
+    q_cmd = np.stack([np.interp(middles, knot_times, knots[:, j]) for j in range(19)], axis=-1)
+    recording = Recording(
+        joints=NOMINAL.joints, t_cmd=t_cmd, q_cmd=q_cmd, t_meas=knot_times, q=np.tile(HOME, (len(knots), 1))
+    )
+    return RecordedMotion([recording], dt).simulate([dynamics])[0]
+
+
+@pytest.mark.parametrize("physics_hz", [120.0, 240.0])
+def test_one_law_in_the_environment_and_in_the_fit(physics_hz):
+    """Within 5 µrad, at motions of 0.1 rad: what remains is the sampling of the ramp."""
+    scene, ramp = SceneCfg(physics_hz=physics_hz), targets(45)
+    fit = recorded_path(scene, IDENTIFIED, ramp)
+    environment = world_path(scene, IDENTIFIED, ramp)[-len(fit) :]
+    assert np.ptp(environment, axis=0).min() > 0.03
+    np.testing.assert_allclose(environment, fit, atol=5e-6)
+
+
+def test_a_path_without_latency_is_a_physics_step_behind_nominal_joints():
+    """The ramp's speed times the step, less what the servo smooths; nominal joints go as they always went."""
+    scene, ramp = SceneCfg(), HOME + INWARDS * 0.01 * np.arange(1, 31)[:, None]
+    nominal = world_path(scene, NOMINAL, ramp)
+    path = world_path(scene, NOMINAL.with_values(latency=1e-9), ramp)
+    lag = INWARDS * (nominal - path)[-1]
+    np.testing.assert_allclose(lag, 0.01 / CONTROL_DT * scene.physics_dt, rtol=0.05)
+
+
+def rollout(simulation: Simulation, ramp: np.ndarray) -> torch.Tensor:
+    """Joint positions after every physics step of a ramp, two steps to a target, in both copies."""
+    qpos, drives = simulation.bind("qpos"), Drives(simulation, IDENTIFIED)
+    qpos[:, :19] = torch.tensor(HOME).to(qpos)
+    everywhere = torch.ones(2, dtype=torch.bool)
+    drives.reset(everywhere, qpos[:, :19].clone(), parameters(2))
+    simulation.forward()
+    path = []
+    for target in ramp:
+        increment = drives.increment(torch.tensor(target).expand(2, -1).to(qpos), 2)
+        for _ in range(2):
+            drives.advance(increment)
+            simulation.step()
+            path.append(qpos[:, :19].double().clone())
+    return torch.stack(path)
+
+
+def test_both_back_ends_agree():
+    """Within 20 µrad over 60 steps, as in nominal motion: float64 against float32."""
+    model = build_model(SceneCfg())
+    model.dof_frictionloss[:19] = 0.0
+    batch = rollout(BatchSimulation(model, 2), targets(30))
+    torch.testing.assert_close(
+        batch, rollout(WarpSimulation(model, 2, "cpu"), targets(30)), atol=2e-5, rtol=0
+    )
+    assert (batch[-1] - batch[0]).abs().min() > 1e-3
+
+
+def test_a_file_of_some_joints_leaves_the_others_nominal():
+    """Armature in the model, with all that follows from it; gains at the next episode, in their ranges."""
+    arm = IDENTIFIED.select(NOMINAL.joints[:6])
+    gains = GainRanges(stiffness_scale=ONE, damping_scale=ONE)
+    task = CatchEnvCfg().with_dynamics(DynamicsFile(dynamics=arm, gains=gains))
+    env = CatchEnv(task, METHODS["proposed"], num_envs=2)
+    model, nominal = env.world.simulation.model, build_model(SceneCfg())
+    expected = np.concatenate((arm.armature, NOMINAL.armature[6:]))
+    np.testing.assert_array_equal(model.dof_armature[:19], expected)
+    np.testing.assert_allclose(model.dof_M0[:19] - nominal.dof_M0[:19], expected - NOMINAL.armature)
+    stiffness = env.world.simulation.expand("actuator_gainprm")[..., 0]
+    expected = torch.tensor(np.concatenate((arm.stiffness, NOMINAL.stiffness[6:])))
+    torch.testing.assert_close(stiffness, expected.expand(2, -1))
+
+
+def test_a_new_episode_does_not_feel_the_last_one():
+    """With latency and filters, joints at rest at the start pose stay there: nothing old is on its way."""
+    scene = SceneCfg()
+    world = CatchWorld(scene, IDENTIFIED, num_envs=2, device="cpu")
+    throw = sample_throws(ThrowCfg(), 2, torch.Generator().manual_seed(0))
+    world.reset(torch.tensor((True, True)), parameters(2), throw)
+    world.forward(torch.tensor((True, True)))
+    target = torch.tensor(HOME + INWARDS * 0.2).float().expand(2, -1)
+    for _ in range(3):
+        world.run(target)
+    world.reset(torch.tensor((True, False)), parameters(2), throw)
+    world.forward(torch.tensor((True, False)))
+    world.run(torch.stack((torch.tensor(HOME).float(), target[1])))
+    moved = (world.joint_pos - torch.tensor(HOME)).abs()
+    assert moved[0, :6].max() < 1e-5
+    assert moved[1, :6].min() > 0.02
+
+
+def test_tasks_are_compared_by_their_dynamics():
+    task = CatchEnvCfg()
+    assert task == CatchEnvCfg()
+    assert dataclasses.replace(task, dynamics=NOMINAL.with_values()) == task
+    assert dataclasses.replace(task, dynamics=IDENTIFIED) != task
+    assert hash(task) == hash(CatchEnvCfg())

@@ -1,0 +1,88 @@
+"""The dynamics file: what it keeps, what it leaves out, and how it is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.mdp.randomization import TABLE_1_GAINS, GainRanges
+from pixel2catch.robot.joint_dynamics import JointDynamics
+
+ELBOW, INDEX = 2, 6
+ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
+DYNAMICS = JointDynamics.nominal(ELBOW_AND_INDEX).with_values(
+    latency=0.0123456789, filter_gain=[300.0, np.inf], filter_lookahead=[0.1, 0.0]
+)
+
+
+def with_elbow(columns: tuple, value: object) -> tuple:
+    return (*columns[:ELBOW], value, *columns[ELBOW + 1 :])
+
+
+GAINS = GainRanges(
+    damping_scale=with_elbow(TABLE_1_GAINS, (0.95, 1.05)),
+    is_damping_relative=with_elbow((False,) * 19, True),
+)
+
+
+def test_file_keeps_every_value(tmp_path):
+    file = DynamicsFile(dynamics=DYNAMICS, gains=GAINS)
+    file.save(tmp_path / "dynamics.json")
+    assert DynamicsFile.load(tmp_path / "dynamics.json") == file
+    content = json.loads((tmp_path / "dynamics.json").read_text())
+    assert content["filter_gain"] == [300.0, None]
+    assert content["gain_ranges"]["damping_scale"] == [[0.95, 1.05], [0.7, 1.3]]
+
+
+def test_absent_file_is_the_nominal_robot():
+    assert DynamicsFile.load(None) == DynamicsFile(dynamics=JointDynamics.nominal(), gains=GainRanges())
+
+
+def test_file_without_ranges_keeps_the_papers(tmp_path):
+    path = tmp_path / "dynamics.json"
+    path.write_text(json.dumps({"format_version": 1, **DYNAMICS.to_dict()}))
+    assert DynamicsFile.load(path) == DynamicsFile(dynamics=DYNAMICS)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "message"),
+    [
+        ("format_version", 9, "format_version is 9"),
+        ("joints", ["elbow_joint", "index_joint_9"], "Did you mean"),
+        ("joints", ["index_joint_1", "elbow_joint"], "in the order"),
+        ("joints", [], "stiffness has 2 entries; it needs 0"),
+        ("stiffness", [1.0, -2.0], "stiffness of index_joint_1 is -2; it must be more than 0"),
+        ("latency", [float("nan"), 0.0], "latency of elbow_joint is nan"),
+        ("damping", [1.0], "damping has 1 entries; it needs 2"),
+        ("armature", "heavy", "Identify again, or correct that entry"),
+        ("weight", [1.0, 1.0], "'weight' is unknown"),
+        ("gain_ranges", {"stiffness": [[1, 1], [1, 1]]}, "unknown entry 'stiffness'"),
+        ("gain_ranges", {"stiffness_scale": [[0.9, 1.1]]}, "stiffness_scale has 1 entries; it needs 2"),
+        ("gain_ranges", {"stiffness_scale": [[1.1, 0.9], [1, 1]]}, "elbow_joint is from 1.1 to 0.9"),
+        ("gain_ranges", {"damping_scale": [[1, 1], [0, 1]]}, "index_joint_1 is from 0 to 1"),
+        ("gain_ranges", {"damping_scale": [1, 1]}, "Identify again, or correct that entry"),
+        ("gain_ranges", {"is_damping_relative": [True, 1]}, "it must be true or false"),
+        ("gain_ranges", None, "Identify again, or correct that entry"),
+    ],
+)
+def test_bad_file_names_its_fault(tmp_path, entry, value, message):
+    path = tmp_path / "dynamics.json"
+    DynamicsFile(dynamics=DYNAMICS, gains=GAINS).save(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {entry: value}))
+    with pytest.raises(InvalidValueError, match=message) as error:
+        DynamicsFile.load(path)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", "{}", '{"format_version": 1}', '{"format_version": 1, "joints": 3}']
+)
+def test_damaged_file_is_refused(tmp_path, content):
+    path = tmp_path / "dynamics.json"
+    path.write_text(content)
+    with pytest.raises(InvalidValueError, match="cannot read the dynamics file"):
+        DynamicsFile.load(path)
+    with pytest.raises(InvalidValueError, match="No such file"):
+        DynamicsFile.load(tmp_path / "missing.json")

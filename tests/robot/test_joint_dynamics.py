@@ -1,0 +1,99 @@
+"""Joint dynamics as data, and the exact step of the command filter."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robot.constants import ARM_JOINTS
+from pixel2catch.robot.joint_dynamics import (
+    PARAMETERS,
+    SERVOJ_GAIN,
+    SERVOJ_LOOKAHEAD,
+    JointDynamics,
+    command_lag,
+    filter_transition,
+)
+
+ARM = tuple(joint.name for joint in ARM_JOINTS)
+ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
+ELBOW = JointDynamics.nominal(["elbow_joint"])
+FILTERED = ELBOW.with_values(filter_gain=SERVOJ_GAIN, filter_lookahead=SERVOJ_LOOKAHEAD)
+
+
+def test_nominal_dynamics_are_the_simulators():
+    arm = JointDynamics.nominal(ARM)
+    np.testing.assert_array_equal(arm.stiffness, [joint.stiffness for joint in ARM_JOINTS])
+    np.testing.assert_array_equal(arm.armature, [joint.armature for joint in ARM_JOINTS])
+    assert not arm.latency.any()
+    assert not arm.has_filter.any()
+    assert len(JointDynamics.nominal().joints) == 19
+
+
+def test_values_out_of_range_are_refused():
+    with pytest.raises(InvalidValueError, match="filter_gain"):
+        ELBOW.with_values(filter_gain=0.0)
+    with pytest.raises(UnknownNameError, match="elbow"):
+        dataclasses.replace(ELBOW, joints=("elbow",))
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS)
+def test_dynamics_are_compared_by_value(parameter):
+    same, other = ELBOW.with_values(), ELBOW.with_values(**{parameter: 0.123})
+    assert same == ELBOW
+    assert hash(same) == hash(ELBOW)
+    assert other != ELBOW
+    assert JointDynamics.nominal(["wrist_1_joint"]) != ELBOW
+
+
+def test_joints_over_others():
+    arm, both = JointDynamics.nominal(ARM), JointDynamics.nominal(ELBOW_AND_INDEX).with_values(latency=0.1)
+    full = both.over(arm)
+    assert full.joints == (*ARM, "index_joint_1")
+    assert full.latency.tolist() == [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.1]
+    assert full.stiffness[-1] == 3.0
+    assert full.select(ELBOW_AND_INDEX) == both
+    assert arm.over(both).latency.tolist() == [0.0] * 6 + [0.1]
+    assert arm.over(JointDynamics.nominal()) == JointDynamics.nominal()
+
+
+def test_a_dictionary_keeps_every_value():
+    dynamics = JointDynamics.nominal(ELBOW_AND_INDEX).with_values(
+        latency=0.0123456789, filter_gain=[SERVOJ_GAIN, np.inf], filter_lookahead=[SERVOJ_LOOKAHEAD, 0.0]
+    )
+    content = dynamics.to_dict()
+    assert content["filter_gain"] == [300.0, None]
+    assert JointDynamics.from_dict(content) == dynamics
+
+
+def test_command_lag_by_hand():
+    """Half a step, another one for the filter, and the latency."""
+    both = JointDynamics.nominal(ELBOW_AND_INDEX).with_values(latency=0.003, filter_gain=[300.0, np.inf])
+    np.testing.assert_allclose(command_lag(both, 0.01), (0.013, 0.008))
+
+
+def test_filter_lags_a_ramp_by_its_lookahead():
+    """At constant speed q̈ = 0, so that u − q = lookahead q̇."""
+    dt, speed = 0.002, 0.7
+    (step,) = filter_transition(FILTERED, dt)
+    state = np.zeros(2)
+    for k in range(3000):
+        goal = np.array((speed * (k + 0.5) * dt, 0.0))
+        state = goal + step @ (state - goal)
+    assert speed * 3000 * dt - state[0] == pytest.approx(0.1 * speed, abs=1e-6)
+    assert state[1] == pytest.approx(speed, rel=1e-3)
+
+
+def test_filter_step_is_exact():
+    """One step of 20 ms is ten thousand of 2 µs."""
+    (step,) = filter_transition(FILTERED, 0.02)
+    position, speed = 0.1, -0.4
+    for _ in range(10_000):
+        speed += 2e-6 * 300.0 * (1.0 - position - 0.1 * speed)
+        position += 2e-6 * speed
+    np.testing.assert_allclose(step @ (0.1 - 1.0, -0.4), (position - 1.0, speed), rtol=1e-4)
+
+
+def test_without_a_filter_nothing_is_left_of_the_past():
+    assert not filter_transition(ELBOW, 0.002).any()
