@@ -55,3 +55,7 @@ class StudyError(Pixel2CatchError):
 
 class RecordingError(Pixel2CatchError):
     """Recorded motion that cannot be read, or that no robot can have done; the message says where."""
+
+
+class PerceptionError(Pixel2CatchError):
+    """Images, prompts or models of the perception that cannot be used."""

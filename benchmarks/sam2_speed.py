@@ -1,0 +1,162 @@
+"""How long SAM 2.1 takes for an image of a stream, from the camera's array to the mask on the host.
+
+The architecture is that of the public checkpoint `facebook/sam2.1-hiera-tiny`; the weights are random, on
+which the time does not depend. Throws of 30 images each begin with a prompt, so that the memory grows as on
+the robot. Every setting runs in a process of its own and prints a line of JSON: times in ms, and the share of
+images that are late, which took longer than the 33 ms between two images of a 30 Hz camera.
+
+Run: python benchmarks/sam2_speed.py
+     python benchmarks/sam2_speed.py --device cpu --settings eager --sizes 256 --frames 20
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import transformers
+from transformers import Sam2VideoConfig, Sam2VideoModel
+
+from pixel2catch.perception.sam2 import Sam2Segmenter
+from pixel2catch.perception.sam2_graphs import MODULES, SpeedCfg
+from pixel2catch.perception.segmenter import BoxPrompt
+
+LIMIT = 1000.0 / 30.0
+THROW_IMAGES = 30
+WARM_UP_IMAGES = 30
+BUSY_IMAGES = 30
+HEIGHT, WIDTH = 480, 640
+BOX = BoxPrompt(box=(300.0, 200.0, 340.0, 240.0))
+SETTINGS = {
+    "eager": SpeedCfg(captured=()),
+    "reduce_overhead": SpeedCfg(captured=()),
+    "compiled_encoder": SpeedCfg(captured=(), compiled=("vision_encoder",)),
+    "graph_of_encoder": SpeedCfg(captured=("vision_encoder",)),
+    "graphs": SpeedCfg(),
+    "graphs_compiled_encoder": SpeedCfg(compiled=("vision_encoder",)),
+    "graphs_compiled_memory": SpeedCfg(compiled=("vision_encoder", "memory_attention")),
+    "graphs_compiled_all": SpeedCfg(compiled=MODULES),
+}
+"""What is tried. `reduce_overhead` is PyTorch's own way to CUDA graphs, on the encoder; the rest is ours."""
+
+
+def write_checkpoint(folder: Path) -> None:
+    """Write the architecture with random weights that always find something."""
+    torch.manual_seed(0)
+    model = Sam2VideoModel(Sam2VideoConfig())
+    torch.nn.init.constant_(model.mask_decoder.pred_obj_score_head.proj_out.bias, 9.0)
+    model.save_pretrained(folder)
+
+
+def build(folder: Path, setting: str, device: str, size: int) -> Sam2Segmenter:
+    """Load and warm up as the robot does."""
+    segmenter = Sam2Segmenter(folder, device, size, SETTINGS[setting])
+    if setting == "reduce_overhead":
+        encoder = segmenter._model.vision_encoder
+        encoder.forward = torch.compile(encoder.forward, mode="reduce-overhead")
+    return segmenter
+
+
+def stream(segmenter: Sam2Segmenter, count: int) -> Iterator[tuple[bool, float, bool]]:
+    """Run images; yield for each whether it began a throw, its time [ms], and whether something was found."""
+    images = np.random.default_rng(0).integers(0, 256, (8, HEIGHT, WIDTH, 3), dtype=np.uint8)
+    for index in range(count):
+        image, is_start = images[index % len(images)], index % THROW_IMAGES == 0
+        begin = time.perf_counter()
+        result = segmenter.start(image, BOX) if is_start else segmenter.track(image)
+        yield is_start, 1000.0 * (time.perf_counter() - begin), result.mask is not None
+
+
+def measure(folder: Path, setting: str, device: str, size: int, count: int) -> None:
+    """Print one line for one setting, and on CUDA a second one: for how long the device was busy."""
+    begin = time.perf_counter()
+    segmenter = build(folder, setting, device, size)
+    for _ in stream(segmenter, WARM_UP_IMAGES if device != "cpu" else 2):
+        pass
+    ready = time.perf_counter() - begin
+    is_start, times, is_found = (np.array(column) for column in zip(*stream(segmenter, count), strict=True))
+    tracked = times[~is_start]
+    p50, p95, p99 = np.percentile(tracked, (50, 95, 99))
+    line = {"setting": setting, "image_size": size, "p50": p50, "p95": p95, "p99": p99, "max": tracked.max()}
+    line |= {
+        "start_p50": np.median(times[is_start]),
+        "late": (times > LIMIT).mean(),
+        "found": is_found.mean(),
+    }
+    report({**line, "images": count, "seconds_to_ready": ready, **machine(device)})
+    if device != "cpu":
+        report({"setting": setting, "image_size": size, "busy": busy_time(segmenter)})
+
+
+def machine(device: str) -> dict[str, Any]:
+    """What it ran on."""
+    versions = {"torch": torch.__version__, "transformers": transformers.__version__}
+    if device == "cpu":
+        return {"device": f"CPU, {torch.get_num_threads()} threads", **versions}
+    peak = torch.cuda.max_memory_reserved(device) / 2**30
+    return {"device": torch.cuda.get_device_name(device), "peak_gib": peak, **versions}
+
+
+def busy_time(segmenter: Sam2Segmenter) -> float:
+    """Time of all kernels and copies for an image [ms]: what no better launching can save."""
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as profile:
+        for _ in stream(segmenter, BUSY_IMAGES):
+            pass
+    return sum(event.self_device_time_total for event in profile.key_averages()) / 1000.0 / BUSY_IMAGES
+
+
+def report(line: dict[str, Any]) -> None:
+    """Print rounded JSON."""
+    numbers = {name: round(float(value), 3) for name, value in line.items() if isinstance(value, float)}
+    print(json.dumps({**line, **numbers}), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS))
+    parser.add_argument(
+        "--sizes", nargs="+", type=int, default=[1024, 512], help="side of the model's image [px]"
+    )
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--timeout", type=float, default=240.0, help="for one setting [s]")
+    parser.add_argument("--folder", type=Path, help="a checkpoint; default: random weights")
+    parser.add_argument(
+        "--here", action="store_true", help="in this process, the first setting and size only"
+    )
+    options = parser.parse_args()
+    if options.here:
+        setting, size = options.settings[0], options.sizes[0]
+        return measure(options.folder, setting, options.device, size, options.frames)
+    with tempfile.TemporaryDirectory() as temporary:
+        if options.folder is None:
+            options.folder = Path(temporary)
+            write_checkpoint(options.folder)
+        for size in options.sizes:
+            for setting in options.settings:
+                run_apart(setting, size, options)
+
+
+def run_apart(setting: str, size: int, options: argparse.Namespace) -> None:
+    """Measure in another process; if that fails, say so and leave the others alone."""
+    command = [sys.executable, __file__, "--here", "--settings", setting, "--sizes", str(size)]
+    command += ["--device", options.device, "--frames", str(options.frames), "--folder", str(options.folder)]
+    try:
+        subprocess.run(command, check=True, timeout=options.timeout)
+    except subprocess.CalledProcessError as error:
+        report({"setting": setting, "image_size": size, "failed": f"exit status {error.returncode}"})
+    except subprocess.TimeoutExpired:
+        report({"setting": setting, "image_size": size, "failed": f"longer than {options.timeout:g} s"})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""SAM 2.1, an image segmenter with a memory, as a streaming segmenter.
+
+    segmenter = Sam2Segmenter(Path("sam2.1-hiera-tiny"), "cuda")
+    segmenter.start(image, BoxPrompt(box=(300.0, 200.0, 340.0, 240.0)))
+    segmentation = segmenter.track(next_image)
+
+Needs the extra `sam2` and a checkpoint: `sam2_model.py` says how to get both.
+"""
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.sam2_graphs import SpeedCfg, accelerate
+from pixel2catch.perception.sam2_model import Sam2VideoInferenceSession, load_sam2, new_session
+from pixel2catch.perception.segmenter import (
+    BoxPrompt,
+    Image,
+    Mask,
+    PointPrompt,
+    Prompt,
+    Segmentation,
+    Segmenter,
+    check_image,
+)
+from pixel2catch.sim.devices import require_cuda
+
+MEAN = (0.485, 0.456, 0.406)
+"""Mean of red, green, blue over ImageNet, of 1. Source: the model's training."""
+
+DEVIATION = (0.229, 0.224, 0.225)
+"""Standard deviation of red, green, blue over ImageNet, of 1. Source: the model's training."""
+
+WARM_UP_FRAMES = 24
+"""Images tracked before the first of a camera on CUDA. The memory grows for 16, and each size is a recording.
+Source: ours: timings are steady after 20."""
+
+OBJECT = 0
+"""Index of the only object of a session."""
+
+BOX_LABELS, POINT_LABELS = (2, 3), (1,)
+"""What the points of a prompt are: two corners; a point on the object. Source: the model's prompt encoder."""
+
+
+class Sam2Segmenter(Segmenter):
+    """Follows an object by its look, whatever else moves.
+
+    Its memory is bounded: the prompted image and what the model reads of the latest ones. The score is the
+    model's probability that the object is in the image. Motion means nothing to it, so no pixels are ignored.
+    """
+
+    def __init__(
+        self, folder: Path, device: str, image_size: int | None = None, speed: SpeedCfg | None = None
+    ) -> None:
+        """Load a checkpoint; on a CUDA device also track blank images, so that the first real one is fast.
+
+        Args:
+            folder: The checkpoint, see `load_sam2`.
+            device: "cpu" (float32), "cuda" or "cuda:N" (bfloat16).
+            image_size: Side of the square that the model sees [px], a multiple of 32; None for the
+                checkpoint's 1024. Half of it is a quarter of the work, and masks are half as fine.
+            speed: What to make faster on a CUDA device; None for the default.
+
+        Raises:
+            DeviceUnavailableError: If CUDA is asked for and absent.
+            PerceptionError: If the checkpoint is missing or damaged.
+            InvalidValueError: If the image size is invalid.
+        """
+        self._device = torch.device(device)
+        is_cuda = self._device.type == "cuda"
+        if is_cuda:
+            require_cuda(device)
+        self._model = load_sam2(
+            folder, self._device, torch.bfloat16 if is_cuda else torch.float32, image_size
+        )
+        self._mean = torch.tensor(MEAN, device=self._device).view(3, 1, 1)
+        self._deviation = torch.tensor(DEVIATION, device=self._device).view(3, 1, 1)
+        self._upload = torch.empty((0, 0, 3), dtype=torch.uint8)
+        self._session: Sam2VideoInferenceSession | None = None
+        self._frame_idx = 0
+        if is_cuda:
+            accelerate(self._model, speed or SpeedCfg())
+            self._warm_up()
+
+    @property
+    def image_size(self) -> int:
+        """Side of the square that the model sees [px]."""
+        return cast("int", self._model.image_size)
+
+    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+        """See `Segmenter.start`. A session has one prompt, because the model never forgets one."""
+        self._check(image)
+        height, width, _ = image.shape
+        u, v = prompt.center
+        if not (0.0 <= u <= width and 0.0 <= v <= height):
+            raise PerceptionError(
+                f"the prompt's centre ({u:g}, {v:g}) px is not on the image of {width} by {height} px: mark "
+                "the object where it is seen."
+            )
+        self._session = new_session(self._model)
+        self._frame_idx = 0
+        index = self._session.obj_id_to_idx(OBJECT)
+        points, labels = _points(prompt)
+        scale = torch.tensor([self.image_size / width, self.image_size / height])
+        # The model takes coordinates of pixel centres.
+        inputs = {"point_coords": points * scale - 0.5, "point_labels": labels}
+        self._session.add_point_inputs(index, self._frame_idx, inputs)
+        self._session.obj_with_new_inputs = [OBJECT]
+        return self._segment(self._session, image)
+
+    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+        """See `Segmenter.track`."""
+        self._check(image)
+        if self._session is None:
+            return Segmentation(mask=None, score=0.0)
+        return self._segment(self._session, image)
+
+    def reset(self) -> None:
+        """See `Segmenter.reset`."""
+        self._session = None
+
+    @torch.inference_mode()
+    def _segment(self, session: Sam2VideoInferenceSession, image: Image) -> Segmentation:
+        """Run the model on the session's next image."""
+        output = self._model(session, frame=self._pixels(image), frame_idx=self._frame_idx)
+        self._prune(session)
+        self._frame_idx += 1
+        mask = mask_of_logits(output.pred_masks, *image.shape[:2]).cpu().numpy()
+        score = output.object_score_logits.float().sigmoid().item()
+        return Segmentation(mask=mask if mask.any() else None, score=score)
+
+    def _pixels(self, image: Image) -> Float[Tensor, "1 3 size size"]:
+        """Return the image as the model wants it: a square, whatever its aspect, and standardised."""
+        np.copyto(self._upload.numpy(), image)
+        pixels = self._upload.to(self._device, non_blocking=True).permute(2, 0, 1).unsqueeze(0).float()
+        size = (self.image_size, self.image_size)
+        pixels = F.interpolate(pixels, size, mode="bilinear", align_corners=False, antialias=True)
+        return ((pixels / 255.0 - self._mean) / self._deviation).to(self._model.dtype)
+
+    def _prune(self, session: Sam2VideoInferenceSession) -> None:
+        """Drop what no later image needs; the model keeps everything."""
+        config = self._model.config
+        reach = max(config.max_object_pointers_in_encoder, config.num_maskmem) - 1
+        session.processed_frames = {}
+        session.frames_tracked_per_obj[OBJECT].clear()
+        outputs = session.output_dict_per_obj[OBJECT]
+        outputs["non_cond_frame_outputs"].pop(self._frame_idx - reach, None)
+        for kind in outputs.values():
+            if self._frame_idx in kind:
+                del kind[self._frame_idx]["high_res_masks"], kind[self._frame_idx]["pred_masks"]
+
+    def _check(self, image: Image) -> None:
+        """Refuse images that are none, or of another size than the first."""
+        is_first = self._upload.numel() == 0
+        height, width = (image if is_first else self._upload).shape[:2]
+        check_image(image, width, height)
+        if is_first:
+            is_cuda = self._device.type == "cuda"
+            self._upload = torch.empty((height, width, 3), dtype=torch.uint8, pin_memory=is_cuda)
+
+    def _warm_up(self) -> None:
+        """Run everything that a throw will run."""
+        blank = np.zeros((self.image_size, self.image_size, 3), np.uint8)
+        middle = 0.5 * self.image_size
+        self.start(blank, PointPrompt(center=(middle, middle)))
+        self.start(blank, BoxPrompt(box=(middle - 8.0, middle - 8.0, middle + 8.0, middle + 8.0)))
+        for _ in range(WARM_UP_FRAMES):
+            self.track(blank)
+        self.reset()
+        self._upload = torch.empty((0, 0, 3), dtype=torch.uint8)
+
+
+def mask_of_logits(
+    logits: Float[Tensor, "1 1 rows columns"], height: int, width: int
+) -> Bool[Tensor, "height width"]:
+    """Return where the model's coarse map of the image, brought to the image's size, is above zero."""
+    return F.interpolate(logits.float(), (height, width), mode="bilinear", align_corners=False)[0, 0] > 0.0
+
+
+def _points(prompt: Prompt) -> tuple[Float[Tensor, "1 1 num_points 2"], Tensor]:
+    """Return a prompt's points [px] and what they are."""
+    if isinstance(prompt, BoxPrompt):
+        points, labels = (prompt.box[:2], prompt.box[2:]), BOX_LABELS
+    else:
+        points, labels = (prompt.center,), POINT_LABELS
+    return torch.tensor([[points]], dtype=torch.float32), torch.tensor([[labels]], dtype=torch.int32)

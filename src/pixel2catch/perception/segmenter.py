@@ -1,0 +1,122 @@
+"""What finds the object's pixels in a stream of images: the interface, its input and its output."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from pixel2catch.errors import PerceptionError
+
+Image = UInt8[np.ndarray, "height width 3"]
+"""Red, green, blue; upper row first."""
+
+Mask = Bool[np.ndarray, "height width"]
+"""Which pixels of an image are meant."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxPrompt:
+    """The object is what this box holds.
+
+    Attributes:
+        box: xmin, ymin, xmax, ymax in continuous image coordinates [px].
+    """
+
+    box: tuple[float, float, float, float]
+
+    @property
+    def center(self) -> tuple[float, float]:
+        """Middle of the box [px]."""
+        xmin, ymin, xmax, ymax = self.box
+        return 0.5 * (xmin + xmax), 0.5 * (ymin + ymax)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointPrompt:
+    """The object is what this point lies on.
+
+    Attributes:
+        center: (u, v) in continuous image coordinates [px].
+    """
+
+    center: tuple[float, float]
+
+
+Prompt = BoxPrompt | PointPrompt
+"""Which of all the things in an image is the object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segmentation:
+    """What a segmenter makes of one image.
+
+    Attributes:
+        mask: The object's pixels, not empty; None where the object is not found.
+        score: How sure the segmenter is, larger is surer; the scale is its own.
+    """
+
+    mask: Mask | None
+    score: float
+
+
+NOT_FOUND = Segmentation(mask=None, score=0.0)
+"""The object is not in the image, as far as a segmenter without a score of its own can tell."""
+
+
+class Segmenter(ABC):
+    """Follows one object through a stream of images.
+
+    Every image of the stream goes once to `start` or to `track`, in order, so that a segmenter that learns
+    the background can do so before there is an object. All images have the size of the first. A segmenter
+    never changes an image or a mask that it was given, and never returns one that it changes later.
+    """
+
+    @abstractmethod
+    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+        """Begin to follow what the prompt points at; what was followed before is forgotten.
+
+        Args:
+            image: The image that the prompt belongs to.
+            prompt: Where the object is.
+            ignored: Pixels in which motion means nothing, such as those of the robot; None for no such pixel.
+
+        Raises:
+            PerceptionError: If the image is none, or of another size than those before.
+        """
+
+    @abstractmethod
+    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+        """Find the object in the next image; not found where nothing was started.
+
+        Args:
+            image: The image.
+            ignored: As in `start`.
+
+        Raises:
+            PerceptionError: As in `start`.
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the object; what is known of the background stays."""
+
+
+def check_image(image: np.ndarray, width: int, height: int) -> None:
+    """Refuse what is not an RGB image of this size.
+
+    Args:
+        image: What a camera or a file delivered.
+        width: Expected width [px].
+        height: Expected height [px].
+
+    Raises:
+        PerceptionError: If shape or dtype are wrong; the message says how they must be.
+    """
+    if image.dtype == np.uint8 and image.shape == (height, width, 3):
+        return
+    raise PerceptionError(
+        f"the image has shape {tuple(image.shape)} and dtype {image.dtype}; it must be "
+        f"({height}, {width}, 3) and uint8, in the order red, green, blue: set the camera's resolution and "
+        "encoding (rgb8) accordingly."
+    )

@@ -1,0 +1,96 @@
+"""Background subtraction on painted streams: noise, texture, other things that move, a robot."""
+
+import numpy as np
+import painted
+import pytest
+from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc
+
+from pixel2catch.perception.background import BackgroundSubtraction
+from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt, Prompt
+
+NUM_STILL, NUM_FLYING = 8, 22
+NUM_STEPS = NUM_EMPTY + NUM_STILL + NUM_FLYING
+BALL = Disc(path=painted.thrown(NUM_STILL, NUM_FLYING), radius=9.0)
+
+
+def errors(
+    others: tuple[Disc, ...], prompt: Prompt, prompt_step: int = NUM_EMPTY, robot: Disc | None = None
+) -> np.ndarray:
+    """Largest error of an edge from the prompted image on [px]; infinite where the ball was not found."""
+    segmenter, worst = BackgroundSubtraction(), []
+    for step, image in enumerate(painted.images((*others, BALL), NUM_STEPS)):
+        ignored = None if robot is None else robot.mask(step)
+        if step == prompt_step:
+            found = segmenter.start(image, prompt, ignored)
+        else:
+            found = segmenter.track(image, ignored)
+        if step >= prompt_step:
+            truth = painted.box_of(BALL.mask(step))
+            error = np.inf if found.mask is None else np.abs(painted.box_of(found.mask) - truth).max()
+            worst.append(error)
+    return np.array(worst)
+
+
+def held_box() -> BoxPrompt:
+    xmin, ymin, xmax, ymax = painted.box_of(BALL.mask(NUM_EMPTY)).tolist()
+    return BoxPrompt(box=(xmin, ymin, xmax, ymax))
+
+
+def test_a_thrown_ball_is_followed_from_a_box_on():
+    worst = errors((), held_box())
+    assert (worst <= 2.0).mean() >= 0.95
+    assert np.isfinite(worst).all()
+
+
+def test_a_click_is_enough_once_the_ball_flies():
+    worst = errors((), PointPrompt(center=(40.0, 150.0)), prompt_step=NUM_EMPTY + NUM_STILL - 1)
+    assert (worst[1:] <= 2.0).mean() >= 0.95
+
+
+def test_other_things_that_move_are_left_alone():
+    """A large thing where the throw begins, such as an arm, and a ball of another colour that crosses."""
+    times = np.arange(NUM_STEPS)[:, None]
+    arm = Disc(path=(25.0, 190.0) + 4.0 * np.sin(times * (1.0, 1.3)), radius=30.0, color=(150, 110, 90))
+    across = Disc(path=(300.0, 230.0) - times[::-1] * (0.0, 3.5), radius=8.0, color=painted.BLUE)
+    worst = errors((arm, across), held_box())
+    assert (worst <= 5.0).mean() >= 0.95
+
+
+def test_a_ball_before_the_robot_is_told_by_its_colour():
+    path = np.tile((230.0, 130.0), (NUM_STEPS, 1)) + np.arange(NUM_STEPS)[:, None] * (0.3, -0.3)
+    robot = Disc(path=path, radius=40.0, color=(30, 30, 32))
+    is_before = np.array([(BALL.mask(step) & robot.mask(step)).any() for step in range(NUM_EMPTY, NUM_STEPS)])
+    worst = errors((robot,), held_box(), robot=robot)
+    assert is_before.sum() >= 5
+    assert (worst[is_before] <= 3.0).mean() >= 0.9
+
+
+def test_a_ball_of_the_robots_colour_is_lost_rather_than_mistaken_for_it():
+    path = np.tile(BALL.path[-8], (NUM_STEPS, 1))
+    robot = Disc(path=path, radius=40.0, color=BALL.color)
+    is_inside = np.array(
+        [not (BALL.mask(step) & ~robot.mask(step)).any() for step in range(NUM_EMPTY, NUM_STEPS)]
+    )
+    worst = errors((robot,), held_box(), robot=robot)
+    assert is_inside.sum() >= 2
+    assert np.isinf(worst[is_inside]).all()
+
+
+def test_nothing_is_found_before_a_start_and_after_a_reset():
+    segmenter = BackgroundSubtraction()
+    for step, image in enumerate(painted.images((BALL,), NUM_STEPS)):
+        assert segmenter.track(image).mask is None
+        if step == NUM_STEPS - 5:
+            assert segmenter.start(image, PointPrompt(center=tuple(BALL.path[step]))).mask is not None
+            segmenter.reset()
+
+
+@pytest.mark.parametrize("place", [(-500.0, 9000.0), (0.0, 0.0), (float(WIDTH), float(HEIGHT))])
+def test_a_prompt_off_the_image_finds_nothing(place: tuple[float, float]):
+    segmenter = BackgroundSubtraction()
+    for image in painted.images((), 5):
+        assert segmenter.start(image, PointPrompt(center=place)).mask is None
+    box = BoxPrompt(box=(place[0], place[1], place[0] + 5, place[1] + 5))
+    for image in painted.images((), 5):
+        assert segmenter.start(image, box).mask is None
+        assert segmenter.track(image).mask is None

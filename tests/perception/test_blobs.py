@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+
+from pixel2catch.perception.blobs import Course, FollowCfg, find_blobs, largest_component
+
+
+def two_blobs() -> np.ndarray:
+    mask = np.zeros((48, 64), dtype=bool)
+    mask[5:10, 8:14] = True  # 30 pixels
+    mask[20:30, 40:44] = True  # 40 pixels
+    return mask
+
+
+def test_blobs_have_the_boxes_that_were_painted():
+    large, small = find_blobs(two_blobs()).blobs
+    assert (large.area, large.width, large.height, large.center) == (40, 4, 10, (42.0, 25.0))
+    assert (small.area, small.width, small.height, small.center) == (30, 6, 5, (11.0, 7.5))
+
+
+def test_the_masks_of_all_blobs_are_the_mask():
+    found = find_blobs(two_blobs())
+    first, second = (found.mask(blob) for blob in found.blobs)
+    assert not (first & second).any()
+    assert np.array_equal(first | second, two_blobs())
+
+
+def test_of_two_blobs_the_largest_is_left():
+    largest = largest_component(two_blobs())
+    assert largest.sum() == 40
+    assert largest[20:30, 40:44].all()
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_one_blob_or_none_stays(level: bool):
+    mask = np.full((6, 8), level)
+    assert np.array_equal(largest_component(mask), mask)
+    assert len(find_blobs(mask).blobs) == level
+
+
+def test_a_course_goes_on_as_it_moved():
+    course = Course(center=(10.0, 10.0)).seen((16.0, 12.0))
+    assert course.expected == (22.0, 14.0)
+    assert course.missed().expected == (28.0, 16.0)
+    assert course.missed().seen((34.0, 18.0)).velocity == (9.0, 3.0)
+
+
+def test_what_stays_away_is_not_expected_ever_further():
+    course = Course(center=(0.0, 0.0), velocity=(10.0, 0.0))
+    for _ in range(20):
+        course = course.missed()
+    assert course.expected == (30.0, 0.0)
+    assert course.reach(FollowCfg()) == FollowCfg().largest_reach
+
+
+def blob_at(u: int, v: int) -> np.ndarray:
+    mask = np.zeros((240, 320), dtype=bool)
+    mask[v - 5 : v + 5, u - 5 : u + 5] = True
+    return mask
+
+
+@pytest.mark.parametrize(
+    ("place", "is_in_reach"),
+    [
+        ((160, 100), True),  # where it is expected
+        ((100, 100), True),  # stopped by a hand
+        ((130, 130), True),  # 30 px beside the way
+        ((130, 160), False),  # 60 px beside it
+        ((220, 100), False),  # 60 px ahead of where it is expected
+        ((40, 100), False),  # 60 px back
+    ],
+)
+def test_a_course_goes_on_near_its_way(place: tuple[int, int], is_in_reach: bool):
+    course = Course(center=(100.0, 100.0), velocity=(60.0, 0.0))
+    assert (course.next_blob(find_blobs(blob_at(*place)), FollowCfg()) is not None) == is_in_reach
+
+
+def test_of_two_things_the_nearest_goes_on():
+    found = find_blobs(blob_at(150, 100) | blob_at(170, 125))
+    blob = Course(center=(140.0, 100.0), velocity=(12.0, 0.0)).next_blob(found, FollowCfg())
+    assert blob is not None
+    assert blob.center == (150.0, 100.0)
+
+
+def test_things_of_another_size_are_no_object():
+    speck, wall = np.zeros((240, 320), dtype=bool), np.zeros((240, 320), dtype=bool)
+    speck[100, 100:105] = True
+    wall[100:110, 50:151] = True
+    for mask in (speck, wall):
+        assert Course(center=(100.0, 105.0)).next_blob(find_blobs(mask), FollowCfg()) is None

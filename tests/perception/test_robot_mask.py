@@ -1,0 +1,95 @@
+"""The projected robot against rays: one through the middle of every third pixel."""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from pixel2catch.camera.pinhole import back_project
+from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.robot_mask import MARGIN, RobotMask
+from pixel2catch.robot.allegro import Handedness
+from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
+from pixel2catch.robot.scene import SceneCfg, build_model
+
+STRIDE = 3
+ROBOT_GROUPS = (2, 3)
+"""What is only seen, the pedestal below the table among it, and the robot."""
+
+ROWS, COLUMNS = np.mgrid[: RGB_CAMERA.height : STRIDE, : RGB_CAMERA.width : STRIDE]
+
+
+def poses() -> np.ndarray:
+    """The start pose, and joints within 0.25 rad of it, fingers anywhere within their limits."""
+    home, lower, upper = (
+        np.array([getattr(joint, name) for joint in JOINTS]) for name in ("home", "lower", "upper")
+    )
+    spread = np.where(np.arange(len(JOINTS)) < len(ARM_JOINTS), 0.25, 2.0)
+    offsets = spread * np.random.default_rng(0).uniform(-1, 1, (11, len(JOINTS)))
+    return np.vstack((home, np.clip(home + offsets, lower, upper)))
+
+
+@cache
+def rays() -> np.ndarray:
+    """From the camera to points 1 m away behind the pixels' middles [m]."""
+    pixels = torch.from_numpy(np.stack((COLUMNS + 0.5, ROWS + 0.5), axis=-1).reshape(-1, 2))
+    points = back_project(RGB_CAMERA, pixels, torch.ones(len(pixels), dtype=torch.float64))
+    return points.numpy() - np.array(RGB_CAMERA.pos)
+
+
+def seen_robot(model: mujoco.MjModel, joint_pos: np.ndarray) -> np.ndarray:
+    """Which of the pixels show the robot."""
+    data = mujoco.MjData(model)
+    data.qpos[: len(joint_pos)] = joint_pos
+    mujoco.mj_kinematics(model, data)
+    geoms, distance = np.zeros(ROWS.size, dtype=np.int32), np.zeros(ROWS.size)
+    groups = np.isin(np.arange(mujoco.mjNGROUP), (0, *ROBOT_GROUPS)).astype(np.uint8)
+    origin = np.array(RGB_CAMERA.pos)
+    mujoco.mj_multiRay(
+        model, data, origin, rays().ravel(), groups, True, -1, geoms, distance, None, ROWS.size, 1e3
+    )
+    root = model.body("base_link").id
+    is_robot = (geoms >= 0) & (model.body_rootid[model.geom_bodyid[geoms]] == root)
+    return is_robot.reshape(ROWS.shape)
+
+
+def shares(handedness: Handedness, margin: int) -> tuple[np.ndarray, np.ndarray]:
+    """In every pose, masked pixels of the robot and of the rest, both as shares of the robot's."""
+    model = build_model(SceneCfg(handedness=handedness, visuals=True))
+    robot = RobotMask(handedness=handedness, margin=margin)
+    covered, hidden = [], []
+    for joint_pos in poses():
+        truth = seen_robot(model, joint_pos)
+        mask = robot.at(joint_pos)[::STRIDE, ::STRIDE]
+        assert truth.sum() > 50
+        covered.append(mask[truth].mean())
+        hidden.append((mask & ~truth).sum() / truth.sum())
+    return np.array(covered), np.array(hidden)
+
+
+@pytest.mark.parametrize("handedness", ["left", "right"])
+def test_without_a_margin_the_mask_is_the_robot(handedness: Handedness):
+    covered, hidden = shares(handedness, margin=0)
+    assert covered.min() >= 0.99
+    assert np.median(hidden) <= 0.05
+
+
+def test_the_margin_covers_the_robot_and_little_else():
+    covered, hidden = shares("left", MARGIN)
+    assert covered.min() >= 0.999
+    assert np.median(hidden) <= 0.6
+
+
+def test_the_margin_covers_a_robot_that_is_a_little_elsewhere():
+    """Encoders that are half an image interval late, at a tenth of the arm's largest speed."""
+    model, robot = build_model(SceneCfg(visuals=True)), RobotMask()
+    late = np.where(np.arange(len(JOINTS)) < len(ARM_JOINTS), 0.279 / 60, 0.0)
+    covered = [robot.at(pose + late)[::STRIDE, ::STRIDE][seen_robot(model, pose)].mean() for pose in poses()]
+    assert min(covered) >= 0.99
+
+
+def test_joint_positions_that_are_no_numbers_are_refused():
+    with pytest.raises(PerceptionError, match="joint positions must be finite"):
+        RobotMask().at(np.full(len(JOINTS), np.nan))

@@ -1,0 +1,200 @@
+"""SAM 2 as a segmenter: what it remembers, what it forgets, and where things are on the image."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tiny_sam2 import CERTAIN, HEIGHT, SIZE, WIDTH, random_images, save_tiny_sam2
+
+from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
+from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt, Prompt, Segmentation
+
+BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
+POINT = PointPrompt(center=(50.0, 20.0))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_tiny_sam2(tmp_path_factory.mktemp("sam2"))
+
+
+def run(segmenter: Sam2Segmenter, images: list[np.ndarray], prompt: Prompt = BOX) -> list[Segmentation]:
+    return [segmenter.start(images[0], prompt), *(segmenter.track(image) for image in images[1:])]
+
+
+def assert_equal(results: list[Segmentation], expected: list[Segmentation]) -> None:
+    assert [result.score for result in results] == [result.score for result in expected]
+    for result, other in zip(results, expected, strict=True):
+        np.testing.assert_array_equal(result.mask, other.mask)
+
+
+def remembered_bytes(value: object, seen: set[int] | None = None) -> int:
+    """Size of all tensors that an object holds, but for the model's."""
+    seen = set() if seen is None else seen
+    if id(value) in seen or isinstance(value, torch.nn.Module):
+        return 0
+    seen.add(id(value))
+    if isinstance(value, torch.Tensor):
+        return value.nbytes
+    if isinstance(value, dict):
+        return 64 * len(value) + sum(remembered_bytes(item, seen) for item in value.values())
+    if isinstance(value, (list, tuple)):
+        return sum(remembered_bytes(item, seen) for item in value)
+    return remembered_bytes(vars(value), seen) if hasattr(value, "__dict__") else 0
+
+
+def test_memory_is_constant_after_what_the_model_reads(folder: Path) -> None:
+    segmenter = Sam2Segmenter(folder, "cpu")
+    run(segmenter, random_images(20))
+    at_20 = remembered_bytes(segmenter)
+    for image in random_images(20):
+        segmenter.track(image)
+    assert remembered_bytes(segmenter) == at_20
+    # The features of one image, 205 kB, and 16 memories of 7 kB, with some bookkeeping.
+    assert 300_000 < at_20 < 350_000
+
+
+def test_what_is_forgotten_is_never_used(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images = random_images(40)
+    segmenter = Sam2Segmenter(folder, "cpu")
+    results = run(segmenter, images)
+
+    monkeypatch.setattr(Sam2Segmenter, "_prune", lambda self, session: None)
+    hoarder = Sam2Segmenter(folder, "cpu")
+    assert_equal(results, run(hoarder, images))
+    assert remembered_bytes(hoarder) > 5 * remembered_bytes(segmenter)
+
+
+def test_the_past_matters_up_to_a_new_start(folder: Path) -> None:
+    images = random_images(6)
+    segmenter, other = Sam2Segmenter(folder, "cpu"), Sam2Segmenter(folder, "cpu")
+    expected = run(segmenter, images)
+    run(other, random_images(6, seed=1), POINT)
+    assert other.track(images[-1]).score != expected[-1].score
+    assert_equal(run(other, images), expected)
+
+
+def test_a_loaded_model_is_the_saved_one(folder: Path, tmp_path: Path) -> None:
+    images = random_images(3)
+    segmenter = Sam2Segmenter(folder, "cpu")
+    expected = run(segmenter, images)
+    segmenter._model.save_pretrained(tmp_path)
+    assert_equal(run(Sam2Segmenter(tmp_path, "cpu"), images), expected)
+
+
+def test_found_has_a_mask_and_lost_has_none(folder: Path, tmp_path: Path) -> None:
+    lost_folder = save_tiny_sam2(tmp_path, certainty=-CERTAIN)
+    for result in run(Sam2Segmenter(folder, "cpu"), random_images(3)):
+        assert result.score > 0.99
+        assert result.mask is not None
+        assert result.mask.shape == (HEIGHT, WIDTH)
+        assert result.mask.any()
+    for result in run(Sam2Segmenter(lost_folder, "cpu"), random_images(3)):
+        assert result.score < 0.01
+        assert result.mask is None
+
+
+def test_nothing_is_found_before_start_and_after_reset(folder: Path) -> None:
+    segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(2)
+    assert segmenter.track(images[0]) == Segmentation(mask=None, score=0.0)
+    run(segmenter, images)
+    segmenter.reset()
+    assert segmenter.track(images[0]) == Segmentation(mask=None, score=0.0)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "points", "labels"),
+    [
+        (BoxPrompt(box=(0.0, 0.0, WIDTH, HEIGHT)), [[0.0, 0.0], [SIZE, SIZE]], [2, 3]),
+        (BoxPrompt(box=(WIDTH / 4, HEIGHT / 2, WIDTH, HEIGHT)), [[SIZE / 4, SIZE / 2], [SIZE, SIZE]], [2, 3]),
+        (PointPrompt(center=(WIDTH / 2, HEIGHT / 4)), [[SIZE / 2, SIZE / 4]], [1]),
+    ],
+)
+def test_prompts_reach_the_encoder_in_its_coordinates(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    prompt: Prompt,
+    points: list[list[float]],
+    labels: list[int],
+) -> None:
+    segmenter = Sam2Segmenter(folder, "cpu")
+    encoder, seen = segmenter._model.prompt_encoder, []
+    embed = encoder.shared_embedding.forward
+    monkeypatch.setattr(
+        encoder.shared_embedding,
+        "forward",
+        lambda coords, shape: (seen.append(coords), embed(coords, shape))[1],
+    )
+    segmenter.start(random_images(1)[0], prompt)
+    # The encoder's own last point is padding.
+    assert seen[0][0, 0, :-1].tolist() == points
+    assert segmenter._session is not None
+    given = segmenter._session.point_inputs_per_obj[0][0]["point_labels"]
+    assert given.flatten().tolist() == labels
+
+
+def test_different_prompts_give_different_masks(folder: Path) -> None:
+    segmenter, image = Sam2Segmenter(folder, "cpu"), random_images(1)[0]
+    by_box, by_point = segmenter.start(image, BOX), segmenter.start(image, POINT)
+    assert by_box.mask is not None
+    assert by_point.mask is not None
+    assert (by_box.mask != by_point.mask).any()
+
+
+@pytest.mark.parametrize("center", [(-1.0, 5.0), (5.0, HEIGHT + 1.0), (float("nan"), 5.0)])
+def test_a_prompt_off_the_image_is_refused(folder: Path, center: tuple[float, float]) -> None:
+    segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(2)
+    run(segmenter, images)
+    with pytest.raises(PerceptionError, match=f"not on the image of {WIDTH} by {HEIGHT} px"):
+        segmenter.start(images[0], PointPrompt(center=center))
+    assert segmenter.track(images[1]).mask is not None
+
+
+def test_an_image_of_another_size_is_refused_and_harms_nothing(folder: Path) -> None:
+    images = random_images(4)
+    expected = run(Sam2Segmenter(folder, "cpu"), images)
+    segmenter = Sam2Segmenter(folder, "cpu")
+    results = run(segmenter, images[:2])
+    with pytest.raises(PerceptionError, match=rf"must be \({HEIGHT}, {WIDTH}, 3\)"):
+        segmenter.track(np.zeros((WIDTH, HEIGHT, 3), np.uint8))
+    assert_equal([*results, *(segmenter.track(image) for image in images[2:])], expected)
+
+
+def test_pixels_are_standardised_and_square(folder: Path) -> None:
+    segmenter = Sam2Segmenter(folder, "cpu")
+    image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    image[:, WIDTH // 2 :] = (255, 128, 0)
+    image.flags.writeable = False
+    segmenter.track(image)
+    pixels = segmenter._pixels(image)
+    assert pixels.shape == (1, 3, SIZE, SIZE)
+    left = [-mean / deviation for mean, deviation in zip(MEAN, DEVIATION, strict=True)]
+    right = [
+        (value / 255 - mean) / deviation
+        for value, mean, deviation in zip((255, 128, 0), MEAN, DEVIATION, strict=True)
+    ]
+    np.testing.assert_allclose(pixels[0, :, 5, 0].numpy(), left, rtol=1e-6)
+    np.testing.assert_allclose(pixels[0, :, 5, -1].numpy(), right, rtol=1e-6)
+
+
+def test_a_mask_lies_where_its_logits_do() -> None:
+    """Cells are 5 × 3 px; between the centres of cells 3 and 4 the sign changes in the middle: at 4 cells."""
+    logits = torch.full((1, 1, 16, 16), -1.0)
+    logits[..., 6:12, 4:9] = 1.0
+    rows, columns = mask_of_logits(logits, HEIGHT, WIDTH).nonzero().unbind(1)
+    assert (rows.min(), rows.max() + 1) == (6 * 3, 12 * 3)
+    assert (columns.min(), columns.max() + 1) == (4 * 5, 9 * 5)
+
+
+def test_the_same_weights_see_images_of_other_sizes(folder: Path) -> None:
+    segmenter = Sam2Segmenter(folder, "cpu", image_size=2 * SIZE)
+    assert segmenter.image_size == 2 * SIZE
+    assert all(result.mask is not None for result in run(segmenter, random_images(20)))
+
+
+@pytest.mark.parametrize("size", [0, -32, 100])
+def test_impossible_image_sizes_are_refused(folder: Path, size: int) -> None:
+    with pytest.raises(InvalidValueError, match=f"multiple of 32, not {size}"):
+        Sam2Segmenter(folder, "cpu", image_size=size)

@@ -1,0 +1,123 @@
+"""Checkpoints and installations that cannot be used: every message says what to do."""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from tiny_sam2 import save_tiny_sam2
+
+from pixel2catch.errors import DeviceUnavailableError, PerceptionError
+from pixel2catch.perception import sam2_model
+from pixel2catch.perception.sam2 import Sam2Segmenter
+
+ADVICE = "hf download facebook/sam2.1-hiera-tiny --local-dir"
+
+
+def remove_weights(folder: Path) -> None:
+    (folder / "model.safetensors").unlink()
+
+
+def cut_weights(folder: Path) -> None:
+    weights = folder / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:100_000])
+
+
+def drop_weights(folder: Path) -> None:
+    weights = folder / "model.safetensors"
+    kept = {
+        name: value for name, value in load_file(weights).items() if not name.startswith("memory_encoder")
+    }
+    save_file(kept, weights, metadata={"format": "pt"})
+
+
+def remove_config(folder: Path) -> None:
+    (folder / "config.json").unlink()
+
+
+def cut_config(folder: Path) -> None:
+    (folder / "config.json").write_text("{")
+
+
+def change_type(folder: Path) -> None:
+    change_config(folder, "model_type", "sam3_video")
+
+
+def change_value(folder: Path) -> None:
+    change_config(folder, "memory_attention_num_layers", "two")
+
+
+def change_layers(folder: Path) -> None:
+    change_config(folder, "memory_attention_feed_forward_hidden_size", 32)
+
+
+def change_config(folder: Path, name: str, value: object) -> None:
+    config = folder / "config.json"
+    config.write_text(json.dumps(json.loads(config.read_text()) | {name: value}))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (remove_config, "there is no SAM 2 checkpoint in"),
+        (cut_config, "config.json is damaged"),
+        (change_type, "a model of type 'sam3_video', not 'sam2_video'"),
+        (change_value, "cannot be read as SAM 2: .*memory_attention_num_layers"),
+        (change_layers, "cannot be read as SAM 2"),
+        (remove_weights, "has no weights"),
+        (cut_weights, "cannot be read as SAM 2"),
+        (drop_weights, "lacks [0-9]+ weights of SAM 2, such as memory_encoder"),
+    ],
+)
+def test_a_bad_checkpoint_says_what_is_wrong_and_where_to_get_one(
+    tmp_path: Path, spoil: Callable[[Path], None], message: str
+) -> None:
+    spoil(save_tiny_sam2(tmp_path))
+    with pytest.raises(PerceptionError, match=f"(?s){message}.*{ADVICE} {tmp_path}"):
+        Sam2Segmenter(tmp_path, "cpu")
+
+
+def test_a_missing_folder_is_a_missing_checkpoint(tmp_path: Path) -> None:
+    with pytest.raises(PerceptionError, match=f"there is no SAM 2 checkpoint in {tmp_path}/none.*{ADVICE}"):
+        Sam2Segmenter(tmp_path / "none", "cpu")
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_a_missing_device_is_named_before_anything_is_loaded(tmp_path: Path) -> None:
+    with pytest.raises(DeviceUnavailableError, match="'cuda' was asked for"):
+        Sam2Segmenter(tmp_path, "cuda")
+
+
+def test_without_transformers_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    spec = importlib.util.spec_from_file_location("fresh", sam2_model.__file__)
+    assert spec is not None
+    assert spec.loader is not None
+    with pytest.raises(PerceptionError, match=r"pip install 'pixel2catch\[sam2\]'"):
+        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+
+
+def test_a_torchvision_for_another_torch_is_named(tmp_path: Path) -> None:
+    """Such a build fails when it registers its operators, as this one does."""
+    package, metadata = tmp_path / "torchvision", tmp_path / "torchvision-0.1.0.dist-info"
+    package.mkdir()
+    metadata.mkdir()
+    (package / "__init__.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')")
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: torchvision\nVersion: 0.1.0\n")
+    path = os.pathsep.join([str(tmp_path), str(Path(sam2_model.__file__).parents[2])])
+    result = subprocess.run(
+        [sys.executable, "-c", "import pixel2catch.perception.sam2_model"],
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+    last_line = result.stderr.splitlines()[-1]
+    assert "PerceptionError: SAM 2 cannot be imported" in last_line
+    assert "torchvision::nms does not exist" in last_line
+    assert "pip uninstall torchvision" in last_line
