@@ -10,7 +10,7 @@ import pytest
 from recorded import AMPLITUDE, ARM, FREQUENCIES, LAG, clean, position, speed
 from rich.console import Console
 
-from pixel2catch.identification.check_report import check_table
+from pixel2catch.identification.check_report import check_table, verdict
 from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
 from pixel2catch.identification.signals import command_lag, excess_time, held, progress, smoothed
@@ -205,6 +205,37 @@ def test_excitation_names_what_is_lacking():
     assert excited(0.25 * np.sin(2 * np.pi * time)).is_good
 
 
+def test_weak_motion_is_a_warning_and_unsound_data_forbid_a_fit():
+    recording = clean()
+    effort = np.full_like(recording.q, 200.0)
+    middle = recording.q.mean(axis=0)
+    small = {name: middle + 0.1 * (getattr(recording, name) - middle) for name in ("q", "q_cmd")}
+    warned = check_recording(replace(recording, **small))
+    assert {check.name for check in warned if check.is_good is False} == {"excitation"}
+    warned += check_recording(replace(recording, effort=effort))
+    assert {verdict(check) for check in warned} == {"good", "weak", "unknown"}
+    assert not any(check.forbids_fit for check in warned)
+    late = check_recording(replace(recording, t_cmd=recording.t_cmd - 3.0))
+    assert [check.name for check in late if check.forbids_fit] == ["clock offset"]
+
+
+def printed(checks: list[Check]) -> str:
+    output = StringIO()
+    Console(file=output, width=200).print(check_table("run", checks))
+    return output.getvalue()
+
+
+def test_joints_that_pass_share_a_line():
+    recording = clean()
+    q = recording.q[0] + (recording.q - recording.q[0]) * [1.0, 1.0, 0.1, 1.0, 1.0, 1.0]
+    text = printed(check_recording(replace(recording, q=q)))
+    headline, footer = 4, 1
+    assert re.search(r"excitation +│ elbow_joint +│ weak +│ .*needs", text)
+    assert re.search(r"excitation +│ 5 joints +│ good +│ +│", text)
+    assert re.search(r"saturation +│ 6 joints +│ unknown +│ no effort was recorded", text)
+    assert len(text.splitlines()) == headline + len(WHOLE) + 4 + footer
+
+
 def test_report_tells_every_answer_with_and_without_colour():
     checks = [
         Check(name="stalls", is_good=False, detail="5 steps [ms]"),
@@ -215,5 +246,5 @@ def test_report_tells_every_answer_with_and_without_colour():
     console = Console(file=output, width=100, force_terminal=True, color_system="standard")
     console.print(check_table("run [1]", checks))
     assert "run [1]: 1 of 3 checks failed" in output.getvalue()
-    for coloured in ("\x1b[1;31mBAD", "\x1b[33munknown", "\x1b[32mgood", "5 steps [ms]", "elbow_joint"):
+    for coloured in ("\x1b[1;31mBAD", "\x1b[2munknown", "\x1b[32mgood", "5 steps [ms]", "elbow_joint"):
         assert coloured in output.getvalue()

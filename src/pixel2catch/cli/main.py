@@ -8,16 +8,35 @@ from typing import Annotated, Union
 import tyro
 
 from pixel2catch.cli.bench import Bench
+from pixel2catch.cli.calibrate import Calibrate
 from pixel2catch.cli.catch import Catch
+from pixel2catch.cli.doctor import Doctor
 from pixel2catch.cli.evaluate import Evaluate
+from pixel2catch.cli.excite import Excite
+from pixel2catch.cli.identify import Identify
 from pixel2catch.cli.play import Play
 from pixel2catch.cli.reproduce import Reproduce
 from pixel2catch.cli.scene import Scene
 from pixel2catch.cli.stress import Stress
+from pixel2catch.cli.track import Track
 from pixel2catch.cli.train import Train
 from pixel2catch.errors import Pixel2CatchError
 
-COMMANDS = (Train, Evaluate, Stress, Reproduce, Play, Catch, Scene, Bench)
+COMMANDS = (
+    Train,
+    Evaluate,
+    Stress,
+    Reproduce,
+    Play,
+    Catch,
+    Excite,
+    Identify,
+    Calibrate,
+    Track,
+    Scene,
+    Bench,
+    Doctor,
+)
 
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 

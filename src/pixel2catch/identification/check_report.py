@@ -1,4 +1,4 @@
-"""The checks of recordings as a table for people: green passed, red failed, yellow cannot be told."""
+"""The checks of recordings as a table for people."""
 
 from collections.abc import Sequence
 
@@ -7,12 +7,19 @@ from rich.text import Text
 
 from pixel2catch.identification.checks import Check
 
-VERDICTS = {True: ("good", "green"), False: ("BAD", "bold red"), None: ("unknown", "yellow")}
-"""Word and colour of each answer; the word tells without colour, too."""
+STYLES = {"good": "green", "BAD": "bold red", "weak": "yellow", "unknown": "dim"}
+"""Colour of each verdict; the word tells without colour, too."""
+
+
+def verdict(check: Check) -> str:
+    """The answer in a word: BAD forbids a fit, weak means that it tells less."""
+    if check.is_good is None:
+        return "unknown"
+    return "good" if check.is_good else "BAD" if check.forbids_fit else "weak"
 
 
 def check_table(name: str, checks: Sequence[Check]) -> Table:
-    """One line a check, those of the whole recording first.
+    """One line a check that failed or is of the whole recording, one for all joints that passed one.
 
     Args:
         name: What the recording is called.
@@ -22,7 +29,18 @@ def check_table(name: str, checks: Sequence[Check]) -> Table:
     table = Table(title=Text(f"{name}: {num_bad} of {len(checks)} checks failed"))
     for column in ("check", "joint", "", "found"):
         table.add_column(column)
-    for check in checks:
-        word, style = VERDICTS[check.is_good]
-        table.add_row(check.name, check.joint or "", Text(word, style=style), Text(check.detail))
+    for group in _groups(checks):
+        first, word = group[0], verdict(group[0])
+        joint = first.joint or "" if len(group) == 1 else f"{len(group)} joints"
+        detail = first.detail if len({check.detail for check in group}) == 1 else ""
+        table.add_row(first.name, joint, Text(word, style=STYLES[word]), Text(detail))
     return table
+
+
+def _groups(checks: Sequence[Check]) -> list[list[Check]]:
+    """The checks in lines: alone if it failed, else with those of the other joints that say the same."""
+    groups: dict[tuple[str, str, str | None], list[Check]] = {}
+    for check in checks:
+        alone = check.joint if check.is_good is False else None
+        groups.setdefault((check.name, verdict(check), alone), []).append(check)
+    return list(groups.values())

@@ -30,6 +30,9 @@ STALL_TIME = 0.01
 Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms.
 """
 
+LONG_STEP = 1.5
+"""A step is long from this multiple of the median on. Source: ours."""
+
 STALL_ANGLE = 2e-3
 """A stall is seen from this much motion on [rad]. Source: ours, ten times the noise of a UR5e's positions."""
 
@@ -82,13 +85,20 @@ class Check:
         name: What was checked.
         joint: The joint it is about; none if it is about the whole recording.
         is_good: Whether it passed; None if the recording cannot tell.
+        is_advice: Whether the motion can be fitted even if it failed: the fit then tells less.
         detail: The figures, and the remedy if it failed.
     """
 
     name: str
     joint: str | None = None
     is_good: bool | None
+    is_advice: bool = False
     detail: str
+
+    @property
+    def forbids_fit(self) -> bool:
+        """Whether nothing can be fitted to such a recording."""
+        return self.is_good is False and not self.is_advice
 
 
 def check_recording(recording: Recording, effort_limits: Mapping[str, float] | None = None) -> list[Check]:
@@ -148,9 +158,14 @@ def _speeds(recording: Recording) -> Check:
 
 
 def _stalls(recording: Recording) -> Check:
-    """Whether steps lasted longer than their times say: Δq against q̇·Δt."""
+    """Whether steps lasted longer than their times say: Δq against q̇·Δt.
+
+    Not judged is a step whose own time is long: its clock did see the stall.
+    """
     excess, angle = excess_time(recording)
-    is_stall = (excess > STALL_TIME + time_step(recording.t_meas)) & (angle > STALL_ANGLE)
+    step = time_step(recording.t_meas)
+    is_stall = (excess > STALL_TIME + step) & (angle > STALL_ANGLE)
+    is_stall &= np.diff(recording.t_meas) < LONG_STEP * step
     num_stalls, share = int(is_stall.sum()), float(is_stall.mean())
     detail = f"{num_stalls} steps ({100 * share:.2f} %) lasted longer than their times say"
     if num_stalls:
@@ -180,7 +195,10 @@ def _clock_offset(lag: float | None) -> Check:
         return Check(name=name, is_good=None, detail="no motion follows a command")
     low, high = LAG_RANGE
     is_good = low <= lag <= high
-    remedy = f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command's times"
+    remedy = (
+        f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command's times "
+        "(--shift-commands)"
+    )
     detail = f"the motion is {1e3 * lag:.1f} ms behind its command" + ("" if is_good else remedy)
     return Check(name=name, is_good=is_good, detail=detail)
 
@@ -216,7 +234,7 @@ def _saturation(joint: str, effort: np.ndarray | None, limit: float) -> Check:
     is_good = share <= MAX_SATURATED_SHARE
     remedy = "" if is_good else ": move more gently"
     detail = f"{100 * share:.1f} % of the samples at the limit of {limit:g} N·m{remedy}"
-    return Check(name="saturation", joint=joint, is_good=is_good, detail=detail)
+    return Check(name="saturation", joint=joint, is_good=is_good, is_advice=True, detail=detail)
 
 
 def _excitation(joint: str, speed: np.ndarray, acceleration: np.ndarray) -> Check:
@@ -226,7 +244,7 @@ def _excitation(joint: str, speed: np.ndarray, acceleration: np.ndarray) -> Chec
     """
     spec = JOINT_SPECS[joint]
     least_speed, least_acceleration = MIN_SPEED_SHARE * spec.velocity_limit, spec.frictionloss / spec.armature
-    reversals = _num_reversals(speed)
+    reversals = num_reversals(speed)
     needs = {
         f"{least_speed:.2f} rad/s": _peak(speed) < least_speed,
         f"{least_acceleration:.1f} rad/s²": _peak(acceleration) < least_acceleration,
@@ -237,7 +255,7 @@ def _excitation(joint: str, speed: np.ndarray, acceleration: np.ndarray) -> Chec
         f"{_range(speed, 2)} rad/s, {_range(acceleration, 1)} rad/s², {reversals} reversals"
         f"{f'; needs {lacking}' if lacking else ''}"
     )
-    return Check(name="excitation", joint=joint, is_good=not lacking, detail=detail)
+    return Check(name="excitation", joint=joint, is_good=not lacking, is_advice=True, detail=detail)
 
 
 def _peak(values: np.ndarray) -> float:
@@ -248,7 +266,7 @@ def _range(values: np.ndarray, digits: int) -> str:
     return f"{values.min():.{digits}f} to {values.max():.{digits}f}"
 
 
-def _num_reversals(speed: np.ndarray) -> int:
+def num_reversals(speed: np.ndarray) -> int:
     """Changes of direction, from a speed that counts to an opposite one that counts."""
     signs = np.sign(speed[np.abs(speed) > MOVING_SPEED])
     return int((np.diff(signs) != 0).sum())

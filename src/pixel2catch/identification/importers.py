@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from pixel2catch.errors import RecordingError, UnknownNameError
+from pixel2catch.identification.names import Names
 from pixel2catch.identification.recording import ROBOTS, Recording
 from pixel2catch.identification.rtde import COMMAND_FILE, MEASURED_FILE, read_rtde
 
@@ -13,13 +14,13 @@ FORMATS = (
 """What can be read, in words."""
 
 
-def read_recording(path: Path, robot: str = "ur5e_allegro", command_topic: str | None = None) -> Recording:
+def read_recording(path: Path, robot: str = "ur5e_allegro", names: Names | None = None) -> Recording:
     """Read the motion of a robot's joints, in joint order.
 
     Args:
         path: A file or folder; what it is chooses the reader.
         robot: Which joints are wanted: a name in `ROBOTS`.
-        command_topic: Topic of the commands in a bag, if it has several that could be.
+        names: What the recording calls topics and joints, if not as we do.
 
     Raises:
         RecordingError: If it is of no known format, lacks a joint, or says what cannot be.
@@ -27,18 +28,19 @@ def read_recording(path: Path, robot: str = "ur5e_allegro", command_topic: str |
     """
     if robot not in ROBOTS:
         raise UnknownNameError("robot", robot, ROBOTS)
+    names = names or Names()
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
     if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists():
-        return _read_rosbag(path, ROBOTS[robot], command_topic)
+        return _read_rosbag(path, ROBOTS[robot], names)
     if path.is_dir() and any((path / name).exists() for name in (MEASURED_FILE, COMMAND_FILE)):
         return read_rtde(path).select(ROBOTS[robot])
     if path.suffix == ".npz":
-        return Recording.load(path).select(ROBOTS[robot])
+        return Recording.load(path, names.ours).select(ROBOTS[robot])
     raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")
 
 
-def _read_rosbag(path: Path, joints: tuple[str, ...], command_topic: str | None) -> Recording:
+def _read_rosbag(path: Path, joints: tuple[str, ...], names: Names) -> Recording:
     """Read a bag; only here the optional library is needed."""
     try:
         from pixel2catch.identification.rosbag import read_rosbag
@@ -46,4 +48,4 @@ def _read_rosbag(path: Path, joints: tuple[str, ...], command_topic: str | None)
         raise RecordingError(
             f"{path}: reading bags needs {error.name}; pip install 'pixel2catch[identification]'."
         ) from None
-    return read_rosbag(path, joints, command_topic)
+    return read_rosbag(path, joints, names)

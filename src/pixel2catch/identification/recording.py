@@ -1,5 +1,6 @@
 """What was commanded and what was measured, each on its own clock: the input of the identification."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from zipfile import BadZipFile
@@ -73,7 +74,7 @@ class Recording:
         if missing:
             raise RecordingError(
                 f"{self.name}: no joint {', '.join(missing)}; recorded are {', '.join(self.joints)}. "
-                "Record the missing joints, rename them, or choose another --robot."
+                "Record the missing joints, rename them (--rename OURS=THEIRS), or choose another --robot."
             )
         columns = [self.joints.index(joint) for joint in joints]
         arrays = {
@@ -95,15 +96,19 @@ class Recording:
             raise RecordingError(f"{path} exists; choose another name or remove it.") from None
 
     @staticmethod
-    def load(path: Path) -> "Recording":
+    def load(path: Path, ours: Callable[[Iterable[str]], tuple[str, ...]] = tuple) -> "Recording":
         """Read a canonical file.
+
+        Args:
+            path: The file.
+            ours: What makes our names of the file's names of joints.
 
         Raises:
             RecordingError: If it is no such file, or what it says cannot be.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
-                return _read(path, file)
+                return _read(path, file, ours)
         except (OSError, EOFError, BadZipFile, ValueError) as error:
             raise RecordingError(
                 f"{path}: not a readable npz file ({error}); record or convert it again."
@@ -115,7 +120,7 @@ class Recording:
         return {name: values for name, values in arrays.items() if values is not None}
 
 
-def _read(path: Path, file: NpzFile) -> Recording:
+def _read(path: Path, file: NpzFile, ours: Callable[[Iterable[str]], tuple[str, ...]]) -> Recording:
     """The recording in an open npz."""
     required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
     missing = [name for name in required if name not in file]
@@ -126,4 +131,11 @@ def _read(path: Path, file: NpzFile) -> Recording:
         )
     present = [name for name in (*required[1:], "qd", "effort") if name in file]
     arrays = {name: np.asarray(file[name], dtype=np.float64) for name in present}
-    return Recording(name=str(path), joints=tuple(map(str, np.atleast_1d(file["joints"]))), **arrays)
+    recorded = ours(map(str, np.atleast_1d(file["joints"])))
+    unknown = [joint for joint in recorded if joint not in JOINT_SPECS]
+    if unknown:
+        raise RecordingError(
+            f"{path}: {', '.join(unknown)} are no joints of ours; rename them (--rename OURS=THEIRS), "
+            f"or leave them out. Ours are {', '.join(JOINT_SPECS)}."
+        )
+    return Recording(name=str(path), joints=recorded, **arrays)

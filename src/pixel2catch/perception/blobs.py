@@ -1,6 +1,6 @@
 """Connected regions of a mask, and the choice of the one that continues a motion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 
 import cv2
@@ -11,6 +11,9 @@ from pixel2catch.perception.segmenter import NOT_FOUND, Mask, Segmentation
 
 NUM_NEIGHBORS = 8
 """Pixels that touch at a corner belong together."""
+
+LONGEST_STEP = 20.0
+"""How far another thing moves between two images, at most, to be known again [px]. Source: ours."""
 
 LONGEST_COAST = 3
 """Image intervals that an unseen object is taken to go on as before. Source: ours."""
@@ -114,11 +117,13 @@ class Course:
         center: Middle of its last box [px].
         velocity: Its last change in an image interval [px].
         num_missed: Images since then.
+        others: Middles of the things in the last image that were not the object [px].
     """
 
     center: tuple[float, float]
     velocity: tuple[float, float] = (0.0, 0.0)
     num_missed: int = 0
+    others: tuple[tuple[float, float], ...] = ()
 
     @property
     def expected(self) -> tuple[float, float]:
@@ -128,7 +133,7 @@ class Course:
 
     def missed(self) -> "Course":
         """The course after an image without the object."""
-        return Course(center=self.center, velocity=self.velocity, num_missed=self.num_missed + 1)
+        return replace(self, num_missed=self.num_missed + 1)
 
     def seen(self, center: tuple[float, float]) -> "Course":
         """The course after an image with the object [px]."""
@@ -143,9 +148,10 @@ class Course:
     def next_blob(self, found: Blobs, cfg: FollowCfg) -> Blob | None:
         """The region of the right size that is nearest to where the object should be, if any is in reach.
 
-        In reach is what is near to the way from its last place to there: a hand may have stopped it.
+        In reach is what is near to the way from its last place to there: a hand may have stopped it. What was
+        another thing in the last image is not the object in this one.
         """
-        plausible = (blob for blob in found.blobs if is_plausible(blob, cfg))
+        plausible = (blob for blob in found.blobs if is_plausible(blob, cfg) and not self._is_other(blob))
         near = [blob for blob in plausible if self._distance(blob.center) <= self.reach(cfg)]
         return min(near, key=lambda blob: blob.distance(self.expected), default=None)
 
@@ -162,10 +168,20 @@ class Course:
 
         The score is the region's share of its box.
         """
+        others = tuple(each.center for each in found.blobs if each is not blob)
         if blob is None:
-            return self.missed(), NOT_FOUND
+            return replace(self.missed(), others=others), NOT_FOUND
         score = blob.area / (blob.width * blob.height)
-        return self.seen(blob.center), Segmentation(mask=found.mask(blob), score=score)
+        segmentation = Segmentation(mask=found.mask(blob), score=score)
+        return replace(self.seen(blob.center), others=others), segmentation
+
+    def _is_other(self, blob: Blob) -> bool:
+        """Whether a region continues another thing rather than the object, which is expected elsewhere."""
+        away = blob.distance(self.expected)
+        (u, v), (end_u, end_v) = blob.center, self.expected
+        if abs(u - end_u) <= 0.5 * blob.width and abs(v - end_v) <= 0.5 * blob.height:
+            return False
+        return any(blob.distance(other) < min(away, LONGEST_STEP) for other in self.others)
 
 
 def is_plausible(blob: Blob, cfg: FollowCfg) -> bool:

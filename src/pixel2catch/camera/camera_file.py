@@ -1,0 +1,169 @@
+"""The camera file: what a calibration writes, and training, evaluation and perception can take."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from math import isfinite, sqrt
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+
+from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import write_atomically
+from pixel2catch.robot.constants import CameraSpec, Vec3
+
+FORMAT_VERSION = 1
+"""Version of the files. Raised when an older one can no longer be read."""
+
+LENS_SIZES = (0, 4, 5, 8)
+"""How many numbers the lens models have that are read: none, and OpenCV's with 4, 5 or 8."""
+
+NO_POSE_ERROR = ((0.0,) * 6,) * 6
+"""Covariance of a pose that is known exactly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraFile:
+    """A calibrated camera, and how well it is known.
+
+    Attributes:
+        camera: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is
+            (0.5, 0.5).
+        distortion: Its lens, (k1, k2, p1, p2[, k3[, k4, k5, k6]]) as in OpenCV; none for rectified images.
+        pose_covariance: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad],
+            both along the axes of the world.
+        focal_std: Standard deviation of the focal length, relative to it; None if unknown.
+    """
+
+    camera: CameraSpec
+    distortion: tuple[float, ...] = ()
+    pose_covariance: tuple[tuple[float, ...], ...] = NO_POSE_ERROR
+    focal_std: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no camera."""
+        camera = self.camera
+        if min(camera.width, camera.height, camera.fx, camera.fy) <= 0:
+            raise InvalidValueError("width, height, fx and fy must be positive")
+        if abs(sum(q * q for q in camera.quat) - 1.0) > 1e-3:
+            raise InvalidValueError(f"quat is {camera.quat}; it must be a unit quaternion (w, x, y, z)")
+        if len(self.distortion) not in LENS_SIZES:
+            raise InvalidValueError(f"distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8")
+        _require_covariance(self.pose_covariance)
+        if self.focal_std is not None and self.focal_std < 0.0:
+            raise InvalidValueError(f"focal_std is {self.focal_std}; it must be 0 or more")
+
+    @property
+    def pos_std(self) -> Vec3:
+        """Standard deviations of the position along the axes of the world [m]."""
+        x, y, z, *_ = self._stds()
+        return x, y, z
+
+    @property
+    def turn_std(self) -> Vec3:
+        """Standard deviations of the orientation about the axes of the world [rad]."""
+        *_, x, y, z = self._stds()
+        return x, y, z
+
+    def sample(self, num_envs: int, generator: torch.Generator) -> Projection:
+        """Draw cameras as this one may be, on the generator's device; one without lens errors.
+
+        Args:
+            num_envs: How many.
+            generator: Where they are drawn from.
+        """
+        device = generator.device
+        draws = torch.randn(num_envs, 7, generator=generator, device=device)
+        shares, axes = torch.linalg.eigh(torch.tensor(self.pose_covariance, dtype=torch.float64))
+        spread = (axes * shares.clamp(min=0.0).sqrt()).to(device, draws.dtype)
+        pose: Float[torch.Tensor, "num_envs 6"] = draws[:, :6] @ spread.T
+        factor = 1.0 + (self.focal_std or 0.0) * draws[:, 6]
+        nominal = nominal_projection(self.camera, draws)
+        return nominal.zoomed(factor, self.camera).turned(pose[:, 3:]).moved(pose[:, :3])
+
+    def save(self, path: Path) -> None:
+        """Write the file, all of it or nothing. Its folder must exist."""
+        content = {"format_version": FORMAT_VERSION, **asdict(self)}
+        write_atomically({path: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()})
+
+    @classmethod
+    def load(cls, path: Path) -> "CameraFile":
+        """Read a file.
+
+        Raises:
+            InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
+        """
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            version = content.pop("format_version")
+            if version != FORMAT_VERSION:
+                raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+            return _parsed(content)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            reason = f"there is no {error}" if isinstance(error, KeyError) else error
+            raise InvalidValueError(
+                f"cannot read the camera file '{path}': {reason}. Calibrate again, or correct that entry."
+            ) from error
+
+    def _stds(self) -> list[float]:
+        return [sqrt(row[i]) for i, row in enumerate(self.pose_covariance)]
+
+
+def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:
+    """Refuse what is not 6 x 6, symmetric and without negative variances."""
+    if len(rows) != 6 or any(len(row) != 6 for row in rows):
+        raise InvalidValueError("pose_covariance must have 6 rows of 6 numbers")
+    matrix = torch.tensor(rows, dtype=torch.float64)
+    smallest = float(torch.linalg.eigvalsh(matrix)[0])
+    if not torch.allclose(matrix, matrix.T) or smallest < -1e-6 * float(matrix.trace()) - 1e-12:
+        raise InvalidValueError("pose_covariance must be symmetric, without negative variances")
+
+
+def _parsed(content: Mapping[str, Any]) -> CameraFile:
+    """The file's content as what it means."""
+    _require_names(content, [field.name for field in fields(CameraFile)])
+    camera = content["camera"]
+    _require_names(camera, [field.name for field in fields(CameraSpec)])
+    spec = CameraSpec(
+        width=int(camera["width"]),
+        height=int(camera["height"]),
+        fx=_number(camera["fx"]),
+        fy=_number(camera["fy"]),
+        cx=_number(camera["cx"]),
+        cy=_number(camera["cy"]),
+        pos=_numbers(camera["pos"], 3),
+        quat=_numbers(camera["quat"], 4),
+    )
+    focal_std = content["focal_std"]
+    return CameraFile(
+        camera=spec,
+        distortion=_numbers(content["distortion"]),
+        pose_covariance=tuple(_numbers(row) for row in content["pose_covariance"]),
+        focal_std=None if focal_std is None else _number(focal_std),
+    )
+
+
+def _require_names(content: Mapping[str, Any], names: list[str]) -> None:
+    unknown = [name for name in content if name not in names]
+    if unknown:
+        raise InvalidValueError(f"the entry '{unknown[0]}' is unknown")
+    missing = [name for name in names if name not in content]
+    if missing:
+        raise KeyError(missing[0])
+
+
+def _number(value: Any) -> float:
+    number = float(value)
+    if not isfinite(number):
+        raise InvalidValueError(f"{number} is no number")
+    return number
+
+
+def _numbers(values: Any, size: int | None = None) -> tuple[Any, ...]:
+    """Some numbers, as many as wanted."""
+    if size not in (None, len(values)):
+        raise InvalidValueError(f"{values} must have {size} numbers")
+    return tuple(_number(value) for value in values)

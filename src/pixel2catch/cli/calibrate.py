@@ -1,0 +1,248 @@
+"""`pixel2catch calibrate`: where the camera stands, how well that is known, what it means for a policy."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy as np
+
+    from pixel2catch.perception.calibration import Calibration, HandView
+    from pixel2catch.perception.calibration_comparison import Comparison
+    from pixel2catch.perception.calibration_intrinsics import Intrinsics
+
+IMAGE_COLUMN = "image"
+"""Column with the names of the images, relative to the folder of the table."""
+
+NUM_THROWS = 200
+"""Throws whose paths are compared."""
+
+LARGEST_RMS = 1.5
+"""Errors above this have a cause that can be found [px].
+
+Source: ours; corners of sharp images are found within a few tenths of a pixel, and errors of 1 mrad in each
+of the arm's joints make another 0.3 px.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate:
+    """Find the camera's pose from images of a printed board in the hand, and compare it with the policies'.
+
+    First print the board (--print-marker) and fix it to the hand, rigidly; where does not matter. Then move
+    the arm to 15 poses or more, take an image at each, and write down its name and the joints' positions.
+
+    Attributes:
+        views: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
+        intrinsics: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, a camera.json
+            of before, or a folder with 10 or more images of the printed board.
+        out: Where to write the camera; nothing is overwritten.
+        print_marker: Only write the board to print, a .png or .pdf of A4.
+        square: Edge of a square of the board, measured on paper [m].
+        chessboard: Columns and rows of inner corners, if the images of --intrinsics show a chessboard.
+        rectified: The images are rectified (image_rect): the projection matrix is the lens.
+        topic: Topic of the CameraInfo in a rosbag. Default: the only one.
+        board_pose: Pose of the board in the hand frame at the palm's centre, if it is known: x y z [m] and
+            quaternion w x y z. Default: found from the images, too.
+        json: Print the result as one JSON object.
+    """
+
+    views: Positional[Path | None] = None
+    intrinsics: Path | None = None
+    out: Path = Path("camera.json")
+    print_marker: Path | None = None
+    square: float = 0.06
+    chessboard: tuple[int, int] | None = None
+    rectified: bool = False
+    topic: str | None = None
+    board_pose: tuple[float, float, float, float, float, float, float] | None = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the board, or find the camera and write it."""
+        from pixel2catch.cli.extras import needs_extra
+
+        with needs_extra("perception"):
+            import pixel2catch.perception.calibration  # noqa: F401
+        if self.print_marker is not None:
+            _print_board(self.print_marker)
+        else:
+            self._calibrate()
+
+    def _calibrate(self) -> None:
+        from pixel2catch.cli.console import say
+        from pixel2catch.evaluation.study.throw_figure import sample_paths
+        from pixel2catch.mdp.throws import ThrowCfg
+        from pixel2catch.perception.calibration import calibrate, pose_matrix
+        from pixel2catch.perception.calibration_comparison import compare
+        from pixel2catch.robot.constants import RGB_CAMERA
+
+        _require_free(self.out)
+        intrinsics = self._lens()
+        pose = self.board_pose
+        board = None if pose is None else pose_matrix(pose[:3], pose[3:])
+        result = calibrate(self._hand_views(intrinsics), intrinsics, board)
+        paths = sample_paths(ThrowCfg(), NUM_THROWS, seed=0).reshape(-1, 3)
+        comparison = compare(result.file, RGB_CAMERA, paths)
+        result.file.save(self.out)
+        _print_result(result, intrinsics, comparison, as_json=self.json)
+        say(f"wrote {self.out}")
+
+    def _lens(self) -> "Intrinsics":
+        """The lens.
+
+        Raises:
+            InvalidValueError: If it is not given, or is of images of another size than the policies'.
+        """
+        from pixel2catch.errors import InvalidValueError
+        from pixel2catch.perception.calibration_intrinsics import read_intrinsics
+        from pixel2catch.perception.calibration_target import Chessboard, HandBoard
+        from pixel2catch.robot.constants import RGB_CAMERA
+
+        if self.intrinsics is None or self.views is None:
+            raise InvalidValueError(
+                "give a table of images and joint positions, and --intrinsics; or --print-marker FILE.png "
+                "to begin with."
+            )
+        board = Chessboard(self.chessboard) if self.chessboard else HandBoard(self.square)
+        lens = read_intrinsics(self.intrinsics, board, self.topic, is_rectified=self.rectified)
+        wanted = (RGB_CAMERA.width, RGB_CAMERA.height)
+        if lens.size != wanted:
+            raise InvalidValueError(
+                f"{self.intrinsics} is of images of {lens.size} pixels, but policies look at {wanted}: set "
+                "the camera to that resolution and record again."
+            )
+        return lens
+
+    def _hand_views(self, intrinsics: "Intrinsics") -> "list[HandView]":
+        """The corners in every image that shows the board."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.perception.calibration import HandView
+        from pixel2catch.perception.calibration_target import HandBoard, read_image
+        from pixel2catch.perception.segmenter import check_image
+
+        assert self.views is not None
+        names, joint_pos = _read_views(self.views)
+        board, views, blank = HandBoard(self.square), [], []
+        for name, positions in zip(names, joint_pos, strict=True):
+            image = read_image(self.views.parent / name)
+            check_image(image, *intrinsics.size)
+            view = board.find(image)
+            if view is None:
+                blank.append(name)
+            else:
+                views.append(HandView(name=name, view=view, joint_pos=positions))
+        if blank:
+            say(f"no board found in {len(blank)} of {len(names)} images: {', '.join(blank)}")
+        return views
+
+
+def _require_free(path: Path) -> None:
+    from pixel2catch.errors import InvalidValueError
+
+    if path.exists():
+        raise InvalidValueError(f"{path} exists; choose another name or remove it.")
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+
+def _print_board(path: Path) -> None:
+    """Write the board to print."""
+    import io
+
+    from pixel2catch.cli.console import say
+    from pixel2catch.errors import InvalidValueError
+    from pixel2catch.files import write_atomically
+    from pixel2catch.perception.calibration_target import sheet
+
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in ("png", "pdf"):
+        raise InvalidValueError(f"'{path}' is no .png and no .pdf; name the file so.")
+    _require_free(path)
+    page = io.BytesIO()
+    sheet().savefig(page, format=kind)
+    write_atomically({path: page.getvalue()})
+    say(f"wrote {path}: print it at 100 %, then measure a square for --square")
+
+
+def _read_views(path: Path) -> "tuple[list[str], np.ndarray]":
+    """Names of images and positions of the arm's joints [rad], row by row.
+
+    Raises:
+        RecordingError: If the table lacks a column, or has positions that no arm can have, such as degrees.
+    """
+    import numpy as np
+
+    from pixel2catch.errors import RecordingError
+    from pixel2catch.identification.rules import require_motion
+    from pixel2catch.identification.tables import read_table
+    from pixel2catch.robot.constants import ARM_JOINTS
+
+    table = read_table(path)
+    if IMAGE_COLUMN not in table.names:
+        raise RecordingError(f"{path}: no column {IMAGE_COLUMN}; it has {', '.join(table.names)}.")
+    joints = tuple(joint.name for joint in ARM_JOINTS)
+    joint_pos = table.columns(joints)
+    require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
+    index = table.names.index(IMAGE_COLUMN)
+    return [row[index] for row in table.rows], joint_pos
+
+
+def _print_result(
+    result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison", *, as_json: bool
+) -> None:
+    """Print the errors of the images, the camera, and what to do."""
+    from dataclasses import asdict
+
+    from rich.table import Table
+    from rich.text import Text
+
+    from pixel2catch.cli.console import results_console
+
+    if as_json:
+        content: dict[str, Any] = {
+            "rms": result.rms,
+            "lens_rms": intrinsics.rms,
+            "camera": asdict(result.file),
+        }
+        content |= {"views": [asdict(view) for view in result.views], "comparison": asdict(comparison)}
+        print(json.dumps(content | {"board": result.board.tolist()}, indent=2))
+        return
+    table = Table(title="seen and computed corners")
+    for column in ("image", "RMS [px]", "used"):
+        table.add_column(column)
+    for view in sorted(result.views, key=lambda view: -view.rms):
+        table.add_row(Text(view.name), f"{view.rms:.2f}", "yes" if view.is_used else "left out")
+    console = results_console()
+    console.print(table)
+    for line in _sentences(result, intrinsics, comparison):
+        console.print(Text(line))
+
+
+def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> "Iterator[str]":
+    """The result in words."""
+    from math import degrees
+
+    from pixel2catch.perception.calibration_comparison import advice
+
+    x, y, z = result.file.camera.pos
+    dx, dy, dz = (100 * std for std in result.file.pos_std)
+    turns = " ".join(f"±{degrees(std):.2f}°" for std in result.file.turn_std)
+    used = [view for view in result.views if view.is_used]
+    yield f"Camera at x {x:.3f} m ±{dx:.2f} cm, y {y:.3f} m ±{dy:.2f} cm, z {z:.3f} m ±{dz:.2f} cm"
+    yield f"and turned with {turns} about x, y, z (one standard deviation)."
+    worst = max(used, key=lambda view: view.rms)
+    yield f"Reprojection error: {result.rms:.2f} px RMS, worst image {worst.name} with {worst.rms:.2f} px."
+    if intrinsics.rms is not None:
+        yield f"Reprojection error of the lens: {intrinsics.rms:.2f} px RMS."
+    if result.rms > LARGEST_RMS:
+        yield "That is a lot: are --square and the lens right, the board rigid, the arm at rest each time?"
+    yield (
+        f"Thrown objects are seen {comparison.mean:.1f} px from where the policies' camera sees them, at "
+        f"most {comparison.largest:.1f} px; the calibration leaves {comparison.uncertainty:.1f} px open."
+    )
+    yield from advice(comparison)

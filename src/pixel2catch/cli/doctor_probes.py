@@ -1,0 +1,257 @@
+"""What `pixel2catch doctor` looks at: a probe says what it found, or raises what is wrong and what to do."""
+
+import importlib
+import importlib.metadata
+import importlib.util
+import platform
+import shutil
+import subprocess
+import sys
+import time
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+
+PACKAGE = "pixel2catch"
+
+NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")
+"""Where Linux says which driver is loaded."""
+
+LEAST_FREE = 1e9
+"""Free space that a run may need [bytes]. Source: ours; a run folder has some megabytes, a study 200."""
+
+CAMERA_SECONDS = 3.0
+"""How long a camera is watched [s]."""
+
+LEAST_RATE = 29.0
+"""Images a second that the policies need; they act 30 times."""
+
+SAM2_IMAGES = 3
+"""Images that SAM 2 tracks to be timed; it warms up before, where that matters."""
+
+_WARP_PROBE = """
+import mujoco_warp, warp
+device = warp.get_device("cuda:0")
+assert (warp.full(8, 3.0, device=device).numpy() == 3.0).all()
+print(f"Warp {warp.__version__} computes on {device.name}")
+"""
+
+
+class Absent(Exception):  # noqa: N818
+    """Something optional is not there; the message says what it would be for and how to get it."""
+
+
+class Broken(Exception):  # noqa: N818
+    """Something is there and does not work; the message says what to do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optional:
+    """A package that is needed for a part only.
+
+    Attributes:
+        module: Its name in Python.
+        distribution: Its name for pip.
+        extra: The extra of this package that brings it.
+    """
+
+    module: str
+    distribution: str
+    extra: str
+
+    def probe(self) -> str:
+        """Return its version, if it can be imported and is in range."""
+        if importlib.util.find_spec(self.module) is None:
+            raise Absent(f"not installed: pip install '{PACKAGE}[{self.extra}]'")
+        module = importlib.import_module(self.module)
+        version = getattr(module, "__version__", None) or importlib.metadata.version(self.distribution)
+        wanted = requirements(self.extra).get(self.distribution, SpecifierSet())
+        if not wanted.contains(version, prereleases=True):
+            raise Broken(f"{version} is not in {wanted}: pip install --upgrade '{PACKAGE}[{self.extra}]'")
+        return version
+
+
+@cache
+def requirements(extra: str = "") -> dict[str, SpecifierSet]:
+    """Ranges of versions by package: those that are always needed, or those of an extra."""
+    lines = importlib.metadata.requires(PACKAGE) or []
+    parsed = [Requirement(line) for line in lines]
+    return {
+        each.name: each.specifier
+        for each in parsed
+        if ("extra" in str(each.marker)) == bool(extra)
+        and (each.marker is None or each.marker.evaluate({"extra": extra}))
+    }
+
+
+def python() -> str:
+    """The interpreter."""
+    version, wanted = platform.python_version(), importlib.metadata.metadata(PACKAGE)["Requires-Python"]
+    if not SpecifierSet(wanted).contains(version, prereleases=True):
+        raise Broken(f"Python {version} is not in {wanted}: make setup PYTHON=python3.12")
+    return version
+
+
+def packages() -> str:
+    """The packages that every command needs."""
+    wanted = requirements()
+    wrong = [text for name, versions in wanted.items() for text in _wrong_version(name, versions)]
+    if wrong:
+        raise Broken(f"{', '.join(wrong)}: pip install -r requirements.txt, or make setup")
+    return f"{len(wanted)} in the ranges of {PACKAGE} {importlib.metadata.version(PACKAGE)}"
+
+
+def _wrong_version(name: str, wanted: SpecifierSet) -> list[str]:
+    """What is wrong with a package: nothing, or one thing."""
+    try:
+        version = importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return [f"{name} is missing"]
+    return [] if wanted.contains(version, prereleases=True) else [f"{name} {version} is not in {wanted}"]
+
+
+def policy_and_physics() -> str:
+    """The shipped policy catches for one control step, on the CPU."""
+    from pixel2catch.evaluation.loading import load_policy, task_of
+    from pixel2catch.evaluation.protocol import EvaluationCfg
+
+    policy, method = load_policy(None)
+    env = EvaluationCfg(objects=("cube_s",), num_envs=1, task=task_of(policy)).make_env(method)
+    try:
+        begin = env.reset()
+        env.step(policy.act(begin.policy))
+        env.check()
+    finally:
+        env.close()
+    return f"{method.name} loads and acts"
+
+
+def disk() -> str:
+    """Space for what the commands write."""
+    free = shutil.disk_usage(Path.cwd()).free
+    if free < LEAST_FREE:
+        raise Broken(f"only {free / 1e9:.2f} GB free in {Path.cwd()}: make room or work elsewhere")
+    return f"{free / 1e9:.0f} GB free"
+
+
+def rendering() -> str:
+    """OpenGL without a display."""
+    from pixel2catch.errors import DeviceUnavailableError
+    from pixel2catch.evaluation.rendering import find_gl_backend
+
+    try:
+        return find_gl_backend()
+    except DeviceUnavailableError as error:
+        raise Absent(f"no videos of throws: {error}") from error
+
+
+def cuda() -> str:
+    """A GPU that PyTorch computes on."""
+    import torch
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        is_there = torch.cuda.is_available()
+    if is_there:
+        torch.ones(8, device="cuda").sum().item()
+        memory = torch.cuda.get_device_properties(0).total_memory / 2**30
+        name, count = torch.cuda.get_device_name(0), torch.cuda.device_count()
+        return f"{count} x {name}, {memory:.0f} GiB, {_driver()}, CUDA {torch.version.cuda}"
+    if not NVIDIA_DRIVER.exists():
+        raise Absent("no NVIDIA driver: training takes an hour on a CPU; everything else works")
+    said = "; ".join(str(warning.message) for warning in caught) or "PyTorch does not say why"
+    build = f"a build for CUDA {torch.version.cuda}" if torch.version.cuda else "a CPU build"
+    raise Broken(
+        f"{_driver()}, but PyTorch {torch.__version__}, {build}, sees no GPU ({said}): install a CUDA build "
+        "of PyTorch, or a newer driver"
+    )
+
+
+def _driver() -> str:
+    """The driver's version."""
+    words = NVIDIA_DRIVER.read_text().split("\n")[0].split() if NVIDIA_DRIVER.exists() else []
+    return "driver " + next((word for word in words if word[0].isdigit() and "." in word), "unknown")
+
+
+def warp() -> str:
+    """MuJoCo Warp's language on the GPU."""
+    import torch
+
+    if not torch.cuda.is_available():
+        raise Absent("needs a CUDA device")
+    return _in_process(_WARP_PROBE, "pip install -r requirements.txt, and a driver that this Warp supports")
+
+
+def torchvision() -> str:
+    """Not needed; but one that does not match PyTorch keeps SAM 2 from being imported."""
+    import torch
+
+    if importlib.util.find_spec("torchvision") is None:
+        return "not installed, not needed"
+    return _in_process(
+        "import torchvision; print(torchvision.__version__)",
+        f"it does not match PyTorch {torch.__version__} and breaks SAM 2: pip uninstall torchvision",
+    )
+
+
+def _in_process(code: str, remedy: str) -> str:
+    """Run Python code in a process of its own and return what it printed."""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    if done.returncode:
+        said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        raise Broken(f"{said[-1]}: {remedy}")
+    return done.stdout.strip().splitlines()[-1]
+
+
+def sam2(checkpoint: Path | None) -> str:
+    """A checkpoint that loads, and how long it takes for an image.
+
+    Args:
+        checkpoint: Its folder.
+    """
+    if checkpoint is None:
+        raise Absent("not asked for: name its folder with --checkpoint")
+    import numpy as np
+    import torch
+
+    from pixel2catch.perception.sam2 import Sam2Segmenter
+    from pixel2catch.perception.segmenter import BoxPrompt
+    from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    segmenter = Sam2Segmenter(checkpoint, device)
+    image = np.random.default_rng(0).integers(0, 256, (RGB_CAMERA.height, RGB_CAMERA.width, 3), np.uint8)
+    segmenter.start(image, BoxPrompt(box=(300.0, 200.0, 340.0, 240.0)))
+    begin = time.perf_counter()
+    for _ in range(SAM2_IMAGES):
+        segmenter.track(image)
+    took = (time.perf_counter() - begin) / SAM2_IMAGES
+    use = "fast enough for a camera" if took < CONTROL_DT else "for recordings only"
+    return f"loads on {device}, {1e3 * took:.1f} ms an image: {use}"
+
+
+def camera(source: str | None) -> str:
+    """A camera that delivers what the policies need.
+
+    Args:
+        source: Its number or device.
+    """
+    if source is None:
+        raise Absent("not asked for: name it with --camera")
+    from pixel2catch.perception.cameras import measure_camera, open_camera
+    from pixel2catch.robot.constants import RGB_CAMERA
+
+    report = measure_camera(open_camera(source), CAMERA_SECONDS)
+    found = (
+        f"{report.width} x {report.height} at {report.rate:.1f} Hz, longest pause {1e3 * report.pause:.0f} ms"
+    )
+    if (report.width, report.height) != (RGB_CAMERA.width, RGB_CAMERA.height):
+        raise Broken(f"{found}: it cannot deliver {RGB_CAMERA.width} x {RGB_CAMERA.height}; use another")
+    if report.rate < LEAST_RATE:
+        raise Broken(f"{found}: 30 Hz are needed; more light or a fixed exposure, or another USB port")
+    return found

@@ -1,0 +1,161 @@
+"""`pixel2catch excite`: motion that tells the joints' dynamics, and recordings of it by a simulated robot."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from pixel2catch.identification.excitation_check import Assessment
+    from pixel2catch.identification.trajectory import Trajectory
+    from pixel2catch.robot.joint_dynamics import JointDynamics
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excite:
+    """Draw motion that tells the joints' dynamics, try it in simulation, and write it as joint targets.
+
+    It begins and ends at rest in the start pose. Written is only what a simulated robot follows within all
+    limits and at a distance from the table and from itself. Nothing is overwritten.
+
+    Attributes:
+        robot: Whose joints move; the others hold the start pose.
+        out: File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
+        picture: File of a picture of commands and simulated motion, numbered likewise.
+        seconds: Duration of a trajectory [s].
+        speed: Factor on speeds, accelerations and jumps: begin small on a real robot. 1 is full: jumps like a
+            policy's, which it takes to tell the inertia of the arm's drives.
+        seed: Seed of everything that is drawn; each further recording has the next.
+        recordings: Number of trajectories; a fit needs two at least, one to be held out.
+        dynamics: Dynamics file of the robot that tries them. Default: the nominal robot.
+        rehearse: New folder for what a robot would have recorded, recording-1.npz and so on, and truth.json.
+        truth: Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
+        noise: Standard deviation of a measured position in a rehearsal [rad].
+        stall: Share of turns of the sending and of the reading loop that take 40 ms in a rehearsal.
+        physics_hz: Physics steps in a second of a rehearsal; identify with as many.
+    """
+
+    robot: Literal["ur5e", "allegro", "ur5e_allegro"] = "ur5e_allegro"
+    out: Path | None = None
+    picture: Path | None = None
+    seconds: float = 40.0
+    speed: float = 0.2
+    seed: int = 0
+    recordings: int = 1
+    dynamics: Path | None = None
+    rehearse: Path | None = None
+    truth: Path | None = None
+    noise: float = 2e-4
+    stall: float = 0.05
+    physics_hz: float = 480.0
+
+    def run(self) -> None:
+        """Draw, try, print and write."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.working import working
+        from pixel2catch.identification.simulated_recording import RecorderCfg, rehearse
+
+        outs, pictures = self._numbered(self.out), self._numbered(self.picture)
+        self._require_free([*outs, *pictures])
+        recorder = RecorderCfg(noise=self.noise, stall=self.stall, physics_hz=self.physics_hz)
+        dynamics, truth = self._dynamics(self.dynamics), self._truth()
+        with working() as report:
+            found = self._find(dynamics, report)
+            _write(found, outs, pictures)
+            if self.rehearse:
+                report("recording what a robot would have done")
+                trajectories = [trajectory for trajectory, _ in found]
+                rehearse(self.rehearse, trajectories, truth, recorder, self.seed)
+        for trajectory, assessment in found:
+            _print(trajectory, assessment)
+        written = [*outs, *pictures, *([self.rehearse] if self.rehearse else [])]
+        say(f"wrote {', '.join(map(str, written)) or 'nothing: no --out, no --rehearse'}")
+
+    def _numbered(self, path: Path | None) -> list[Path]:
+        """The names of a file, one for each trajectory; none if it is not wanted."""
+        if path is None:
+            return []
+        numbers = range(1, self.recordings + 1)
+        return [path] if self.recordings == 1 else [path.with_stem(f"{path.stem}-{i}") for i in numbers]
+
+    def _require_free(self, files: "Sequence[Path]") -> None:
+        """Refuse what would overwrite something, before the work.
+
+        Raises:
+            InvalidValueError: A file exists, or the rehearsal's folder is not empty.
+        """
+        from pixel2catch.errors import InvalidValueError
+
+        if self.recordings < 1:
+            raise InvalidValueError(f"recordings is {self.recordings}; it must be 1 or more")
+        for path in files:
+            if path.exists():
+                raise InvalidValueError(f"{path} exists; choose another name or remove it.")
+            path.parent.mkdir(parents=True, exist_ok=True)
+        folder = self.rehearse
+        if folder and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InvalidValueError(
+                f"'{folder}' is not an empty folder; choose another --rehearse, or empty it."
+            )
+
+    def _dynamics(self, path: Path | None) -> "JointDynamics":
+        """The dynamics of the robot's joints; what a file does not have is nominal."""
+        from pixel2catch.identification.recording import ROBOTS
+        from pixel2catch.mdp.dynamics_file import DynamicsFile
+        from pixel2catch.robot.joint_dynamics import JointDynamics
+
+        return DynamicsFile.load(path).dynamics.over(JointDynamics.nominal()).select(ROBOTS[self.robot])
+
+    def _truth(self) -> "JointDynamics":
+        """The dynamics of a rehearsal's robot."""
+        from numpy.random import default_rng
+
+        from pixel2catch.identification.recording import ROBOTS
+        from pixel2catch.identification.simulated_recording import unlike_nominal
+
+        if self.truth:
+            return self._dynamics(self.truth)
+        return unlike_nominal(default_rng(self.seed), ROBOTS[self.robot])
+
+    def _find(
+        self, dynamics: "JointDynamics", report: "Callable[[str], None]"
+    ) -> "list[tuple[Trajectory, Assessment]]":
+        """Draw and try all trajectories."""
+        from pixel2catch.identification.excitation import ExcitationCfg, find_excitation
+
+        found = []
+        for i in range(self.recordings):
+            cfg = ExcitationCfg(robot=self.robot, seconds=self.seconds, seed=self.seed + i, speed=self.speed)
+            report(f"drawing and trying trajectory {i + 1} of {self.recordings}")
+            found.append(find_excitation(cfg, dynamics, report))
+        return found
+
+
+def _write(
+    found: "Sequence[tuple[Trajectory, Assessment]]", outs: "Sequence[Path]", pictures: "Sequence[Path]"
+) -> None:
+    """Write trajectories and pictures to as many files."""
+    from pixel2catch.files import write_atomically
+    from pixel2catch.identification.excitation_report import motion_picture
+
+    for (trajectory, _), path in zip(found, outs, strict=False):
+        trajectory.save(path)
+    for (trajectory, assessment), path in zip(found, pictures, strict=False):
+        write_atomically({path: motion_picture(trajectory, assessment)})
+
+
+def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
+    """Print what the simulated robot did."""
+    from pixel2catch.cli.console import results_console
+    from pixel2catch.identification.excitation_report import motion_table
+
+    console = results_console()
+    console.print(motion_table(f"seed {trajectory.header['seed']}, simulated", assessment))
+    for clearance in assessment.clearances:
+        console.print(clearance.sentence())
+    weak = sum(not check.is_good for check in assessment.checks)
+    if weak:
+        console.print(
+            f"{weak} joints are excited too weakly to tell their dynamics: raise --speed or --seconds."
+        )

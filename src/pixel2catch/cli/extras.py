@@ -1,0 +1,24 @@
+"""What to say where an optional package is missing."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from pixel2catch.errors import PerceptionError
+
+
+@contextmanager
+def needs_extra(extra: str) -> Iterator[None]:
+    """Turn a failed import of an optional package into an error that says what to install.
+
+    Args:
+        extra: The extra of this package that brings it.
+
+    Raises:
+        PerceptionError: If something in this context cannot be imported.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise PerceptionError(
+            f"a package that this needs cannot be imported ({error}): pip install 'pixel2catch[{extra}]'."
+        ) from None

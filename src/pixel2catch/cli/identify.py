@@ -1,0 +1,164 @@
+"""`pixel2catch identify`: from recorded motion to the simulator's joint dynamics."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rich.table import Table
+
+    from pixel2catch.identification.fit_problem import FitCfg
+    from pixel2catch.identification.identify import CheckedRecording, Identification
+    from pixel2catch.identification.report_tables import Grid
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identify:
+    """Fit the simulator's joints to recorded motion: data checks, dynamics file, report.
+
+    Attributes:
+        recordings: Files or folders: rosbag2 (.mcap, .db3), a folder with rtde.csv and commands.csv, or .npz.
+        robot: Whose joints to fit.
+        out: New or empty folder for dynamics.json, report.html and result.json.
+        hold_out: The recording that is not fitted, to judge the fit: its name or number (from 1), or none.
+            Default: the last of several.
+        command_topic: Topics of the commands in a bag, each TOPIC, TOPIC=ROBOT or TOPIC=JOINT,JOINT,... where
+            messages name no joints. Default: the only one that can be it.
+        joint_states_topic: Topic of the measurements in a bag.
+        shift_commands: Added to the times of the commands [s], where their clock is another.
+        rename: Joints that have another name in the recordings, each OURS=THEIRS.
+        free: Parameters to fit. Default: stiffness damping frictionloss armature latency; with --filter:
+            filter_gain filter_lookahead latency.
+        filter: Fit the UR's servoJ filter in front of a stiff servo, or of that of --start.
+        start: Dynamics file to start from: what is not fitted stays as it says.
+        physics_hz: Physics steps in a second; that at which the result will be used is best.
+        json: Print the numbers of the report as one JSON object.
+    """
+
+    recordings: Positional[tuple[Path, ...]]
+    robot: Literal["ur5e", "allegro", "ur5e_allegro"]
+    out: Path
+    hold_out: str | None = None
+    command_topic: tuple[str, ...] = ()
+    joint_states_topic: str = "/joint_states"
+    shift_commands: float = 0.0
+    rename: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    filter: bool = False
+    start: Path | None = None
+    physics_hz: float = 480.0
+    json: bool = False
+
+    def run(self) -> None:
+        """Check, fit, and write the report."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.working import working
+        from pixel2catch.identification.fit_start import start_of_fit
+        from pixel2catch.identification.identify import identify
+        from pixel2catch.identification.report import DYNAMICS, PAGE, require_free, write_report
+
+        require_free(self.out)
+        cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter)
+        with working() as report:
+            sources = self._sources(report)
+        if not self.json:
+            _print_checks(sources)
+        with working() as report:
+            result = identify(sources, start, cfg, report)
+            report("drawing the report")
+            content = write_report(self.out, result, _circumstances())
+        if self.json:
+            print(json.dumps(content, indent=2))
+        else:
+            _print_result(result)
+        say(f"wrote {self.out / DYNAMICS}, and the report for people, {self.out / PAGE}")
+
+    def _fit_cfg(self) -> "FitCfg":
+        """How to fit.
+
+        Raises:
+            UnknownNameError: If there is no such parameter.
+            InvalidValueError: If the rate is not one of a training.
+        """
+        from pixel2catch.identification.fit_problem import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
+        from pixel2catch.robot.scene import SceneCfg
+
+        default = FILTER_PARAMETERS if self.filter else SERVO_PARAMETERS
+        physics_dt = SceneCfg(physics_hz=self.physics_hz).physics_dt
+        return FitCfg(free=self.free or default, physics_dt=physics_dt)
+
+    def _sources(self, report: "Callable[[str], None]") -> "list[CheckedRecording]":
+        """Read and check the recordings.
+
+        Raises:
+            RecordingError: If one cannot be read, or says what cannot be.
+        """
+        from dataclasses import replace
+
+        from pixel2catch.identification.identify import checked
+        from pixel2catch.identification.importers import read_recording
+        from pixel2catch.identification.names import Names
+
+        names = Names.parse(self.command_topic, self.joint_states_topic, self.rename)
+        recordings = []
+        for path in self.recordings:
+            report(f"reading {path}")
+            recording = read_recording(path, self.robot, names)
+            recordings.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
+        report("checking the data")
+        return checked(recordings, self.hold_out)
+
+
+def _circumstances() -> dict[str, Any]:
+    """When, how and where this process works."""
+    import shlex
+
+    from pixel2catch.rl.run_folder import circumstances
+
+    now = circumstances()
+    return now | {"command": shlex.join(["pixel2catch", *now["command"][1:]])}
+
+
+def _print_checks(sources: "Sequence[CheckedRecording]") -> None:
+    from pixel2catch.cli.console import results_console
+    from pixel2catch.identification.check_report import check_table
+
+    for source in sources:
+        results_console().print(check_table(source.recording.name, source.checks))
+
+
+def _print_result(result: "Identification") -> None:
+    """Print errors and parameters as tables, then what is not known."""
+    from rich.text import Text
+
+    from pixel2catch.cli.console import results_console
+    from pixel2catch.identification.report import NOTHING_HELD_OUT
+    from pixel2catch.identification.report_tables import errors_grid, open_questions, parameters_grid
+
+    console = results_console()
+    console.print(_table(errors_grid(result)))
+    console.print(_table(parameters_grid(result)))
+    for question in open_questions(result.fit):
+        console.print(Text(f"- {question}"))
+    if not result.of(is_held_out=True):
+        console.print(Text(NOTHING_HELD_OUT, style="bold red"))
+
+
+def _table(grid: "Grid") -> "Table":
+    """A table for the terminal, with the colours of the verdicts."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from pixel2catch.identification.check_report import STYLES
+
+    table = Table(title=Text(grid.title))
+    for column in grid.columns:
+        table.add_column(Text(column), overflow="fold")
+    for row in grid.rows:
+        table.add_row(*(Text(cell.text, style=STYLES.get(cell.verdict, "")) for cell in row))
+    return table

@@ -1,0 +1,253 @@
+"""`pixel2catch track`: what the perception sees in a video, a rosbag or a camera, and how fast it is."""
+
+import csv
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain, takewhile
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from pixel2catch.perception.extractor import PixelFeatureExtractor
+    from pixel2catch.perception.tracking import Sighting, Tally
+    from pixel2catch.robot.constants import CameraSpec
+
+VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"
+"""Files in the folder that it writes."""
+
+REPORT_SECONDS = 5.0
+"""Time between two lines of progress [s]."""
+
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """Show and record what the perception sees: annotated video, features as CSV, time of every stage.
+
+    The object is pointed out by --box or --point, by --color, or, if neither is given and after a loss, by
+    its flight. A camera is watched until Ctrl-C or --seconds.
+
+    Attributes:
+        source: A video file, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or /dev/videoN.
+        segmenter: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint.
+        out: New or empty folder for track.mp4, features.csv and summary.json.
+        box: The object at the time --at: xmin, ymin, xmax, ymax [px].
+        point: A point on the object at the time --at: u, v [px].
+        region: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
+        color: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
+        saturation: Smallest and largest saturation of --color.
+        value: Smallest and largest brightness of --color.
+        at: When the throw begins and the object is pointed out [s after the first image].
+        seconds: When to stop [s after the first image]. Default: at the end.
+        topic: Topic of the images in a rosbag. Default: the only one.
+        joint_states: Topic of the joint states in a rosbag, for --mask-robot.
+        camera: Camera file as `calibrate` writes it, for other image sizes and for --mask-robot. Default:
+            the camera of the policies.
+        mask_robot: Ignore motion where the robot is; the rosbag must have the states of all joints.
+        checkpoint: Folder of a SAM 2.1 checkpoint in the format of transformers.
+        image_size: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
+        device: Where SAM 2 runs: cpu, cuda, cuda:1, ...
+        json: Print the summary as one JSON object.
+    """
+
+    source: Positional[str]
+    segmenter: Literal["background", "color", "sam2"] = "background"
+    out: Path = Path("track")
+    box: tuple[float, float, float, float] | None = None
+    point: tuple[float, float] | None = None
+    region: tuple[float, float, float, float] | None = None
+    color: Span | None = None
+    saturation: Span = (0.4, 1.0)
+    value: Span = (0.2, 1.0)
+    at: float = 0.0
+    seconds: float | None = None
+    topic: str | None = None
+    joint_states: str = "/joint_states"
+    camera: Path | None = None
+    mask_robot: bool = False
+    checkpoint: Path | None = None
+    image_size: int | None = None
+    device: str = "cpu"
+    json: bool = False
+
+    def run(self) -> None:
+        """Follow the object, write what is seen, and print how long it took."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.cli.extras import needs_extra
+
+        with needs_extra("perception"):
+            from pixel2catch.perception.tracking import Tally
+        from pixel2catch.identification.report import require_free
+
+        require_free(self.out)
+        if self.checkpoint is None:  # SAM 2 on a CPU needs all its cores
+            prepare("cpu")
+        notes: list[str] = []
+        tally = Tally()
+        self._record(tally, notes)
+        if self.mask_robot and tally.num_without_joints:
+            notes.append(
+                f"the robot is not masked in {tally.num_without_joints} control steps: no states of all its "
+                f"joints on {self.joint_states} before their images."
+            )
+        summary = {"source": self.source, "segmenter": self.segmenter, **tally.summary(), "notes": notes}
+        self._finish(summary)
+        _print_result(tally, summary, as_json=self.json)
+        say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
+
+    def _record(self, tally: "Tally", notes: list[str]) -> None:
+        """Follow the object and write video and table until the end, or until Ctrl-C."""
+        from contextlib import closing
+
+        from pixel2catch.errors import PerceptionError
+        from pixel2catch.perception.sources import SourceCfg, ticks_of
+        from pixel2catch.perception.tracking import follow
+        from pixel2catch.rl.interruption import StopRequest
+
+        camera = self._camera(notes)
+        extractor = self._extractor(camera)
+        source = SourceCfg(name=self.source, topic=self.topic, joint_states=self.joint_states)
+        with closing(ticks_of(source, notes)) as ticks:
+            sightings = follow(ticks, extractor, self.at)
+            first = next(sightings, None)
+            if first is None:
+                raise PerceptionError(f"{self.source} has no images.")
+            with StopRequest() as stop:
+                rest = takewhile(lambda _: not stop.is_set, chain([first], sightings))
+                self._write(takewhile(self._is_in_time, rest), camera, tally)
+            if stop.is_set:
+                notes.append("stopped by Ctrl-C.")
+
+    def _is_in_time(self, sighting: "Sighting") -> bool:
+        """Whether this is before the time to stop."""
+        return self.seconds is None or sighting.time <= self.seconds
+
+    def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
+        """Write a picture and a row for every sighting."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.evaluation.rendering import VideoWriter
+        from pixel2catch.perception.annotate import Annotator
+        from pixel2catch.perception.tracking import COLUMNS
+
+        annotator = Annotator(camera)
+        self.out.mkdir(parents=True, exist_ok=True)
+        said = -inf
+        with (
+            open(self.out / TABLE, "w", newline="", encoding="utf-8") as file,
+            VideoWriter(self.out / VIDEO) as video,
+        ):
+            table = csv.DictWriter(file, COLUMNS)
+            table.writeheader()
+            for sighting in sightings:
+                tally.add(sighting)
+                table.writerow(sighting.row())
+                video.write(annotator.picture(sighting))
+                if time.monotonic() - said > REPORT_SECONDS:
+                    said = time.monotonic()
+                    say(f"{sighting.time:.1f} s: {sighting.extraction.verdict}")
+
+    def _finish(self, summary: dict[str, Any]) -> None:
+        """Write the summary, with how it came about."""
+        from pixel2catch.files import plain, write_atomically
+        from pixel2catch.rl.run_folder import circumstances
+
+        text = json.dumps(summary | {"circumstances": circumstances()}, indent=2, default=plain)
+        write_atomically({self.out / SUMMARY: f"{text}\n".encode()})
+
+    def _camera(self, notes: list[str]) -> "CameraSpec":
+        """The camera that took the images."""
+        from pixel2catch.camera.camera_file import CameraFile
+        from pixel2catch.robot.constants import RGB_CAMERA
+
+        if self.camera is None:
+            return RGB_CAMERA
+        file = CameraFile.load(self.camera)
+        if file.distortion:
+            notes.append(f"{self.camera} has a lens: give rectified images, such as image_rect.")
+        return file.camera
+
+    def _extractor(self, camera: "CameraSpec") -> "PixelFeatureExtractor":
+        """What finds the object and makes features of it."""
+        from pixel2catch.perception.choice import PromptCfg, SegmenterCfg, make_prompter, make_segmenter
+        from pixel2catch.perception.color import ColorRange
+        from pixel2catch.perception.extractor import PixelFeatureExtractor
+        from pixel2catch.perception.robot_mask import RobotMask
+        from pixel2catch.perception.tracking import LaterPrompter
+
+        hues = self.color
+        colors = hues and ColorRange(hue=hues, saturation=self.saturation, value=self.value)
+        prompter = make_prompter(
+            PromptCfg(box=self.box, point=self.point, colors=colors, region=self.region), camera
+        )
+        segmenter = make_segmenter(
+            SegmenterCfg(
+                kind=self.segmenter,
+                colors=colors,
+                checkpoint=self.checkpoint,
+                image_size=self.image_size,
+                device=self.device,
+            )
+        )
+        robot = RobotMask(camera) if self.mask_robot else None
+        return PixelFeatureExtractor(segmenter, LaterPrompter(prompter), robot=robot, camera=camera)
+
+
+def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> None:
+    """Print the times of the stages, what was seen, and whether it is fast enough."""
+    if as_json:
+        print(json.dumps(summary, indent=2))
+        return
+    from rich.text import Text
+
+    from pixel2catch.cli.console import results_console
+
+    console = results_console()
+    console.print(_table(tally))
+    for line in _sentences(tally, summary):
+        console.print(Text(line))
+
+
+def _table(tally: "Tally") -> "Table":
+    """The times of the stages."""
+    from rich.table import Table
+
+    table = Table(title="time of each stage [ms]")
+    table.add_column("stage")
+    for name in ("p50", "p95", "p99", "images"):
+        table.add_column(name, justify="right")
+    for stage, took in tally.percentiles().items():
+        times = (f"{1e3 * value:.2f}" for value in (took.p50, took.p95, took.p99))
+        table.add_row(stage, *times, str(took.count))
+    return table
+
+
+def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
+    """What was seen and how fast, in words."""
+    counts = ", ".join(f"{verdict} {count}" for verdict, count in summary["verdicts"].items())
+    yield f"{summary['num_steps']} control steps in {summary['seconds']:.1f} s: {counts}"
+    share = summary["seen_since_first"]
+    yield (
+        "The object was never seen: point it out with --box, --point or --color, at the time --at."
+        if share is None
+        else f"Seen in {100 * share:.1f} % of the images since it was first seen."
+    )
+    if summary["num_skipped"]:
+        yield f"{summary['num_skipped']} control steps had no image: differences after them are too large."
+    if summary["num_identical"]:
+        yield f"{summary['num_identical']} images equal the one before: does the camera repeat images?"
+    yield from (f"Note: {note}" for note in summary["notes"])
+    limit = f"{summary['limit_ms']:.1f} ms"
+    yield (
+        f"Fast enough: 99 % of the images took less than a control step, {limit}."
+        if tally.is_fast_enough
+        else f"TOO SLOW: 99 % of the images must take less than a control step, {limit}."
+    )

@@ -1,0 +1,134 @@
+"""How far a calibrated camera is from the one that a policy was trained with, in pixels, and what to do."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import degrees
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.visibility import is_in_view
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.robot.constants import CameraSpec, Vec3
+
+NUM_DRAWS = 100
+"""Cameras that are drawn to see what the uncertainty does."""
+
+LARGEST_LENS_ERROR = 1.0
+"""What a lens may move a pixel until its images are better rectified [px]. Source: ours, a fifth of the noise
+that a policy is trained with."""
+
+LARGEST_UNSEEN = 0.02
+"""Share of the paths that may be out of the image. Source: ours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Where points that the policy's camera sees are in the calibrated camera's image.
+
+    Attributes:
+        mean: Mean distance between the two places [px].
+        largest: Largest distance [px].
+        unseen: Share of the points that are out of the calibrated camera's image.
+        lens: Largest distance that is the lens's distortion alone [px].
+        uncertainty: Root mean square distance that the calibration leaves open [px].
+        move: What would bring the camera to the policy's place, world frame [m].
+        turn: What would then bring it to the policy's orientation, about its own axes: right, down, forward
+            [rad].
+    """
+
+    mean: float
+    largest: float
+    unseen: float
+    lens: float
+    uncertainty: float
+    move: Vec3
+    turn: Vec3
+
+
+def compare(
+    calibrated: CameraFile, policy: CameraSpec, points: Float[np.ndarray, "num_points 3"]
+) -> Comparison:
+    """Compare a camera with a policy's.
+
+    Args:
+        calibrated: The camera of the laboratory; its images have the size of the policy's.
+        policy: The camera that the policy was trained with.
+        points: Where objects fly, world frame [m].
+    """
+    wanted, in_view = _pixels(policy, points)
+    points, wanted = points[in_view], wanted[in_view]
+    straight, is_seen = _pixels(calibrated.camera, points)
+    bent = _lens_shift(calibrated, points) * is_seen[:, None]
+    distance = np.linalg.norm(straight + bent - wanted, axis=-1)
+    drawn = calibrated.sample(NUM_DRAWS, torch.Generator().manual_seed(0))
+    everywhere = torch.from_numpy(points).float().expand(NUM_DRAWS, -1, -1)
+    spread = drawn.pixels(everywhere)[0].numpy() - straight
+    return Comparison(
+        mean=float(distance.mean()),
+        largest=float(distance.max()),
+        unseen=1.0 - float(is_seen.mean()),
+        lens=float(np.linalg.norm(bent, axis=-1).max()),
+        uncertainty=float(np.sqrt((spread**2).sum(-1).mean())),
+        move=_vector(np.array(policy.pos) - np.array(calibrated.camera.pos)),
+        turn=_vector((_rotation(calibrated.camera).inv() * _rotation(policy)).as_rotvec()),
+    )
+
+
+def advice(comparison: Comparison) -> Iterator[str]:
+    """What to do, sentence by sentence."""
+    noise = SensingCfg().corner_noise
+    if comparison.unseen > LARGEST_UNSEEN:
+        yield f"{100 * comparison.unseen:.0f} % of the paths that the policy would see are out of the image."
+    if comparison.unseen > LARGEST_UNSEEN or comparison.mean > noise:
+        x, y, z = (100 * metres for metres in comparison.move)
+        up, right, clockwise = (degrees(angle) for angle in comparison.turn)
+        yield (
+            f"Policies are trained for {noise:g} px of noise on each edge: move the camera by ({x:+.1f}, "
+            f"{y:+.1f}, {z:+.1f}) cm along the world's axes, turn it {up:+.1f}° up, {right:+.1f}° right, "
+            f"{clockwise:+.1f}° clockwise, and calibrate again; or train a policy with this camera."
+        )
+    else:
+        yield f"That is within the noise of {noise:g} px on each edge that policies are trained for."
+    if comparison.lens > LARGEST_LENS_ERROR:
+        yield (
+            f"The lens moves pixels by up to {comparison.lens:.1f} px, and policies know a pinhole: give "
+            "them rectified images (image_proc's image_rect), and calibrate with --rectified."
+        )
+    if comparison.uncertainty > noise:
+        yield "The calibration leaves more open than that noise: add images, nearer and turned differently."
+    else:
+        yield "To train with this camera, draw it anew in every episode within its uncertainty."
+
+
+def _pixels(camera: CameraSpec, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where a pinhole sees points [px], and whether it does."""
+    pixels, depth = project(camera, torch.from_numpy(points)[None])
+    return pixels[0].numpy(), is_in_view(camera, pixels, depth)[0].numpy()
+
+
+def _lens_shift(calibrated: CameraFile, points: np.ndarray) -> np.ndarray:
+    """What distortion does to the places of points in the image [px]."""
+    if not any(calibrated.distortion):
+        return np.zeros((len(points), 2))
+    camera = calibrated.camera
+    inverse = _rotation(camera).inv()
+    turn, move = inverse.as_rotvec(), -inverse.apply(camera.pos)
+    matrix = np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
+    lenses = (np.array(calibrated.distortion), np.zeros(4))
+    bent, straight = (cv2.projectPoints(points, turn, move, matrix, lens)[0][:, 0] for lens in lenses)
+    return bent - straight
+
+
+def _rotation(camera: CameraSpec) -> Rotation:
+    return Rotation.from_quat(camera.quat, scalar_first=True)
+
+
+def _vector(values: np.ndarray) -> Vec3:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -1,0 +1,205 @@
+"""The camera's lens: from ROS, from a file, or from images of a board.
+
+ROS and OpenCV call the middle of the first pixel (0, 0), this project (0.5, 0.5): what is read is moved.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
+from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.calibration_target import PIXEL_CENTER, Board, View, read_image
+
+LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
+"""Lens models of ROS that are OpenCV's; no name stands for no distortion."""
+
+MIN_VIEWS = 10
+"""Images of a board that a lens takes. Source: OpenCV's tutorial asks for at least 10."""
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intrinsics:
+    """A lens: a pinhole and its distortion.
+
+    Attributes:
+        size: Width and height of the image [px].
+        matrix: Focal lengths and optical axis [px].
+        distortion: As in OpenCV; none if the images are rectified.
+        focal_std: Standard deviation of the focal length, relative to it; None if unknown.
+        rms: Root mean square distance of seen and computed corners [px]; None if it was not measured here.
+    """
+
+    size: tuple[int, int]
+    matrix: Float[np.ndarray, "3 3"]
+    distortion: tuple[float, ...] = ()
+    focal_std: float | None = None
+    rms: float | None = None
+
+    def undistorted(self, pixels: Float[np.ndarray, "num_points 2"]) -> Float[np.ndarray, "num_points 2"]:
+        """Where the pinhole would see what the lens sees at these places [px]."""
+        if not any(self.distortion):
+            return pixels
+        lens = np.array(self.distortion)
+        return cv2.undistortPoints(pixels[:, None], self.matrix, lens, P=self.matrix).reshape(-1, 2)
+
+
+def read_intrinsics(
+    path: Path, board: Board, topic: str | None = None, *, is_rectified: bool = False
+) -> Intrinsics:
+    """Read or compute a lens; what the path is chooses how.
+
+    Args:
+        path: A file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo, or a
+            folder with images of a board.
+        board: The board in those images.
+        topic: Topic of the CameraInfo; may be left out if there is only one.
+        is_rectified: Whether the images to come are rectified: the projection matrix is the lens then.
+
+    Raises:
+        PerceptionError: If it cannot be read, is of a lens that is not OpenCV's, or too few images show the
+            board.
+        InvalidValueError: If a camera file is damaged.
+    """
+    if path.suffix == ".json":
+        return _of_camera_file(CameraFile.load(path))
+    if path.suffix in (".yaml", ".yml"):
+        return _of_numbers(path, _yaml_numbers(path), is_rectified)
+    if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists():
+        return _of_numbers(path, _bag_numbers(path, topic), is_rectified)
+    if path.is_dir():
+        return intrinsics_of_images(path, board)
+    raise PerceptionError(
+        f"{path}: not there, or of no known kind; give a .yaml of camera_calibration, a rosbag2, a camera "
+        "file (.json), or a folder with images of the board."
+    )
+
+
+def intrinsics_of_images(folder: Path, board: Board) -> Intrinsics:
+    """Compute a lens from images of a board.
+
+    Raises:
+        PerceptionError: If too few images show it, or their sizes differ.
+    """
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    images = {path.name: read_image(path) for path in paths}
+    sizes = {image.shape[1::-1] for image in images.values()}
+    views = [view for image in images.values() if (view := board.find(image))]
+    if len(views) < MIN_VIEWS:
+        raise PerceptionError(
+            f"{folder}: {len(views)} of {len(images)} images show the whole board; {MIN_VIEWS} are needed. "
+            "Hold it nearer and in the light; check --chessboard, which counts inner corners."
+        )
+    if len(sizes) > 1:
+        raise PerceptionError(f"{folder}: images of sizes {sorted(sizes)}; keep those of one resolution.")
+    return intrinsics_of_views(views, sizes.pop())
+
+
+def intrinsics_of_views(views: Sequence[View], size: tuple[int, int]) -> Intrinsics:
+    """Compute a lens (k1, k2, p1, p2) from the corners of a board in several images.
+
+    Args:
+        views: The corners.
+        size: Width and height of the images [px].
+    """
+    rms, matrix, lens, _, _, deviations, *_ = cv2.calibrateCameraExtended(
+        [view.points.astype(np.float32) for view in views],
+        [view.pixels.astype(np.float32)[:, None] for view in views],
+        size,
+        np.eye(3),
+        np.zeros(5),
+        flags=cv2.CALIB_FIX_K3,
+    )
+    return Intrinsics(
+        size=size,
+        matrix=matrix,
+        distortion=tuple(map(float, lens.ravel()[:4])),
+        focal_std=float(deviations[0, 0] / matrix[0, 0]),
+        rms=float(rms),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Numbers:
+    """What ROS says of a camera.
+
+    Attributes:
+        size: Width and height [px].
+        model: Lens model.
+        distortion: Numbers of the lens.
+        matrix: K, row by row [px].
+        projection: P, row by row [px].
+    """
+
+    size: tuple[int, int]
+    model: str
+    distortion: Sequence[float]
+    matrix: Sequence[float]
+    projection: Sequence[float]
+
+
+def _of_numbers(path: Path, numbers: _Numbers, is_rectified: bool) -> Intrinsics:
+    """What ROS says, in our image coordinates; refuse what is no lens of OpenCV's."""
+    if numbers.model not in LENS_MODELS or len(numbers.distortion) not in LENS_SIZES:
+        raise PerceptionError(
+            f"{path}: lens model '{numbers.model}' with {len(numbers.distortion)} numbers is not read; "
+            "record rectified images and give --rectified, or calibrate with plumb_bob."
+        )
+    flat, columns = (numbers.projection, 4) if is_rectified else (numbers.matrix, 3)
+    matrix = np.array(flat, dtype=np.float64)
+    matrix = matrix.reshape(3, columns)[:, :3] if len(matrix) == 3 * columns else np.zeros((3, 3))
+    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(numbers.size) <= 0:
+        raise PerceptionError(f"{path}: no focal length or image size; the camera is not calibrated yet.")
+    matrix[:2, 2] += PIXEL_CENTER
+    lens = () if is_rectified else tuple(map(float, numbers.distortion))
+    return Intrinsics(size=numbers.size, matrix=matrix, distortion=lens)
+
+
+def _of_camera_file(known: CameraFile) -> Intrinsics:
+    """The lens of a camera that was calibrated before."""
+    camera = known.camera
+    matrix = np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
+    size = (camera.width, camera.height)
+    return Intrinsics(size=size, matrix=matrix, distortion=known.distortion, focal_std=known.focal_std)
+
+
+def _yaml_numbers(path: Path) -> _Numbers:
+    """Read a file as `camera_calibration` writes it; OpenCV's parser only misses a first line."""
+    names = ("camera_matrix", "distortion_coefficients", "projection_matrix")
+    reading = cv2.FileStorage_READ | cv2.FileStorage_MEMORY
+    try:
+        file = cv2.FileStorage(f"%YAML:1.0\n---\n{path.read_text(encoding='utf-8')}", reading)
+        width, height = (int(file.getNode(name).real()) for name in ("image_width", "image_height"))
+        rows = [file.getNode(name).getNode("data") for name in names]
+        matrix, lens, projection = ([row.at(i).real() for i in range(row.size())] for row in rows)
+        model = file.getNode("distortion_model").string()
+    except (OSError, UnicodeDecodeError, cv2.error, SystemError) as error:
+        raise PerceptionError(
+            f"{path}: not a file of camera_calibration ({' '.join(str(error).split())}); it has image_width, "
+            "image_height, camera_matrix, distortion_model, distortion_coefficients, projection_matrix."
+        ) from None
+    return _Numbers(size=(width, height), model=model, distortion=lens, matrix=matrix, projection=projection)
+
+
+def _bag_numbers(path: Path, topic: str | None) -> _Numbers:
+    """Read the first CameraInfo of a bag; only here the optional library is needed."""
+    try:
+        from pixel2catch.perception.calibration_rosbag import first_camera_info
+    except ModuleNotFoundError as error:
+        raise PerceptionError(
+            f"{path}: reading bags needs {error.name}; pip install 'pixel2catch[identification]'."
+        ) from None
+    message = first_camera_info(path, topic)
+    return _Numbers(
+        size=(int(message.width), int(message.height)),
+        model=message.distortion_model,
+        distortion=[*message.d],
+        matrix=[*message.k],
+        projection=[*message.p],
+    )

@@ -1,0 +1,178 @@
+"""Following the object through a whole stream of images, and what is to be said about it afterwards."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pixel2catch.camera.features import PIXEL_FEATURES
+from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
+from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.prompt import Prompter
+from pixel2catch.perception.segmenter import Image, Mask, Prompt
+from pixel2catch.perception.stages import Percentiles, StageClock
+from pixel2catch.perception.ticks import Tick
+from pixel2catch.robot.constants import CONTROL_DT
+
+STAGES = ("robot", "segment", "box", "features", "total")
+"""Stages of the extractor, in the order in which they run."""
+
+LOOKED = "segment"
+"""The stage that runs whenever an image was looked at; other control steps cost nothing."""
+
+BOX_EDGES = ("xmin", "ymin", "xmax", "ymax")
+
+COLUMNS = (
+    *("time", "stamp", *BOX_EDGES, *PIXEL_FEATURES, "verdict", "is_valid", "is_fresh", "age", "score"),
+    *("num_skipped", *(f"{stage}_ms" for stage in STAGES), "message"),
+)
+"""Columns of a table of sightings: box, differences [px], centre and size as shares, times [s] or [ms]."""
+
+
+class LaterPrompter(Prompter):
+    """Another one, that says nothing before the first throw begins with a reset; it may learn until then."""
+
+    def __init__(self, prompter: Prompter) -> None:
+        """Silence this one."""
+        self._prompter, self._has_begun = prompter, False
+
+    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
+        """See `Prompter.look`."""
+        prompt = self._prompter.look(image, ignored)
+        return prompt if self._has_begun else None
+
+    def reset(self) -> None:
+        """See `Prompter.reset`."""
+        self._prompter.reset()
+        self._has_begun = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sighting:
+    """One control step.
+
+    Attributes:
+        tick: The image, and the time.
+        time: Since the first control step [s].
+        extraction: What was seen.
+        durations: How long each stage took [s]; without those that did not run.
+    """
+
+    tick: Tick
+    time: float
+    extraction: Extraction
+    durations: dict[str, float]
+
+    def row(self) -> dict[str, Any]:
+        """The sighting as a row of a table, by `COLUMNS`."""
+        seen = self.extraction
+        times = {f"{stage}_ms": f"{1e3 * took:.3f}" for stage, took in self.durations.items()}
+        numbers = {
+            "time": f"{self.time:.4f}",
+            "stamp": f"{self.tick.frame.stamp:.6f}",
+            "age": f"{seen.age:.4f}",
+            "score": f"{seen.score:.4f}",
+        }
+        box = {name: f"{value:g}" for name, value in zip(BOX_EDGES, seen.box[0].tolist(), strict=True)}
+        features = zip(PIXEL_FEATURES, seen.features[0].tolist(), strict=True)
+        others = ("verdict", "is_valid", "is_fresh", "num_skipped", "message")
+        row = numbers | box | times | {name: getattr(seen, name) for name in others}
+        return row | {name: f"{value:.6g}" for name, value in features}
+
+
+def follow(ticks: Iterable[Tick], extractor: PixelFeatureExtractor, begin: float = 0.0) -> Iterator[Sighting]:
+    """Yield what is seen in every control step.
+
+    Args:
+        ticks: The stream.
+        extractor: Gets a reset when the throw begins.
+        begin: When that is, after the first image [s].
+
+    Raises:
+        PerceptionError: If the first image has the wrong size.
+    """
+    first: Tick | None = None
+    has_begun = False
+    for tick in ticks:
+        first = first or tick
+        if not has_begun and tick.frame.stamp - first.frame.stamp >= begin - 0.5 * CONTROL_DT:
+            extractor.reset()
+            has_begun = True
+        extractor.clock = StageClock()
+        extraction = extractor.step(tick.frame, tick.now)
+        durations = {name: report.p50 for name, report in extractor.clock.percentiles().items()}
+        yield Sighting(tick=tick, time=tick.now - first.now, extraction=extraction, durations=durations)
+
+
+class Tally:
+    """Counts sightings and measures how long they took.
+
+    Attributes:
+        num_steps: Control steps.
+        num_without_joints: Of them, those without joint positions.
+    """
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self.num_steps = self.num_without_joints = 0
+        self._verdicts: Counter[Verdict] = Counter()
+        self._durations: dict[str, list[float]] = {}
+        self._num_valid = self._num_seen = self._num_skipped = self._num_identical = 0
+        self._last_image: np.ndarray | None = None
+        self._longest_pause = self._seconds = 0.0
+
+    def add(self, sighting: Sighting) -> None:
+        """Count one more."""
+        seen, frame = sighting.extraction, sighting.tick.frame
+        self.num_steps += 1
+        self.num_without_joints += frame.joint_pos is None
+        self._verdicts[seen.verdict] += 1
+        self._seconds = sighting.time
+        self._num_skipped += seen.num_skipped
+        self._longest_pause = max(self._longest_pause, sighting.tick.now - frame.stamp)
+        if seen.verdict is Verdict.REPEATED:
+            return
+        self._num_valid += seen.is_valid
+        self._num_seen += seen.verdict is Verdict.SEEN
+        self._num_identical += self._last_image is not None and np.array_equal(frame.image, self._last_image)
+        self._last_image = frame.image
+        if LOOKED in sighting.durations:
+            for stage, took in sighting.durations.items():
+                self._durations.setdefault(stage, []).append(took)
+
+    def percentiles(self) -> dict[str, Percentiles]:
+        """Durations of the stages, over the control steps in which an image was looked at."""
+        return {stage: _percentiles(self._durations[stage]) for stage in STAGES if stage in self._durations}
+
+    @property
+    def is_fast_enough(self) -> bool:
+        """Whether 99 % of the images took less than a control step."""
+        report = self.percentiles()
+        return "total" in report and report["total"].p99 < CONTROL_DT
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers for programs; times [s] and durations [ms]."""
+        stages = {
+            name: {"p50": 1e3 * p.p50, "p95": 1e3 * p.p95, "p99": 1e3 * p.p99, "count": p.count}
+            for name, p in self.percentiles().items()
+        }
+        return {
+            "num_steps": self.num_steps,
+            "seconds": self._seconds,
+            "verdicts": {str(verdict): count for verdict, count in self._verdicts.most_common()},
+            "seen_since_first": self._num_seen / self._num_valid if self._num_valid else None,
+            "num_skipped": self._num_skipped,
+            "num_identical": self._num_identical,
+            "longest_pause": self._longest_pause,
+            "stages_ms": stages,
+            "limit_ms": 1e3 * CONTROL_DT,
+            "is_fast_enough": self.is_fast_enough,
+        }
+
+
+def _percentiles(durations: Sequence[float]) -> Percentiles:
+    """Percentiles of durations [s]."""
+    p50, p95, p99 = np.percentile(durations, (50, 95, 99)).tolist()
+    return Percentiles(p50=p50, p95=p95, p99=p99, count=len(durations))

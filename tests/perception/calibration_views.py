@@ -1,0 +1,105 @@
+"""A board in the hand of a robot, seen by a camera with known pose: corners, and rendered images."""
+
+from collections.abc import Iterator
+from functools import cache
+
+import cv2
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from pixel2catch.perception.calibration import HandView, pose_matrix
+from pixel2catch.perception.calibration_intrinsics import Intrinsics
+from pixel2catch.perception.calibration_target import SQUARE, SQUARES, HandBoard, View
+from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA, CameraSpec
+from pixel2catch.robot.kinematics import palm_pose
+
+HOME = np.array([joint.home for joint in ARM_JOINTS])
+REACH = np.array((0.4, 0.35, 0.35, 0.5, 0.6, 0.9))
+"""How far the arm goes from its start pose [rad]: within the UR5e's range, wider than a policy's."""
+
+GREY = 127
+MARGIN = 0.015
+"""White edge of the board [m]."""
+
+COLUMNS, ROWS = SQUARES
+CORNERS = SQUARE * np.array([(x, y, 0) for y in range(1, ROWS) for x in range(1, COLUMNS)], dtype=float)
+OUTLINE = SQUARE * np.array([(x, y, 0) for y in (0, ROWS) for x in (0, COLUMNS)], dtype=float)
+
+BOARD = np.eye(4)
+BOARD[:3, :3] = Rotation.from_euler("yx", (-90.0, 12.0), degrees=True).as_matrix()
+BOARD[:3, 3] = 0.02, 0.05, -0.08
+"""The board in the hand: its back on the palm, a little askew."""
+
+
+def camera_pose(camera: CameraSpec) -> np.ndarray:
+    return pose_matrix(camera.pos, camera.quat)
+
+
+def lens(camera: CameraSpec = RGB_CAMERA) -> Intrinsics:
+    matrix = np.array(((camera.fx, 0, camera.cx), (0, camera.fy, camera.cy), (0, 0, 1.0)))
+    return Intrinsics(size=(camera.width, camera.height), matrix=matrix)
+
+
+def board_in_camera(joint_pos: np.ndarray, camera: CameraSpec = RGB_CAMERA) -> np.ndarray:
+    pos, quat = palm_pose(torch.from_numpy(joint_pos)[None])
+    palm = pose_matrix(pos[0].tolist(), quat[0].tolist())
+    return np.linalg.inv(camera_pose(camera)) @ palm @ BOARD
+
+
+def pixels_of(pose: np.ndarray, points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    seen = points @ pose[:3, :3].T + pose[:3, 3]
+    distortion = np.array(intrinsics.distortion or np.zeros(4))
+    pixels, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), intrinsics.matrix, distortion)
+    return pixels[:, 0]
+
+
+def poses(num: int, seed: int = 0) -> Iterator[np.ndarray]:
+    """Joint positions [rad] at which the camera sees the whole board, not too much from the side."""
+    rng = np.random.default_rng(seed)
+    while num:
+        joint_pos = HOME + REACH * rng.uniform(-1, 1, 6)
+        pose = board_in_camera(joint_pos)
+        pixels = pixels_of(pose, OUTLINE, lens())
+        middle = pose[:3, :3] @ OUTLINE.mean(axis=0) + pose[:3, 3]
+        is_frontal = pose[:3, 2] @ middle > 0.5 * np.linalg.norm(middle)
+        if is_frontal and (pixels > 8).all() and (pixels < np.array((632, 472))).all():
+            num -= 1
+            yield joint_pos
+
+
+def hand_views(num: int, *, noise: float = 0.3, seed: int = 0, distortion=()) -> list[HandView]:
+    """The corners in images at several joint positions, with Gaussian noise of this deviation [px]."""
+    rng = np.random.default_rng(seed + 1)
+    intrinsics = Intrinsics(size=(640, 480), matrix=lens().matrix, distortion=distortion)
+    views = []
+    for i, joint_pos in enumerate(poses(num, seed)):
+        pixels = pixels_of(board_in_camera(joint_pos), CORNERS, intrinsics)
+        view = View(points=CORNERS, pixels=pixels + rng.normal(0, noise, pixels.shape))
+        views.append(HandView(name=f"view{i}", view=view, joint_pos=joint_pos))
+    return views
+
+
+@cache
+def texture() -> tuple[np.ndarray, float]:
+    """The printed board with its white edge, and its pixels a metre."""
+    board = HandBoard().picture()
+    scale = board.shape[1] / (COLUMNS * SQUARE)
+    edge = round(MARGIN * scale)
+    return cv2.copyMakeBorder(board, edge, edge, edge, edge, cv2.BORDER_CONSTANT, value=255), scale
+
+
+def rendered(pose: np.ndarray, rng: np.random.Generator, magnification: int = 4) -> np.ndarray:
+    """What the camera sees of the board in this pose before grey, with sensor noise: OpenCV's BGR."""
+    board, scale = texture()
+    edge = round(MARGIN * scale) / scale
+    to_board = np.array(((1 / scale, 0, -edge), (0, 1 / scale, -edge), (0, 0, 1.0)))
+    plane = lens().matrix @ pose[:3, [0, 1, 3]] @ to_board
+    finer = np.diag((magnification, magnification, 1.0))
+    centers = np.array(((1, 0, 0.5), (0, 1, 0.5), (0, 0, 1.0)))  # OpenCV's (0, 0) is a pixel's middle
+    homography = np.linalg.inv(centers) @ finer @ plane @ centers
+    size = (640 * magnification, 480 * magnification)
+    large = cv2.warpPerspective(board, homography, size, flags=cv2.INTER_LINEAR, borderValue=GREY)
+    image = cv2.resize(large, (640, 480), interpolation=cv2.INTER_AREA).astype(float)
+    image = cv2.GaussianBlur(image, (0, 0), 0.7) + rng.normal(0, 2.0, image.shape)
+    return cv2.cvtColor(np.clip(image, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)

@@ -1,0 +1,101 @@
+"""The camera's pose from corners of a board in the hand, against the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_views import BOARD, CORNERS, HOME, board_in_camera, hand_views, lens, pixels_of
+from scipy.spatial.transform import Rotation
+
+from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.calibration import Calibration, HandView, calibrate
+from pixel2catch.perception.calibration_target import View
+from pixel2catch.robot.constants import RGB_CAMERA
+
+NOISE = 0.3
+
+
+def errors(result: Calibration) -> tuple[float, float]:
+    """Distance [m] and angle [rad] to the true camera."""
+    found = result.file.camera
+    truth = Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True)
+    turn = Rotation.from_quat(found.quat, scalar_first=True) * truth.inv()
+    return float(np.linalg.norm(np.subtract(found.pos, RGB_CAMERA.pos))), turn.magnitude()
+
+
+def disturbed(views: list[HandView], index: int, joint: int, angle: float) -> list[HandView]:
+    joint_pos = views[index].joint_pos.copy()
+    joint_pos[joint] += angle
+    return [replace(view, joint_pos=joint_pos) if i == index else view for i, view in enumerate(views)]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_finds_the_camera_in_spite_of_noise_and_a_wrong_row(seed: int):
+    views = disturbed(hand_views(12, noise=NOISE, seed=seed), index=4, joint=3, angle=0.2)
+    result = calibrate(views, lens())
+    distance, angle = errors(result)
+    assert distance < 5e-3
+    assert angle < np.radians(0.3)
+    assert [view.name for view in result.views if not view.is_used] == ["view4"]
+    assert result.views[4].rms > 10.0
+    # A distance of two coordinates is √2 times their noise; 12 of 132 numbers were fitted.
+    assert result.rms == pytest.approx(np.sqrt(2) * NOISE * np.sqrt(1 - 12 / 132), rel=0.2)
+    np.testing.assert_allclose(result.board[:3, 3], BOARD[:3, 3], atol=5e-3)
+
+
+def test_exact_corners_give_the_exact_camera():
+    result = calibrate(hand_views(6, noise=0.0), lens())
+    assert errors(result) == pytest.approx((0.0, 0.0), abs=1e-6)
+    assert result.rms < 1e-6
+    assert max(*result.file.pos_std, *result.file.turn_std) < 1e-6
+
+
+def test_the_uncertainty_is_that_of_repeated_calibrations():
+    results = [calibrate(hand_views(12, noise=NOISE, seed=seed), lens()).file for seed in range(5)]
+    stated = np.sqrt(np.mean([np.square(file.pos_std) for file in results], axis=0))
+    true = np.sqrt(np.mean([np.square(np.subtract(f.camera.pos, RGB_CAMERA.pos)) for f in results], axis=0))
+    ratio = np.linalg.norm(stated) / np.linalg.norm(true)
+    assert 0.5 < ratio < 2.0
+
+
+def test_errors_of_the_arm_are_part_of_the_uncertainty():
+    rng = np.random.default_rng(3)
+    views = hand_views(12, noise=NOISE)
+    shaken = [replace(view, joint_pos=view.joint_pos + rng.normal(0, 2e-3, 6)) for view in views]
+    calm, rough = calibrate(views, lens()).file, calibrate(shaken, lens()).file
+    assert np.linalg.norm(rough.pos_std) > 1.5 * np.linalg.norm(calm.pos_std)
+
+
+def test_a_lens_is_straightened():
+    lens_of = replace(lens(), distortion=(-0.2, 0.05, 1e-3, -1e-3))
+    views = hand_views(10, noise=0.0, distortion=lens_of.distortion)
+    assert errors(calibrate(views, lens_of))[0] < 1e-4
+    assert errors(calibrate(views, lens()))[0] > 5e-3
+
+
+def test_turning_about_one_axis_only_takes_a_known_board():
+    rng, views = np.random.default_rng(0), []
+    for angle in np.linspace(-0.3, 0.3, 8):
+        joint_pos = HOME + np.array((angle, 0, 0, 0, 0, 0))
+        view = View(points=CORNERS, pixels=pixels_of(board_in_camera(joint_pos), CORNERS, lens()))
+        views.append(HandView(name=f"{angle:.2f}", view=view, joint_pos=joint_pos))
+    shaken = [replace(view, joint_pos=view.joint_pos + rng.normal(0, 5e-4, 6)) for view in views]
+    for turned in (views, shaken):
+        with pytest.raises(PerceptionError, match="one axis only; add images with the wrist turned"):
+            calibrate(turned, lens())
+    known = calibrate(views, lens(), BOARD)
+    assert errors(known) == pytest.approx((0.0, 0.0), abs=1e-6)
+    np.testing.assert_array_equal(known.board, BOARD)
+
+
+def test_too_few_images_are_refused():
+    with pytest.raises(PerceptionError, match="5 images show the board in the hand, 6 are needed"):
+        calibrate(hand_views(5), lens())
+
+
+def test_rows_of_other_images_are_refused():
+    views = hand_views(8)
+    pairs = zip(views, [*views[3:], *views[:3]], strict=True)
+    mixed = [replace(view, joint_pos=other.joint_pos) for view, other in pairs]
+    with pytest.raises(PerceptionError, match="are the rows of the table those of the images"):
+        calibrate(mixed, lens())

@@ -1,0 +1,103 @@
+"""How far a camera is from a policy's: hand-worked displacements, and what is advised."""
+
+from dataclasses import replace
+from math import radians, tan
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pixel2catch.camera.camera_file import NO_POSE_ERROR, CameraFile
+from pixel2catch.evaluation.study.throw_figure import sample_paths
+from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.perception.calibration_comparison import Comparison, advice, compare
+from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
+
+PATHS = sample_paths(ThrowCfg(), 50, seed=0).reshape(-1, 3)
+
+
+def turned(axis: tuple[float, float, float], angle: float) -> CameraSpec:
+    """The policies' camera turned about an axis of its own [rad]."""
+    turn = Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True) * Rotation.from_rotvec(
+        angle * np.array(axis)
+    )
+    w, x, y, z = turn.as_quat(scalar_first=True).tolist()
+    return replace(RGB_CAMERA, quat=(w, x, y, z))
+
+
+def compared(camera: CameraSpec, points: np.ndarray = PATHS, **more) -> Comparison:
+    return compare(CameraFile(camera=camera, **more), RGB_CAMERA, points)
+
+
+def test_the_same_camera_sees_the_same():
+    result = compared(RGB_CAMERA)
+    zeros = (result.mean, result.largest, result.unseen, result.lens, result.uncertainty)
+    assert zeros == pytest.approx((0.0,) * 5, abs=1e-3)
+    assert [*result.move, *result.turn] == pytest.approx([0.0] * 6)
+    assert "within the noise" in " ".join(advice(result))
+
+
+def test_a_shift_of_the_optical_axis_shifts_all():
+    result = compared(replace(RGB_CAMERA, cx=RGB_CAMERA.cx + 3.0, cy=RGB_CAMERA.cy - 4.0))
+    assert (result.mean, result.largest) == pytest.approx((5.0, 5.0))
+
+
+def test_a_turn_displaces_the_middle_by_the_focal_length_times_its_tangent():
+    angle = radians(2.0)
+    axis = Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True).as_matrix()[:, 2]
+    middle = (np.array(RGB_CAMERA.pos) + 2.0 * axis)[None]
+    result = compared(turned((0.0, 1.0, 0.0), angle), middle)
+    assert result.mean == pytest.approx(RGB_CAMERA.fx * tan(angle), rel=1e-6)
+    assert result.turn == pytest.approx((0.0, -angle, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("axis", "words"),
+    [((1.0, 0.0, 0.0), "-5.0° up"), ((0.0, 1.0, 0.0), "-5.0° right"), ((0.0, 0.0, 1.0), "-5.0° clockwise")],
+)
+def test_a_turned_camera_is_to_be_turned_back(axis: tuple[float, float, float], words: str):
+    assert words in " ".join(advice(compared(turned(axis, radians(5.0)))))
+
+
+def test_turning_up_lowers_what_is_seen():
+    """The optical frame's x axis points right: a positive turn about it lifts the optical axis."""
+    up = Rotation.from_quat(turned((1.0, 0.0, 0.0), radians(5.0)).quat, scalar_first=True)
+    level = Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True)
+    assert up.apply((0, 0, 1))[2] > level.apply((0, 0, 1))[2]
+
+
+def test_a_camera_elsewhere_is_to_be_moved_back():
+    x, y, z = RGB_CAMERA.pos
+    result = compared(replace(RGB_CAMERA, pos=(x + 0.2, y, z - 0.1)))
+    assert result.mean > 5.0
+    assert "move the camera by (-20.0, +0.0, +10.0) cm" in " ".join(advice(result))
+
+
+def test_a_camera_that_looks_away_sees_nothing():
+    result = compared(turned((0.0, 1.0, 0.0), radians(120.0)))
+    assert result.unseen == 1.0
+    assert np.isfinite([result.mean, result.largest]).all()
+    assert "100 % of the paths" in " ".join(advice(result))
+
+
+def test_a_lens_displaces_as_its_formula_says():
+    """With k1 alone a point at (x, y) is seen at (1 + k1 r²) times that."""
+    k1, right = -0.1, Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True).apply((0.3, 0.0, 1.0))
+    point = (np.array(RGB_CAMERA.pos) + 2.0 * right)[None]
+    result = compared(RGB_CAMERA, point, distortion=(k1, 0.0, 0.0, 0.0))
+    assert result.lens == pytest.approx(RGB_CAMERA.fx * 0.3 * 0.1 * 0.3**2, rel=1e-6)
+    assert result.mean == pytest.approx(result.lens)
+    assert "--rectified" in " ".join(advice(result))
+
+
+def test_uncertainty_is_given_in_pixels():
+    """A turn about the optical axis's own down direction moves the middle by the focal length times it."""
+    level = Rotation.from_quat(RGB_CAMERA.quat, scalar_first=True)
+    middle = (np.array(RGB_CAMERA.pos) + 2.0 * level.apply((0, 0, 1)))[None]
+    down = level.apply((0, 1, 0))
+    covariance = np.array(NO_POSE_ERROR)
+    covariance[3:, 3:] = 0.02**2 * np.outer(down, down)
+    rows = tuple(tuple(row) for row in covariance.tolist())
+    result = compared(RGB_CAMERA, middle, pose_covariance=rows)
+    assert result.uncertainty == pytest.approx(RGB_CAMERA.fx * 0.02, rel=0.15)
+    assert "add images" in " ".join(advice(result))

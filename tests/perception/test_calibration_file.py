@@ -1,0 +1,105 @@
+"""The camera file: what it says comes back, and what it cannot mean is refused."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.pinhole import project
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.robot.constants import RGB_CAMERA
+
+STDS = (0.01, 0.02, 0.03, 0.004, 0.005, 0.006)
+FILE = CameraFile(
+    camera=replace(RGB_CAMERA, pos=(-0.4, 0.0, 2.1)),
+    distortion=(0.1, -0.2, 0.001, 0.0),
+    pose_covariance=tuple(tuple(s * s if i == j else 0.0 for j in range(6)) for i, s in enumerate(STDS)),
+    focal_std=2e-3,
+)
+POINTS = torch.tensor([[[0.8, 0.1, 1.0], [2.5, -0.2, 0.8]]])
+
+
+def test_what_is_saved_comes_back(tmp_path: Path):
+    path = tmp_path / "camera.json"
+    FILE.save(path)
+    assert CameraFile.load(path) == FILE
+    known = CameraFile(camera=RGB_CAMERA)
+    known.save(path)
+    assert CameraFile.load(path) == known
+
+
+def test_the_standard_deviations_are_those_of_the_covariance():
+    assert FILE.pos_std == pytest.approx(STDS[:3])
+    assert FILE.turn_std == pytest.approx(STDS[3:])
+
+
+def test_drawn_cameras_have_the_covariance():
+    cameras = FILE.sample(20_000, torch.Generator().manual_seed(0))
+    offset = cameras.center - torch.tensor(FILE.camera.pos)
+    torch.testing.assert_close(offset.std(dim=0), torch.tensor(STDS[:3]), rtol=0.03, atol=0.0)
+    # A small turn about the axes of the world changes the optical axis by its cross product with it.
+    axis, turn = cameras.matrix[:, 2], torch.tensor(STDS[3:])
+    x, y, z = axis.mean(dim=0).tolist()
+    expected = torch.tensor(
+        (
+            ((turn[1] * z) ** 2 + (turn[2] * y) ** 2) ** 0.5,
+            ((turn[2] * x) ** 2 + (turn[0] * z) ** 2) ** 0.5,
+            ((turn[0] * y) ** 2 + (turn[1] * x) ** 2) ** 0.5,
+        )
+    )
+    torch.testing.assert_close(axis.std(dim=0), expected, rtol=0.03, atol=1e-5)
+
+
+def test_a_camera_that_is_known_is_drawn_as_it_is():
+    pixels, _ = CameraFile(camera=RGB_CAMERA).sample(3, torch.Generator()).pixels(POINTS.expand(3, -1, -1))
+    torch.testing.assert_close(pixels, project(RGB_CAMERA, POINTS)[0].expand(3, -1, -1))
+
+
+def changed(path: Path, name: str, value: object) -> None:
+    """Write the file with another entry, or without it if the value is None."""
+    FILE.save(path)
+    content = json.loads(path.read_text())
+    place, _, entry = name.rpartition(".")
+    holder = content[place] if place else content
+    holder.pop(entry, None)
+    if value is not None:
+        holder[entry] = value
+    path.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("format_version", 99, "format_version is 99, this code reads 1"),
+        ("camera", None, "there is no 'camera'"),
+        ("camera.fx", None, "there is no 'fx'"),
+        ("camera.fx", -1.0, "must be positive"),
+        ("camera.fx", "wide", "wide"),
+        ("camera.cy", float("nan"), "nan is no number"),
+        ("camera.zoom", 2.0, "'zoom' is unknown"),
+        ("camera.quat", [1.0, 1.0, 0.0, 0.0], "unit quaternion"),
+        ("camera.pos", [1.0, 2.0], "[1.0, 2.0] must have 3 numbers"),
+        ("distortion", [0.1], "distortion has 1 numbers"),
+        ("pose_covariance", [[1.0]], "6 rows of 6"),
+        ("pose_covariance", [[-1.0 * (i == j) for j in range(6)] for i in range(6)], "negative variances"),
+        ("focal_std", -0.1, "focal_std is -0.1"),
+    ],
+)
+def test_an_entry_that_cannot_be_is_named(tmp_path: Path, name: str, value: object, words: str):
+    path = tmp_path / "camera.json"
+    changed(path, name, value)
+    with pytest.raises(InvalidValueError, match="Calibrate again, or correct that entry") as error:
+        CameraFile.load(path)
+    assert words in str(error.value)
+
+
+def test_no_file_and_no_json_are_refused(tmp_path: Path):
+    path = tmp_path / "camera.json"
+    with pytest.raises(InvalidValueError, match="cannot read the camera file"):
+        CameraFile.load(path)
+    path.write_text("{")
+    with pytest.raises(InvalidValueError, match="cannot read the camera file"):
+        CameraFile.load(path)

@@ -1,0 +1,223 @@
+"""The lens from ROS, from files and from images of boards."""
+
+from math import nan
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from calibration_views import CORNERS, lens, pixels_of, rendered
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.perception.calibration_intrinsics import (
+    Intrinsics,
+    intrinsics_of_images,
+    intrinsics_of_views,
+    read_intrinsics,
+)
+from pixel2catch.perception.calibration_target import Chessboard, HandBoard, View, read_image
+from pixel2catch.robot.constants import RGB_CAMERA
+
+YAML = """image_width: 640
+image_height: 480
+camera_name: rgb
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [618.1,   0. , 327.9,
+           0. , 618.4, 246. ,
+           0. ,   0. ,   1. ]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [0.1, -0.2, 0.001, 0.002, 0.0]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1., 0., 0., 0., 1., 0., 0., 0., 1.]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [610. ,   0. , 320. ,   0. , 0. , 611. , 240. ,   0. , 0. ,   0. ,   1. ,   0. ]
+"""
+"""As `camera_calibration` writes it."""
+
+BOARD = HandBoard()
+
+
+def board_poses(num: int) -> list[np.ndarray]:
+    """Boards near the camera, turned about different axes."""
+    rng = np.random.default_rng(5)
+    poses = []
+    for _ in range(num):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3)).as_matrix()
+        middle = np.array((*rng.uniform(-0.08, 0.08, 2), rng.uniform(0.5, 0.7)))
+        pose[:3, 3] = middle - pose[:3, :3] @ CORNERS.mean(axis=0)
+        poses.append(pose)
+    return poses
+
+
+def write_yaml(folder: Path, text: str = YAML) -> Path:
+    path = folder / "ost.yaml"
+    path.write_text(text)
+    return path
+
+
+def write_bag(path: Path, *topics: str, model: str = "plumb_bob") -> Path:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "camera")
+    region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    k = np.array((618.1, 0, 327.9, 0, 618.4, 246.0, 0, 0, 1))
+    p = np.array((610.0, 0, 320, 0, 0, 611, 240, 0, 0, 0, 1, 0))
+    kind = "sensor_msgs/msg/CameraInfo"
+    numbers = (np.array((0.1, -0.2, 0.001, 0.002, 0.0)), k, np.eye(3).ravel(), p)
+    message = types[kind](header, 480, 640, model, *numbers, 0, 0, region)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        for topic in topics:
+            connection = bag.add_connection(topic, kind, typestore=store)
+            bag.write(connection, 1, store.serialize_cdr(message, kind))
+    return path
+
+
+def check_lens(found: Intrinsics) -> None:
+    """The middle of the first pixel is (0, 0) for ROS and (0.5, 0.5) here."""
+    assert found.size == (640, 480)
+    np.testing.assert_allclose(found.matrix, ((618.1, 0, 328.4), (0, 618.4, 246.5), (0, 0, 1)))
+    assert found.distortion == (0.1, -0.2, 0.001, 0.002, 0.0)
+
+
+def test_reads_a_file_of_camera_calibration(tmp_path: Path):
+    check_lens(read_intrinsics(write_yaml(tmp_path), BOARD))
+
+
+def test_reads_a_bag(tmp_path: Path):
+    check_lens(read_intrinsics(write_bag(tmp_path / "bag", "/camera_info"), BOARD))
+
+
+def test_rectified_images_have_the_lens_of_the_projection_matrix(tmp_path: Path):
+    for path in (write_yaml(tmp_path), write_bag(tmp_path / "bag", "/camera_info")):
+        found = read_intrinsics(path, BOARD, is_rectified=True)
+        np.testing.assert_allclose(found.matrix, ((610, 0, 320.5), (0, 611, 240.5), (0, 0, 1)))
+        assert found.distortion == ()
+
+
+def test_reads_the_lens_of_an_earlier_calibration(tmp_path: Path):
+    path = tmp_path / "camera.json"
+    CameraFile(camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0), focal_std=1e-3).save(path)
+    found = read_intrinsics(path, BOARD)
+    np.testing.assert_allclose(found.matrix, lens().matrix)
+    assert (found.distortion, found.focal_std) == ((0.1, 0.0, 0.0, 0.0), 1e-3)
+
+
+def test_undistorting_inverts_the_lens():
+    bent = Intrinsics(size=(640, 480), matrix=lens().matrix, distortion=(-0.2, 0.05, 1e-3, -1e-3))
+    pose = board_poses(1)[0]
+    pixels = pixels_of(pose, CORNERS, bent)
+    straight = pixels_of(pose, CORNERS, lens())
+    assert np.abs(pixels - straight).max() > 1.0
+    np.testing.assert_allclose(bent.undistorted(pixels), straight, atol=1e-2)
+
+
+def test_computes_a_lens_from_noisy_corners():
+    rng = np.random.default_rng(0)
+    true = Intrinsics(size=(640, 480), matrix=lens().matrix, distortion=(-0.1, 0.05, 1e-3, -1e-3))
+    grid = np.array([(x, y, 0) for y in range(6) for x in range(8)]) * 0.03
+    views = []
+    for pose in board_poses(15):
+        pose[:3, 3] = (*rng.uniform(-0.08, 0.08, 2), 0.45) - pose[:3, :3] @ grid.mean(axis=0)
+        pixels = pixels_of(pose, grid, true)
+        views.append(View(points=grid, pixels=pixels + rng.normal(0, 0.3, pixels.shape)))
+    found = intrinsics_of_views(views, (640, 480))
+    assert found.rms == pytest.approx(np.sqrt(2) * 0.3, rel=0.1)
+    assert found.focal_std is not None
+    error = found.matrix[0, 0] / lens().matrix[0, 0] - 1
+    assert abs(error) < 4 * found.focal_std < 0.02
+    np.testing.assert_allclose(found.matrix[:2, 2], lens().matrix[:2, 2], atol=3.0)
+
+
+def test_computes_a_lens_from_images_of_the_printed_board(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    for i, pose in enumerate(board_poses(10)):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), rendered(pose, rng, magnification=2))
+    found = intrinsics_of_images(tmp_path, BOARD)
+    assert found.rms is not None
+    assert found.rms < 0.3
+    np.testing.assert_allclose(found.matrix.diagonal()[:2], lens().matrix.diagonal()[:2], rtol=0.02)
+    (tmp_path / "9.png").unlink()
+    with pytest.raises(PerceptionError, match=r"9 of 9 images show the whole board; 10 are needed"):
+        intrinsics_of_images(tmp_path, BOARD)
+
+
+def test_finds_every_corner_where_it_is(tmp_path: Path):
+    pose = board_poses(1)[0]
+    path = tmp_path / "image.png"
+    cv2.imwrite(str(path), rendered(pose, np.random.default_rng(0)))
+    view = BOARD.find(read_image(path))
+    assert view is not None
+    np.testing.assert_allclose(view.points, CORNERS, atol=1e-6)
+    np.testing.assert_allclose(view.pixels, pixels_of(pose, CORNERS, lens()), atol=0.2)
+
+
+def test_finds_the_corners_of_a_chessboard():
+    squares = np.indices((7, 9)).sum(axis=0) % 2
+    image = np.full((480, 640, 3), 255, dtype=np.uint8)
+    image[60:340, 100:460] = np.kron(255 * squares, np.ones((40, 40)))[..., None].astype(np.uint8)
+    view = Chessboard((8, 6)).find(image)
+    assert view is not None
+    expected = np.array([(140 + 40 * x, 100 + 40 * y) for y in range(6) for x in range(8)], dtype=float)
+    first = 0 if view.pixels[0, 1] < view.pixels[-1, 1] else -1
+    np.testing.assert_allclose(view.pixels if first == 0 else view.pixels[::-1], expected, atol=0.1)
+    assert Chessboard((9, 6)).find(image) is None
+
+
+def test_an_image_without_a_board_has_no_corners():
+    rng = np.random.default_rng(0)
+    assert BOARD.find(rng.integers(0, 256, (480, 640, 3), dtype=np.uint8)) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("just words", "not a file of camera_calibration|no focal length"),
+        ("header:\n  a: 1\nk:\n- 1.0\n", "not a file of camera_calibration|no focal length"),
+        (YAML.replace("618.1", "0.0"), "not calibrated yet"),
+        (YAML.replace("plumb_bob", "equidistant"), "'equidistant'.*--rectified"),
+    ],
+)
+def test_a_file_without_a_lens_is_refused(tmp_path: Path, text: str, words: str):
+    with pytest.raises(PerceptionError, match=words):
+        read_intrinsics(write_yaml(tmp_path, text), BOARD)
+
+
+def test_a_bag_without_the_topic_is_refused(tmp_path: Path):
+    two = write_bag(tmp_path / "two", "/left/camera_info", "/right/camera_info")
+    check_lens(read_intrinsics(two, BOARD, "/left/camera_info"))
+    for topic in (None, "/rgb"):
+        with pytest.raises(PerceptionError, match=r"on /left/camera_info, /right/camera_info; .* --topic"):
+            read_intrinsics(two, BOARD, topic)
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"no bag")
+    with pytest.raises(PerceptionError, match="not a readable rosbag2"):
+        read_intrinsics(broken, BOARD)
+
+
+def test_other_paths_are_refused(tmp_path: Path):
+    with pytest.raises(PerceptionError, match="not there, or of no known kind"):
+        read_intrinsics(tmp_path / "nothing", BOARD)
+    with pytest.raises(PerceptionError, match="0 of 0 images"):
+        read_intrinsics(tmp_path, BOARD)
+    with pytest.raises(PerceptionError, match="not a readable image"):
+        read_image(tmp_path / "missing.png")
+
+
+@pytest.mark.parametrize("square", [0.0, 60.0, nan])
+def test_a_square_is_in_metres(square: float):
+    with pytest.raises(InvalidValueError, match=r"in metres, such as 0\.06"):
+        HandBoard(square)

@@ -1,0 +1,183 @@
+"""`pixel2catch track` on the painted throw: as a video, as a bag, and on what is none."""
+
+import _thread
+import csv
+import json
+import subprocess
+import sys
+import threading
+import time
+from itertools import islice
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import av
+import numpy as np
+import pytest
+from filmed import CAMERA, HELD, PATH, box_at, compressed, jpeg, save_bag, save_camera, save_video, throw
+from tiny_sam2 import save_tiny_sam2
+
+from pixel2catch.cli.main import main
+from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO, Track
+from pixel2catch.perception.annotate import HEADER, PLOT_HEIGHT, PLOT_ROWS
+from pixel2catch.perception.choice import SEGMENTERS
+from pixel2catch.perception.tracking import COLUMNS
+from pixel2catch.robot.constants import CONTROL_DT
+
+AT = ["--at", f"{HELD * CONTROL_DT:.3f}"]
+RED = ["--segmenter", "color", "--color", "340", "20"]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the video, the bag and the camera."""
+    folder = tmp_path_factory.mktemp("filmed")
+    pictures = list(throw())
+    save_video(folder / "throw.mp4", pictures)
+    save_bag(folder / "bag", [compressed(step, jpeg(picture)) for step, picture in enumerate(pictures)])
+    save_camera(folder / "camera.json")
+    return folder
+
+
+def track(files: Path, source: str, out: Path, *args: str) -> tuple[dict[str, Any], list[dict[str, str]]]:
+    """Run the command; return its summary and its table."""
+    options = ["--camera", str(files / "camera.json"), "--out", str(out), *args]
+    assert main(["track", str(files / source), *options]) == 0
+    with open(out / TABLE, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    return json.loads((out / SUMMARY).read_text()), rows
+
+
+def worst_center(rows: list[dict[str, str]]) -> float:
+    """Largest distance of the middle of a box from the truth, in images that show the object [px]."""
+    errors = [0.0]
+    for row, truth in zip(rows, PATH, strict=True):
+        if row["verdict"] == "seen":
+            box = np.array([float(row[name]) for name in ("xmin", "ymin", "xmax", "ymax")])
+            errors.append(float(np.abs(0.5 * (box[:2] + box[2:]) - truth).max()))
+    return max(errors)
+
+
+@pytest.mark.parametrize("source", ["throw.mp4", "bag"])
+@pytest.mark.parametrize("options", [[*AT, "--box", *box_at(HELD)], RED], ids=["background", "color"])
+def test_the_object_is_followed(source: str, options: list[str], files: Path, tmp_path: Path):
+    summary, rows = track(files, source, tmp_path / "new" / "out", *options)
+    assert summary["num_steps"] == len(rows) == len(PATH)
+    assert summary["verdicts"]["seen"] >= len(PATH) - HELD - 1
+    assert not summary["notes"]
+    assert worst_center(rows) < 3.0
+    with av.open(str(tmp_path / "new" / "out" / VIDEO)) as video:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+    assert len(pictures) == len(PATH)
+    assert pictures[0].shape == (HEADER + CAMERA.height + PLOT_ROWS * PLOT_HEIGHT, CAMERA.width, 3)
+
+
+def test_flight_points_out_the_object_where_nobody_does(files: Path, tmp_path: Path):
+    summary, rows = track(files, "throw.mp4", tmp_path / "out")
+    assert summary["verdicts"]["seen"] >= 10
+    assert worst_center(rows) < 4.0
+
+
+def test_images_that_cannot_be_used_are_passed_over(files: Path, tmp_path: Path):
+    """The camera changes its size for an image, stalls for two control steps, and sends rubbish once."""
+    pictures = list(throw())
+    messages = [compressed(step, jpeg(pictures[step])) for step in range(HELD, HELD + 12)]
+    messages[3] = compressed(HELD + 3, jpeg(pictures[0][::2, ::2].copy()))
+    messages[9] = compressed(HELD + 9, b"rubbish")
+    del messages[5:7]
+    save_bag(tmp_path / "bag", messages)
+    summary, rows = track(files, str(tmp_path / "bag"), tmp_path / "out", *RED)
+    got = [row["verdict"] for row in rows]
+    expected = {3: "bad image", 5: "repeated image", 6: "repeated image", 9: "repeated image"}
+    assert got == [expected.get(step, "seen") for step in range(12)]
+    assert (rows[3]["xmin"], rows[3]["dcx"]) == (rows[2]["xmin"], "0")
+    assert "(120, 160, 3)" in rows[3]["message"]
+    assert summary["num_skipped"] == 3
+    assert "1 images are damaged" in summary["notes"][0]
+
+
+def test_sam2_runs_from_a_checkpoint(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    checkpoint = save_tiny_sam2(tmp_path / "checkpoint")
+    options = ["--segmenter", "sam2", "--checkpoint", str(checkpoint), "--point", "40", "150", "--seconds", "0.3"]
+    summary, rows = track(files, "throw.mp4", tmp_path / "out", "--json", *options)
+    assert len(rows) == 10
+    assert {row["verdict"] for row in rows} <= {"seen", "too large", "border", "jump", "too small"}
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["stages_ms"] == summary["stages_ms"]
+
+
+def test_what_is_printed_says_whether_it_is_fast_enough(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    track(files, "throw.mp4", tmp_path / "out", *RED, "--mask-robot", "--seconds", "0.5")
+    printed = capsys.readouterr().out
+    for word in ("segment", "total", "p99", "16 control steps in 0.5 s", "never seen", "than a control step, 33.3"):
+        assert word in printed
+    assert "the robot is not masked in 16 control steps" in printed
+
+
+def test_choices_of_the_command_are_the_segmenters():
+    assert set(get_args(get_type_hints(Track)["segmenter"])) == set(SEGMENTERS)
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["throw.mp4"], "(240, 320, 3) and dtype uint8; it must be (480, 640, 3)"),
+        (["nothing.mp4"], "there is no '"),
+        (["camera.json"], "cannot be read as a video"),
+        (["bag", "--topic", "/wrist"], "choose with --topic out of: /camera/image_raw/compressed"),
+        (["throw.mp4", "--segmenter", "color"], "--color 340 20"),
+        (["throw.mp4", "--segmenter", "sam2"], "needs --checkpoint"),
+        (["throw.mp4", "--segmenter", "sam2", "--checkpoint", "nowhere"], "no SAM 2 checkpoint in nowhere"),
+        (["throw.mp4", "--box", "1", "2", "3", "4", "--point", "5", "6"], "not both"),
+        (["throw.mp4", "--region", "0", "0", "999", "10"], "is not on the image"),
+        (["throw.mp4", "--camera", "nowhere.json"], "cannot read the camera file 'nowhere.json'"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    args: list[str], words: str, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    source, *options = args
+    assert main(["track", str(files / source), *options, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert words in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_overwritten(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "precious").write_text("data")
+    assert main(["track", str(files / "throw.mp4"), "--out", str(tmp_path)]) == 2
+    assert "not an empty folder" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["precious"]
+
+
+def test_a_missing_extra_is_named(files: Path, tmp_path: Path):
+    hidden = "import sys; sys.modules['cv2'] = None; from pixel2catch.cli.main import main; sys.exit(main())"
+    command = [sys.executable, "-c", hidden, "track", str(files / "throw.mp4"), "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "pip install 'pixel2catch[perception]'" in done.stderr
+
+
+def interrupt_once_there(file: Path) -> None:
+    """Do what Ctrl-C does, a moment after a file has come into being."""
+    end = time.monotonic() + 60.0
+    while not file.exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(0.2)
+    _thread.interrupt_main()
+
+
+def test_ctrl_c_leaves_whole_files(files: Path, tmp_path: Path):
+    long = save_video(tmp_path / "long.mp4", 40 * list(islice(throw(), 10)))
+    out = tmp_path / "out"
+    threading.Thread(target=interrupt_once_there, args=(out / TABLE,), daemon=True).start()
+    summary, rows = track(files, str(long), out, *RED)
+    assert summary["notes"] == ["stopped by Ctrl-C."]
+    assert 0 < summary["num_steps"] < 400
+    with av.open(str(out / VIDEO)) as video:
+        num_pictures = sum(1 for _ in video.decode(video=0))
+    assert num_pictures == len(rows) == summary["num_steps"]
