@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pixel2catch.errors import InvalidValueError
+
 
 def write_atomically(contents: Mapping[Path, bytes]) -> None:
     """Write one or several files; when any write fails, all the files keep their old content.
@@ -45,3 +47,31 @@ def _without_infinity(value: Any) -> Any:
     if isinstance(value, list):
         return [_without_infinity(entry) for entry in value]
     return None if isinstance(value, float) and math.isinf(value) else value
+
+
+def require_free_folder(folder: Path, option: str = "--out") -> None:
+    """Refuse a folder in which something would be lost, or that cannot be made.
+
+    Args:
+        folder: Where files are to be written.
+        option: The option that named it, for the message.
+
+    Raises:
+        InvalidValueError: If it is a file, has anything in it, or is where nothing can be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InvalidValueError(f"'{folder}' is not an empty folder; choose another {option}, or empty it.")
+    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise InvalidValueError(f"'{folder}' cannot be made in '{there}'; choose another {option}.")
+
+
+def require_free_file(path: Path) -> None:
+    """Refuse a file that exists, and make the folder of one that does not.
+
+    Raises:
+        InvalidValueError: If it exists.
+    """
+    if path.exists():
+        raise InvalidValueError(f"{path} exists; choose another name or remove it.")
+    path.parent.mkdir(parents=True, exist_ok=True)

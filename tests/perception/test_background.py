@@ -56,6 +56,42 @@ def test_other_things_that_move_are_left_alone():
     assert (worst <= 5.0).mean() >= 0.95
 
 
+def test_an_arm_that_swings_along_is_parted_from_the_ball_by_its_colour():
+    swing = BALL.path + np.clip(np.arange(NUM_STEPS) - NUM_EMPTY - NUM_STILL, 0, None)[:, None] * (0.0, 3.0)
+    arm = Disc(path=swing + (4.0, 12.0), radius=8.0, color=(204, 148, 117))
+    worst = errors((arm,), held_box())
+    assert (worst <= 3.0).mean() >= 0.95
+
+
+def test_a_ball_that_is_held_for_long_is_not_lost():
+    """It becomes background meanwhile; only its colour tells it."""
+    still = np.repeat(BALL.path[NUM_EMPTY : NUM_EMPTY + 1], 60, axis=0)
+    ball = Disc(path=np.concatenate((BALL.path[:NUM_EMPTY], still)), radius=9.0)
+    segmenter = BackgroundSubtraction()
+    for step, image in enumerate(painted.images((ball,), NUM_EMPTY + 60)):
+        found = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
+        if step >= NUM_EMPTY:
+            assert found.mask is not None
+            assert np.abs(painted.box_of(found.mask) - painted.box_of(ball.mask(step))).max() <= 2.0
+
+
+def test_while_the_ball_is_hidden_its_twin_is_not_taken_for_it():
+    first, count = NUM_EMPTY + NUM_STILL + 8, 4
+    hidden = BALL.path.copy()
+    hidden[first : first + count] = -100.0
+    swing = 4.0 * np.sin(np.arange(NUM_STEPS))[:, None] * (1.0, 0.5)
+    twin = Disc(path=swing + BALL.path[first] + (-30.0, 20.0), radius=9.0)
+    segmenter, worst = BackgroundSubtraction(), []
+    for step, image in enumerate(painted.images((twin, Disc(path=hidden, radius=9.0)), NUM_STEPS)):
+        found = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
+        if first <= step < first + count:
+            assert found.mask is None
+        elif step >= first + count:
+            assert found.mask is not None
+            worst.append(np.abs(painted.box_of(found.mask) - painted.box_of(BALL.mask(step))).max())
+    assert (np.array(worst) <= 3.0).mean() >= 0.9
+
+
 def test_a_ball_before_the_robot_is_told_by_its_colour():
     path = np.tile((230.0, 130.0), (NUM_STEPS, 1)) + np.arange(NUM_STEPS)[:, None] * (0.3, -0.3)
     robot = Disc(path=path, radius=40.0, color=(30, 30, 32))

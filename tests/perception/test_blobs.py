@@ -81,6 +81,21 @@ def test_of_two_things_the_nearest_goes_on():
     assert blob.center == (150.0, 100.0)
 
 
+def test_what_was_another_thing_does_not_become_the_object():
+    both = find_blobs(blob_at(150, 100) | blob_at(190, 100))
+    course = Course(center=(140.0, 100.0), velocity=(10.0, 0.0))
+    course, _ = course.advanced(both, course.next_blob(both, FollowCfg()))
+    assert course.others == ((190.0, 100.0),)
+    assert course.next_blob(find_blobs(blob_at(186, 102)), FollowCfg()) is None
+    assert course.next_blob(find_blobs(blob_at(186, 130)), FollowCfg()) is not None
+    assert course.next_blob(find_blobs(blob_at(160, 100)), FollowCfg()) is not None
+
+
+def test_the_object_may_pass_where_another_thing_was():
+    course = Course(center=(140.0, 100.0), velocity=(50.0, 0.0), others=((191.0, 100.0),))
+    assert course.next_blob(find_blobs(blob_at(192, 101)), FollowCfg()) is not None
+
+
 def test_things_of_another_size_are_no_object():
     speck, wall = np.zeros((240, 320), dtype=bool), np.zeros((240, 320), dtype=bool)
     speck[100, 100:105] = True

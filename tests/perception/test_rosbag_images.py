@@ -50,7 +50,7 @@ def test_compressed_images_are_decoded_and_damaged_ones_passed_over(tmp_path: Pa
     assert len(frames) == 2
     assert np.abs(frames[1].image.astype(float) - IMAGE).mean() < 6.0
     assert len(notes) == 1
-    assert notes[0].startswith("2 images are damaged and were passed over, the last of 0 bytes at")
+    assert notes[0].startswith("damaged images, passed over: 2; the last of 0 bytes at")
 
 
 def test_an_image_that_lacks_bytes_is_passed_over(tmp_path: Path):

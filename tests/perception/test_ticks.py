@@ -52,7 +52,7 @@ def test_a_long_pause_is_cut_and_said():
 def test_stamps_that_go_back_are_passed_over_and_said():
     notes: list[str] = []
     assert images_got([0.0, 1 / 30, 1 / 30, 0.01, 2 / 30], notes) == [0, 1, 4]
-    assert notes == ["2 images are no newer than those before them: they were passed over."]
+    assert notes == ["images no newer than those before them, passed over: 2."]
 
 
 def test_nothing_makes_no_tick():

@@ -77,12 +77,13 @@ class Calibrate:
     def _calibrate(self) -> None:
         from pixel2catch.cli.console import say
         from pixel2catch.evaluation.study.throw_figure import sample_paths
+        from pixel2catch.files import require_free_file
         from pixel2catch.mdp.throws import ThrowCfg
         from pixel2catch.perception.calibration import calibrate, pose_matrix
         from pixel2catch.perception.calibration_comparison import compare
         from pixel2catch.robot.constants import RGB_CAMERA
 
-        _require_free(self.out)
+        require_free_file(self.out)
         intrinsics = self._lens()
         pose = self.board_pose
         board = None if pose is None else pose_matrix(pose[:3], pose[3:])
@@ -142,27 +143,19 @@ class Calibrate:
         return views
 
 
-def _require_free(path: Path) -> None:
-    from pixel2catch.errors import InvalidValueError
-
-    if path.exists():
-        raise InvalidValueError(f"{path} exists; choose another name or remove it.")
-    path.parent.mkdir(parents=True, exist_ok=True)
-
-
 def _print_board(path: Path) -> None:
     """Write the board to print."""
     import io
 
     from pixel2catch.cli.console import say
     from pixel2catch.errors import InvalidValueError
-    from pixel2catch.files import write_atomically
+    from pixel2catch.files import require_free_file, write_atomically
     from pixel2catch.perception.calibration_target import sheet
 
     kind = path.suffix.lower().lstrip(".")
     if kind not in ("png", "pdf"):
         raise InvalidValueError(f"'{path}' is no .png and no .pdf; name the file so.")
-    _require_free(path)
+    require_free_file(path)
     page = io.BytesIO()
     sheet().savefig(page, format=kind)
     write_atomically({path: page.getvalue()})

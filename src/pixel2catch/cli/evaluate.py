@@ -25,6 +25,8 @@ class Evaluate:
         physics_hz: Physics steps in a second; training's default is the paper's 120.
         dynamics: Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal
             robot, also for a policy that was trained with a dynamics file.
+        camera: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would
+            do to the policy. Default: the camera that the policy was trained for, known exactly.
         json: Print all metrics as one JSON object.
         out: File that gets the same JSON object, all of it or nothing.
     """
@@ -37,14 +39,15 @@ class Evaluate:
     device: str = "cpu"
     physics_hz: float = 600.0
     dynamics: Path | None = None
+    camera: Path | None = None
     json: bool = False
     out: Path | None = None
 
     def run(self) -> None:
         """Evaluate and print."""
-        from pixel2catch.cli.console import round_reporter
+        from pixel2catch.cli.console import round_reporter, say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256, task_of
+        from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg, assess
         from pixel2catch.files import write_atomically
         from pixel2catch.robot.objects import select_objects
@@ -57,15 +60,13 @@ class Evaluate:
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            task=task_of(policy, self.physics_hz, self.dynamics),
+            task=task_of(policy, self.physics_hz, self.dynamics, self.camera),
         )
-        source = {
-            "policy": str(self.policy or "shipped"),
-            "policy_sha256": fingerprint(self.policy),
-            "dynamics_sha256": sha256(self.dynamics) if self.dynamics else None,
-        }
+        source = self._source()
         if self.out:
             self.out.parent.mkdir(parents=True, exist_ok=True)
+        for remark in camera_remark(policy, cfg.task):
+            say(remark)
         report = round_reporter(" ".join(self.objects), self.trials)
         result = source | assess(policy, method, cfg, report)
         text = json.dumps(result, indent=2) + "\n"
@@ -75,6 +76,17 @@ class Evaluate:
             print(text, end="")
         else:
             self._print_tables(method.name, result)
+
+    def _source(self) -> dict[str, str | None]:
+        """What the result is of."""
+        from pixel2catch.evaluation.loading import fingerprint, sha256
+
+        files = {"dynamics": self.dynamics, "camera": self.camera}
+        return {
+            "policy": str(self.policy or "shipped"),
+            "policy_sha256": fingerprint(self.policy),
+            **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
+        }
 
     def _print_tables(self, method: str, result: "Metrics") -> None:
         """Print the metrics as tables, beside the paper's."""

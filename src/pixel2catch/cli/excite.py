@@ -86,18 +86,14 @@ class Excite:
             InvalidValueError: A file exists, or the rehearsal's folder is not empty.
         """
         from pixel2catch.errors import InvalidValueError
+        from pixel2catch.files import require_free_file, require_free_folder
 
         if self.recordings < 1:
             raise InvalidValueError(f"recordings is {self.recordings}; it must be 1 or more")
         for path in files:
-            if path.exists():
-                raise InvalidValueError(f"{path} exists; choose another name or remove it.")
-            path.parent.mkdir(parents=True, exist_ok=True)
-        folder = self.rehearse
-        if folder and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise InvalidValueError(
-                f"'{folder}' is not an empty folder; choose another --rehearse, or empty it."
-            )
+            require_free_file(path)
+        if self.rehearse:
+            require_free_folder(self.rehearse, "--rehearse")
 
     def _dynamics(self, path: Path | None) -> "JointDynamics":
         """The dynamics of the robot's joints; what a file does not have is nominal."""

@@ -58,11 +58,12 @@ class Identify:
         """Check, fit, and write the report."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.working import working
+        from pixel2catch.files import require_free_folder
         from pixel2catch.identification.fit_start import start_of_fit
         from pixel2catch.identification.identify import identify
-        from pixel2catch.identification.report import DYNAMICS, PAGE, require_free, write_report
+        from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
 
-        require_free(self.out)
+        require_free_folder(self.out)
         cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter)
         with working() as report:
             sources = self._sources(report)

@@ -86,9 +86,9 @@ class Track:
 
         with needs_extra("perception"):
             from pixel2catch.perception.tracking import Tally
-        from pixel2catch.identification.report import require_free
+        from pixel2catch.files import require_free_folder
 
-        require_free(self.out)
+        require_free_folder(self.out)
         if self.checkpoint is None:  # SAM 2 on a CPU needs all its cores
             prepare("cpu")
         notes: list[str] = []
@@ -241,9 +241,9 @@ def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
         else f"Seen in {100 * share:.1f} % of the images since it was first seen."
     )
     if summary["num_skipped"]:
-        yield f"{summary['num_skipped']} control steps had no image: differences after them are too large."
+        yield f"Control steps without an image: {summary['num_skipped']}; differences after them are large."
     if summary["num_identical"]:
-        yield f"{summary['num_identical']} images equal the one before: does the camera repeat images?"
+        yield f"Images equal to the one before: {summary['num_identical']}; does the camera repeat?"
     yield from (f"Note: {note}" for note in summary["notes"])
     limit = f"{summary['limit_ms']:.1f} ms"
     yield (

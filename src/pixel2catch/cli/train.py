@@ -22,6 +22,9 @@ class Train:
         physics_hz: Physics steps in a second, multiples of 30; several: one after the other, in equal shares.
         dynamics: Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps a copy.
             Evaluations take it by their own --dynamics only. Default: the nominal robot.
+        camera: Camera file of the camera that is simulated, as `calibrate` writes it; the run keeps a copy.
+            Every episode draws pose and focal length within what the file leaves open. Its images must be
+            rectified, and the policy is for this camera. Default: the release's camera, known exactly.
         latency_steps: Control steps between image and delivered box: least and most. Default: 1 2, as the
             release; a camera that may be later needs a policy that learnt so.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
@@ -54,6 +57,7 @@ class Train:
     device: str | None = None
     physics_hz: tuple[float, ...] | None = None
     dynamics: Path | None = None
+    camera: Path | None = None
     latency_steps: tuple[int, int] | None = None
     out: Path | None = None
     resume: bool = False
@@ -82,8 +86,6 @@ class Train:
     def run(self) -> None:
         """Train to the end."""
         from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-        from pixel2catch.mdp.dynamics_file import DynamicsFile
-        from pixel2catch.mdp.sensing import SensingCfg
         from pixel2catch.methods import find_method
         from pixel2catch.policy import contract_of
         from pixel2catch.rl import train
@@ -91,15 +93,18 @@ class Train:
 
         method, cfg = find_method(self.method), self.resolve()
         scenes = {rate: SceneCfg(physics_hz=rate) for rate in cfg.physics_hz}
-        dynamics = DynamicsFile.load(cfg.dynamics)
+        task = CatchEnvCfg().with_files(cfg.dynamics, cfg.camera)
+        sensing = dataclasses.replace(task.sensing, latency_steps=cfg.latency_steps)
+        contract = dataclasses.replace(
+            contract_of(method, task.scene.handedness), camera=dataclasses.asdict(sensing.camera.camera)
+        )
 
         def make_env(cfg: "TrainCfg") -> CatchEnv:
-            sensing = SensingCfg(latency_steps=cfg.latency_steps)
-            task = CatchEnvCfg(scene=scenes[cfg.physics_hz[0]], sensing=sensing).with_dynamics(dynamics)
-            return CatchEnv(task, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed)
+            stage = dataclasses.replace(task, scene=scenes[cfg.physics_hz[0]], sensing=sensing)
+            return CatchEnv(stage, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed)
 
         out = self.out or Path("runs") / f"{method.name}-seed{cfg.seed}"
-        train(cfg, make_env, contract_of(method, SceneCfg().handedness), out, resume=self.resume)
+        train(cfg, make_env, contract, out, resume=self.resume)
 
     def resolve(self) -> "TrainCfg":
         """Return the preset with what was given on the command line.

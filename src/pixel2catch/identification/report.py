@@ -1,15 +1,13 @@
 """What an identification leaves: the dynamics file, the report for people, and its numbers for programs."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import write_atomically
+from pixel2catch.files import require_free_folder, write_atomically
 from pixel2catch.identification.identify import Identification, Motion, tracking_errors
 from pixel2catch.identification.report_figures import joint_picture
 from pixel2catch.identification.report_numbers import Content, numbers
@@ -53,19 +51,6 @@ COMMAND_IS_BETTER = (
 """What the error of the command says."""
 
 
-def require_free(folder: Path) -> None:
-    """Refuse a folder in which something would be lost, or that cannot be made.
-
-    Raises:
-        InvalidValueError: If it is a file, has anything in it, or is where nothing can be written.
-    """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InvalidValueError(f"'{folder}' is not an empty folder; choose another --out, or empty it.")
-    there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK):
-        raise InvalidValueError(f"'{folder}' cannot be made in '{there}'; choose another --out.")
-
-
 def write_report(folder: Path, result: Identification, circumstances: Mapping[str, Any]) -> Content:
     """Write everything; the dynamics file is the last, so that where it is, the others are.
 
@@ -86,7 +71,7 @@ def write_report(folder: Path, result: Identification, circumstances: Mapping[st
         PAGE: report_page(result, circumstances).encode(),
         NUMBERS: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode(),
     }
-    require_free(folder)
+    require_free_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically({folder / name: data for name, data in files.items()})
     result.file.save(folder / DYNAMICS)

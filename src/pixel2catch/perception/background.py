@@ -1,6 +1,6 @@
-"""The object by its motion: what differs from the background, near to where the object should be."""
+"""The object by its colours and its motion: what has both, near to where the object should be."""
 
-from math import inf
+from math import inf, isinf
 
 import cv2
 import numpy as np
@@ -21,18 +21,23 @@ from pixel2catch.perception.segmenter import (
 INNER = 0.8
 """Share of the width and height of a prompted box in which the object's colours are learned. Source: ours."""
 
-LARGEST_GROWTH = 2.0
-"""How many times larger than by its motion the object may be by its colour. Source: ours."""
+LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
+"""How many times larger or smaller than before the object may be; where the robot may hide a part of it, any
+times smaller. Source: ours."""
+
+AREA_MEMORY = 0.7
+"""Weight of what the object's area was before, in every image. Source: ours."""
 
 THINNING = 2
 """Of what is ignored, every second pixel of every second row is learned."""
 
 
 class BackgroundSubtraction(Segmenter):
-    """Follows the moving region that is nearest to where the object should be; needs no weights.
+    """Follows what has the object's colours, or moves, near to where the object should be; needs no weights.
 
-    The camera must not move. Where motion says nothing, at the robot and while the object is held still, the
-    object is told by the colours that it had before (`Appearance`).
+    The camera must not move. The colours (`Appearance`) are learned from the prompt and while the object
+    flies: they part it from an arm that moves beside it, and show it where motion says nothing, at the robot
+    and while it is held still. An object without colours of its own is followed by its motion alone.
     """
 
     def __init__(self, *, background: ForegroundCfg | None = None, follow: FollowCfg | None = None) -> None:
@@ -60,13 +65,10 @@ class BackgroundSubtraction(Segmenter):
         moving, unknown = self._foreground.step(image, ignored)
         if self._course is None:
             return NOT_FOUND
-        found, blob = self._next(moving, self._course)
-        if blob is None or (found.mask(blob) & _grown(unknown, SPECK)).any():
-            mute = np.ones_like(unknown) if blob is None else unknown
-            found, blob = self._next(moving | (self._resembling(image, self._course) & mute), self._course)
-            blob = None if blob is None or blob.area > LARGEST_GROWTH * self._area else blob
-        else:
-            self._area = blob.area
+        found, blob = self._object(image, moving, unknown, self._course)
+        if blob is not None and not _overlap(found.mask(blob), unknown):
+            is_first = isinf(self._area)
+            self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
             self._learn(image, found.mask(blob), _grown(found.mask(blob), GAP), ignored)
         self._course, segmentation = self._course.advanced(found, blob)
         return segmentation
@@ -75,15 +77,39 @@ class BackgroundSubtraction(Segmenter):
         """See `Segmenter.reset`."""
         self._course = None
 
+    def _object(self, image: Image, moving: Mask, unknown: Mask, course: Course) -> tuple[Blobs, Blob | None]:
+        """The region of the object's colours, else what of it moves, else whatever moves.
+
+        Returns:
+            The regions that were looked at, and which of them is the object; None if none is.
+        """
+        alike = self._resembling(image, course)
+        for mask in (alike, alike & (moving | unknown), moving):
+            found, blob = self._next(mask, course)
+            if blob is not None and self._fits(blob, found.mask(blob), unknown):
+                return found, blob
+        return self._next(alike, course)[0], None
+
     def _next(self, mask: Mask, course: Course) -> tuple[Blobs, Blob | None]:
         """The regions of a mask, with small gaps closed, and the one that continues the course."""
         found = find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
         return found, course.next_blob(found, self._follow)
 
+    def _fits(self, blob: Blob, mask: Mask, unknown: Mask) -> bool:
+        """Whether a region has the object's size, or less where the robot may hide a part of it."""
+        if isinf(self._area):
+            return True
+        is_large = blob.area >= LEAST_SHARE * self._area
+        return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(mask, unknown))
+
     def _resembling(self, image: Image, course: Course) -> Mask:
-        """Pixels with the object's colours, in reach of where it should be."""
+        """Pixels with the object's colours, in reach of where it should be and a little further.
+
+        What is out of reach now may be in reach in the next image, and is known for another thing then.
+        """
         mask = np.zeros(image.shape[:2], dtype=bool)
-        window = _window((course.center, course.expected), course.reach(self._follow), image)
+        reach = course.reach(self._follow) + self._follow.reach
+        window = _window((course.center, course.expected), reach, image)
         mask[window] = self._appearance.resembles(image[window])
         return mask
 
@@ -107,6 +133,11 @@ def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image)
     first = np.maximum(points.min(axis=0) - reach, 0).astype(int)
     last = (points.max(axis=0) + reach).astype(int) + 1
     return slice(first[1], last[1]), slice(first[0], last[0])
+
+
+def _overlap(mask: Mask, other: Mask) -> bool:
+    """Whether a mask touches another."""
+    return bool((mask & _grown(other, SPECK)).any())
 
 
 def _grown(mask: Mask, shape: np.ndarray) -> Mask:

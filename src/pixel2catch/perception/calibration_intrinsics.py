@@ -193,7 +193,7 @@ def _bag_numbers(path: Path, topic: str | None) -> _Numbers:
         from pixel2catch.perception.calibration_rosbag import first_camera_info
     except ModuleNotFoundError as error:
         raise PerceptionError(
-            f"{path}: reading bags needs {error.name}; pip install 'pixel2catch[identification]'."
+            f"{path}: reading bags needs {error.name}; pip install 'pixel2catch[perception]'."
         ) from None
     message = first_camera_info(path, topic)
     return _Numbers(

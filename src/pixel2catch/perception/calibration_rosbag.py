@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
-
-from pixel2catch.errors import PerceptionError, Pixel2CatchError
+from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.rosbag_images import opened_bag
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
@@ -21,20 +19,15 @@ def first_camera_info(path: Path, topic: str | None) -> Any:
     Raises:
         PerceptionError: If the bag cannot be read, or has no such topic.
     """
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            infos = [each for each in reader.connections if each.msgtype == CAMERA_INFO and each.msgcount]
-            topics = sorted({each.topic for each in infos})
-            chosen = topics if topic is None else [topic]
-            if len(chosen) != 1 or chosen[0] not in topics:
-                raise PerceptionError(
-                    f"{path}: CameraInfo is on {', '.join(topics) or 'no topic'}; record the camera's "
-                    "camera_info, and choose one with --topic."
-                )
-            messages = reader.messages([each for each in infos if each.topic == chosen[0]])
-            connection, _, data = next(messages)
-            return reader.deserialize(data, connection.msgtype)
-    except Pixel2CatchError:
-        raise
-    except Exception as error:  # whatever a damaged bag makes the library raise
-        raise PerceptionError(f"{path}: not a readable rosbag2 ({error}); try 'ros2 bag reindex'.") from error
+    with opened_bag(path) as reader:
+        infos = [each for each in reader.connections if each.msgtype == CAMERA_INFO and each.msgcount]
+        topics = sorted({each.topic for each in infos})
+        chosen = topics if topic is None else [topic]
+        if len(chosen) != 1 or chosen[0] not in topics:
+            raise PerceptionError(
+                f"{path}: CameraInfo is on {', '.join(topics) or 'no topic'}; record the camera's "
+                "camera_info, and choose one with --topic."
+            )
+        messages = reader.messages([each for each in infos if each.topic == chosen[0]])
+        connection, _, data = next(messages)
+        return reader.deserialize(data, connection.msgtype)

@@ -105,7 +105,7 @@ def _frames(
             continue
         yield CameraFrame(image=image, stamp=stamp, joint_pos=robot.at(stamp))
     if num_damaged:
-        notes.append(f"{num_damaged} images are damaged and were passed over, the last {reason}.")
+        notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
 
 
 @dataclass

@@ -64,7 +64,7 @@ def _bag_frames(path: Path, cfg: SourceCfg, notes: list[str]) -> Iterator[Camera
         from pixel2catch.perception.rosbag_images import bag_frames
     except ModuleNotFoundError as error:
         raise PerceptionError(
-            f"{path}: reading bags needs {error.name}: pip install 'pixel2catch[identification]'."
+            f"{path}: reading bags needs {error.name}: pip install 'pixel2catch[perception]'."
         ) from None
     return bag_frames(path, cfg.topic, cfg.joint_states, notes)
 

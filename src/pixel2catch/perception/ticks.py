@@ -54,7 +54,7 @@ def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generat
     if newest is not None:
         yield Tick(frame=newest, now=start + (tick + PHASE) * CONTROL_DT)
     if num_older:
-        notes.append(f"{num_older} images are no newer than those before them: they were passed over.")
+        notes.append(f"images no newer than those before them, passed over: {num_older}.")
 
 
 def _num_ticks(elapsed: float) -> int:

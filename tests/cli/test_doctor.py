@@ -1,0 +1,97 @@
+"""`pixel2catch doctor`, and its probes where they must find something wrong."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from packaging.specifiers import SpecifierSet
+
+from pixel2catch.cli import doctor_probes as probes
+from pixel2catch.cli.doctor import check
+from pixel2catch.cli.main import main
+
+NEEDED = {"Python", "packages", "policy, physics", "disk"}
+
+
+def examined(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int | str | None, dict[str, dict]]:
+    """Exit status and checks by name."""
+    status: int | str | None = 0
+    try:
+        main(["doctor", "--json", *args])
+    except SystemExit as ending:
+        status = ending.code
+    checks = json.loads(capsys.readouterr().out)["checks"]
+    return status, {each["name"]: each for each in checks}
+
+
+def test_a_machine_that_runs_these_tests_is_well(capsys: pytest.CaptureFixture[str]):
+    status, checks = examined(capsys)
+    assert status == 0
+    assert {name for name, each in checks.items() if each["is_needed"]} == NEEDED
+    good = NEEDED | {"OpenCV", "rosbags", "transformers", "torchvision"}
+    assert {name for name in good if checks[name]["state"] != "good"} == set()
+    assert checks["GPU"]["state"] == ("good" if torch.cuda.is_available() else "absent")
+    assert all(checks[name]["state"] == "absent" for name in ("SAM 2", "camera"))
+
+
+def test_what_is_asked_for_must_work(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    status, checks = examined(capsys, "--camera", "99", "--checkpoint", str(tmp_path))
+    assert status == 1
+    assert checks["camera"]["state"] == checks["SAM 2"]["state"] == "BAD"
+    assert "cannot be opened" in checks["camera"]["found"]
+    assert "hf download" in checks["SAM 2"]["found"]
+
+
+def test_the_table_says_what_to_install():
+    """Without the optional packages, all that is needed is still there."""
+    hidden = "cv2", "rosbags", "transformers", "torchvision"
+    code = (
+        "import sys, importlib.util as u; found = u.find_spec\n"
+        f"u.find_spec = lambda name, *more: None if name in {hidden} else found(name, *more)\n"
+        "from pixel2catch.cli.main import main; sys.exit(main(['doctor']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for word in ("pixel2catch[perception]", "pixel2catch[identification]", "pixel2catch[sam2]", "work here"):
+        assert word in done.stdout
+
+
+def test_versions_out_of_range_are_named(monkeypatch: pytest.MonkeyPatch):
+    ranges = {"numpy": SpecifierSet("<2"), "torch": SpecifierSet(">=2.11"), "no-such-thing": SpecifierSet()}
+    monkeypatch.setattr(probes, "requirements", lambda extra="": ranges)
+    with pytest.raises(
+        probes.Broken, match=r"^numpy 2\.\S+ is not in <2, no-such-thing is missing: pip install"
+    ):
+        probes.packages()
+    ranges = {"numpy": SpecifierSet(">=99")}
+    with pytest.raises(probes.Broken, match=r"is not in >=99: pip install --upgrade 'pixel2catch\[maths\]'"):
+        probes.Optional(module="numpy", distribution="numpy", extra="maths").probe()
+
+
+def test_a_full_disk_is_bad(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(probes, "LEAST_FREE", 1e18)
+    result = check("disk", probes.disk, is_needed=True)
+    assert result.state == "BAD"
+    assert "make room" in result.found
+
+
+def test_a_torchvision_that_does_not_match_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "torchvision.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
+    result = check("torchvision", probes.torchvision)
+    assert result.state == "BAD"
+    assert "torchvision::nms does not exist" in result.found
+    assert "pip uninstall torchvision" in result.found
+
+
+def test_whatever_a_probe_raises_becomes_a_line():
+    def broken() -> str:
+        raise OSError("libsomething.so: cannot open shared object file")
+
+    result = check("anything", broken)
+    assert (result.state, result.is_needed) == ("BAD", False)
+    assert "libsomething.so" in result.found
