@@ -12,6 +12,7 @@ import mujoco
 import pytest
 import torch
 
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import COMMANDS, main
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.cli.train import Train
@@ -20,6 +21,7 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rl import TrainCfg
+from pixel2catch.robot.constants import RGB_CAMERA
 
 needs_no_cuda = pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
 
@@ -107,14 +109,17 @@ def test_absent_cuda(command: str, capsys: pytest.CaptureFixture[str]):
 
 @pytest.mark.parametrize("name", shipped_policies())
 def test_shipped_policies_fit_this_code(name: str):
-    """They are called as their method, and `-seedN` where there are several."""
+    """They are called as their method, and `-seedN` or what they are for where there are several."""
     assert load_policy(Path(name))[1].name == name.partition("-")[0]
 
 
 def test_shipped_policies_of_every_compared_method():
-    """Three seeds of the paper's method and one of each other; the default is the paper's method."""
+    """Three seeds of the paper's method and one of each other, and one for late images.
+
+    The default is the paper's method.
+    """
     expected = {f"{method}-seed0" for method in METHODS} | {"proposed", "proposed-seed1", "proposed-seed2"}
-    assert set(shipped_policies()) == expected
+    assert set(shipped_policies()) == expected | {"shared_reward-late"}
     assert load_policy(None)[1] is PROPOSED
 
 
@@ -141,17 +146,23 @@ def test_policy_of_another_robot(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_evaluate_prints_one_json_object(untrained: Path, tmp_path: Path):
-    file = tmp_path / "dynamics.json"
-    DynamicsFile().save(file)
+    files = {name: tmp_path / f"{name}.json" for name in ("dynamics", "camera")}
+    DynamicsFile().save(files["dynamics"])
+    CameraFile(camera=dataclasses.replace(RGB_CAMERA, pos=(-0.4, 0.0, 2.2)), focal_std=0.01).save(
+        files["camera"]
+    )
+    given = [argument for name, file in files.items() for argument in (f"--{name}", file)]
     args = ("--objects", "cube_s", "cone_l", "--num-envs", "4", "--trials", "1", "--json")
-    result = pixel2catch("evaluate", untrained, *args, "--dynamics", file)
+    result = pixel2catch("evaluate", untrained, *args, *given)
     assert result.returncode == 0, result.stderr
+    assert "trained for another camera" in result.stderr
     metrics = json.loads(result.stdout)
     assert metrics["trials"] == 4
     assert metrics["objects_thrown"] == ["cube_s", "cone_l"]
     assert set(metrics["objects"]) <= {"cube_s", "cone_l"}
     assert metrics["policy"] == str(untrained)
-    assert metrics["dynamics_sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
+    for name, file in files.items():
+        assert metrics[f"{name}_sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
     assert metrics.keys() >= {
         "tracking_rate",
         "success_rate",

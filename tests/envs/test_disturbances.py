@@ -7,15 +7,17 @@ from typing import Any
 import pytest
 import torch
 
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.step import Step
 from pixel2catch.mdp.randomization import RandomizationCfg
-from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.mdp.sensing import SensingCfg, detect
 from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS
+from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS, RGB_CAMERA, TABLE
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.scene import SceneCfg
 
@@ -27,6 +29,12 @@ STILL = RandomizationCfg(
 SHAKE = ShakeCfg(amplitude=0.02, frequency=2.0)
 FINE = SceneCfg(physics_hz=600.0)
 AT_ONCE = ThrowCfg(hover_steps=(2, 2))
+ELSEWHERE = CameraFile(camera=replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.1), fx=600.0, fy=601.0))
+MEASURED = replace(
+    ELSEWHERE,
+    pose_covariance=tuple(tuple(1e-4 if i == j else 0.0 for j in range(6)) for i in range(6)),
+    focal_std=0.01,
+)
 
 
 def make(num_envs: int = 4, seed: int = 0, **changes: Any) -> CatchEnv:
@@ -53,6 +61,7 @@ def object_path(env: CatchEnv, num_steps: int) -> torch.Tensor:
     "changes",
     [
         {"sensing": SensingCfg(camera_offset=1e-9)},
+        {"sensing": SensingCfg(camera=MEASURED)},
         {"sensing": SensingCfg(box_bias=1e-6, edge_noise=1e-6)},
         {"shake": ShakeCfg(amplitude=1e-9, frequency=2.0)},
         {"throws": ThrowCfg(spin=1e-6)},
@@ -84,6 +93,44 @@ def test_seed_and_reset_begin_anew():
     list(rollout(env, 7, action=0.5))
     env.seed(3)
     assert torch.equal(env.reset().state, first)
+
+
+def test_boxes_are_those_of_the_calibrated_camera():
+    """And a tracker that knows the camera is right about the position."""
+    env = make(sensing=replace(EXACT, camera=ELSEWHERE), throws=AT_ONCE)
+    camera = nominal_projection(ELSEWHERE.camera, torch.zeros(1))
+    for step in rollout(env, 12):
+        box, is_seen = detect(*env.world.surface_points(ELSEWHERE.camera), EXACT.least_visible, camera)
+        assert is_seen.all()
+        torch.testing.assert_close(step.measurement.box, box)
+        truth = env.world.privileged(step.log).object_pos
+        assert torch.equal(step.measurement.object_pos, truth)
+
+
+def test_what_hides_the_object_depends_on_where_the_camera_is():
+    """From within the table nothing is seen of it."""
+    x, y, top = TABLE.center
+    inside = replace(RGB_CAMERA, pos=(x, y, top - 0.5 * TABLE.thickness))
+    env = make(sensing=replace(EXACT, camera=CameraFile(camera=inside)))
+    assert not env.world.surface_points(inside)[1].any()
+    assert env.world.surface_points()[1].all()
+    assert not any(step.measurement.box.any() for step in rollout(env, 2))
+
+
+def test_a_measured_camera_is_another_one_in_every_episode():
+    """10 mrad at 600 px: a spread of about 6 px that stays through an episode."""
+    task: dict[str, Any] = {"throws": ThrowCfg(hover_steps=(3, 3)), "episode": EpisodeCfg(max_steps=3)}
+    env = make(200, sensing=replace(EXACT, camera=MEASURED), **task)
+    exact = make(200, sensing=replace(EXACT, camera=ELSEWHERE), **task)
+    shifts = []
+    for step, known in zip(rollout(env, 2), rollout(exact, 2), strict=True):
+        shifts.append((step.measurement.box - known.measurement.box)[:, 0])
+    assert 5.0 < shifts[0].std() < 8.0
+    torch.testing.assert_close(shifts[0], shifts[1], atol=0.05, rtol=0)
+    assert env._episode.sight is not None
+    before = env._episode.sight.camera.center.clone()
+    list(rollout(env, 1))
+    assert (env._episode.sight.camera.center != before).any(dim=-1).all()
 
 
 def test_a_bias_shifts_every_box_of_an_episode_and_the_tracked_position():
@@ -200,8 +247,8 @@ def test_a_held_object_feels_the_shaking():
 
 EVERYTHING = {
     "sensing": SensingCfg(
-        camera_offset=0.02, camera_turn=0.02, focal_error=0.02, box_bias=5.0, box_scale=1.1, edge_noise=5.0,
-        drop_rate=0.1, blackout_steps=3, latency_steps=(0, 5),
+        camera=MEASURED, camera_offset=0.02, camera_turn=0.02, focal_error=0.02, box_bias=5.0, box_scale=1.1,
+        edge_noise=5.0, drop_rate=0.1, blackout_steps=3, latency_steps=(0, 5),
     ),
     "randomization": RandomizationCfg(command_delay=(0, 3)),
     "throws": ThrowCfg(hover_steps=(2, 5), spin=10.0, speed_deviation=0.05, angle_deviation=0.04),

@@ -1,13 +1,17 @@
+from dataclasses import replace
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
+import torch
 
+from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.evaluation import rendering
 from pixel2catch.evaluation.rendering import OUTSIDE_VIEW, Renderer, VideoWriter, View, find_gl_backend
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.robot.scene import OBJECT_START, SceneCfg, build_model
 
 MODEL = build_model(SceneCfg(visuals=True))
 
@@ -28,6 +32,18 @@ def test_the_camera_sees_the_object_where_its_mask_is():
     assert 20 < mask.sum() < 1000
     red, green, blue = image[mask].mean(0)
     assert red > 1.5 * max(green, blue)
+
+
+@pytest.mark.usefixtures("opengl")
+def test_pictures_are_taken_by_the_camera_of_the_scene():
+    """A small sphere's mask is about where the camera's numbers project its centre."""
+    camera = replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.1), fx=700.0, fy=690.0, cx=300.0, cy=260.0)
+    model = build_model(SceneCfg(camera=camera), "sphere_s")
+    with Renderer(model, shadows=False) as renderer:
+        mask = renderer.object_mask(model.qpos0)
+    rows, columns = np.nonzero(mask)
+    expected = project(camera, torch.tensor([[OBJECT_START]], dtype=torch.float64))[0][0, 0]
+    np.testing.assert_allclose((columns.mean() + 0.5, rows.mean() + 0.5), expected, atol=0.5)
 
 
 @pytest.mark.usefixtures("opengl")

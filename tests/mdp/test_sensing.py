@@ -1,8 +1,12 @@
 """What counts as a detection, and what becomes of an object that is not seen."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
 from pixel2catch.robot.constants import RGB_CAMERA
 
@@ -45,6 +49,11 @@ def test_an_object_behind_the_camera_or_beside_the_image_is_not_seen():
     everything = torch.ones(1, 20, dtype=torch.bool)
     assert not detect(in_front(-2.0), everything, 0.05)[1]
     assert not detect(in_front() + torch.tensor([0.0, 5.0, 0.0]), everything, 0.05)[1]
+
+
+def test_a_camera_with_images_of_another_size_is_refused():
+    with pytest.raises(InvalidValueError, match="1280 x 480 pixels, but policies look at 640 x 480"):
+        SensingCfg(camera=CameraFile(camera=replace(RGB_CAMERA, width=1280)))
 
 
 def test_numbers_of_the_task():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.sight import Sight, sample_sight, scaled_box, tracked_position
@@ -12,6 +13,13 @@ from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 
 NUM_ENVS = 2000
+ELSEWHERE = CameraFile(camera=replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.0), fx=600.0, fy=601.0))
+STDS = (0.01, 0.02, 0.03, 0.004, 0.005, 0.006)
+MEASURED = replace(
+    ELSEWHERE,
+    pose_covariance=tuple(tuple(s * s if i == j else 0.0 for j in range(6)) for i, s in enumerate(STDS)),
+    focal_std=0.02,
+)
 
 
 def draw(cfg: SensingCfg, num_envs: int = NUM_ENVS) -> tuple[Sight, Throw]:
@@ -26,8 +34,32 @@ def test_nothing_is_drawn_where_nothing_is_wrong():
     generator = torch.Generator().manual_seed(0)
     throw = sample_throws(ThrowCfg(), 3, generator)
     before = generator.get_state()
-    assert sample_sight(SensingCfg(), throw, generator) is None
+    for cfg in (SensingCfg(), SensingCfg(camera=ELSEWHERE)):
+        assert sample_sight(cfg, throw, generator) is None
     assert torch.equal(generator.get_state(), before)
+
+
+def test_a_calibrated_camera_is_drawn_as_well_as_it_is_known():
+    """With R's rows x, y, z the matrix is (fx x + cx z, fy y + cy z, z): the second row gives fy."""
+    spec = ELSEWHERE.camera
+    for focal_std, spread in ((0.02, 0.02), (None, 0.0)):
+        sight, _ = draw(SensingCfg(camera=replace(MEASURED, focal_std=focal_std)))
+        offset = sight.camera.center - torch.tensor(spec.pos)
+        torch.testing.assert_close(offset.std(dim=0), torch.tensor(STDS[:3]), rtol=0.06, atol=0.0)
+        assert (offset.mean(dim=0).abs() < 0.1 * torch.tensor(STDS[:3])).all()
+        assert not sight.box_bias.any()
+        matrix = sight.camera.matrix
+        focal_length = (matrix[:, 1] - spec.cy * matrix[:, 2]).norm(dim=-1)
+        assert (focal_length / spec.fy).std().item() == pytest.approx(spread, rel=0.06, abs=1e-5)
+
+
+def test_a_mount_is_off_by_as_much_about_a_calibrated_camera():
+    sight, _ = draw(SensingCfg(camera=ELSEWHERE, camera_offset=0.02))
+    offset = sight.camera.center - torch.tensor(ELSEWHERE.camera.pos)
+    torch.testing.assert_close(offset.norm(dim=-1), torch.full((NUM_ENVS,), 0.02), rtol=1e-4, atol=0)
+    both, _ = draw(SensingCfg(camera=MEASURED, camera_offset=0.5))
+    offset = both.camera.center - torch.tensor(ELSEWHERE.camera.pos)
+    assert offset.norm(dim=-1).std().item() == pytest.approx(0.022, rel=0.15)  # √((1² + 2² + 3²) / 3) cm
 
 
 def test_a_misplaced_camera_is_as_far_away_as_said_in_every_direction():
@@ -85,9 +117,11 @@ def test_a_box_is_scaled_about_its_centre():
 
 def test_a_tracker_without_errors_is_exact():
     object_pos = sample_throws(ThrowCfg(), 100, torch.Generator().manual_seed(1)).pos
-    nominal = nominal_projection(RGB_CAMERA, object_pos)
-    found = tracked_position(nominal, object_pos, torch.zeros(100, 2))
-    torch.testing.assert_close(found, object_pos, atol=2e-6, rtol=0)
+    for camera in (RGB_CAMERA, ELSEWHERE.camera):
+        found = tracked_position(
+            nominal_projection(camera, object_pos), camera, object_pos, torch.zeros(100, 2)
+        )
+        torch.testing.assert_close(found, object_pos, atol=2e-6, rtol=0)
 
 
 def test_a_shift_of_the_pixel_moves_the_tracked_position_across():
@@ -95,7 +129,7 @@ def test_a_shift_of_the_pixel_moves_the_tracked_position_across():
     forward = torch.tensor([0.8746197, 0.0, -0.4848096])
     object_pos = (torch.tensor(RGB_CAMERA.pos) + 2.5 * forward)[None]
     nominal = nominal_projection(RGB_CAMERA, object_pos)
-    found = tracked_position(nominal, object_pos, torch.tensor([[5.0, 0.0]]))
+    found = tracked_position(nominal, RGB_CAMERA, object_pos, torch.tensor([[5.0, 0.0]]))
     expected = torch.tensor([[0.0, -5.0 * 2.5 / RGB_CAMERA.fx, 0.0]])
     torch.testing.assert_close(found - object_pos, expected, atol=1e-5, rtol=0)
 
@@ -105,7 +139,7 @@ def test_a_misplaced_camera_misplaces_the_tracked_position_as_much():
     object_pos = torch.tensor([[2.0, 0.1, 1.2]])
     offset = torch.tensor([[0.01, -0.02, 0.005]])
     camera = nominal_projection(RGB_CAMERA, object_pos).moved(offset)
-    found = tracked_position(camera, object_pos, torch.zeros(1, 2))
+    found = tracked_position(camera, RGB_CAMERA, object_pos, torch.zeros(1, 2))
     torch.testing.assert_close(found, object_pos - offset, atol=2e-6, rtol=0)
 
 

@@ -58,7 +58,7 @@ def test_other_things_that_move_are_left_alone():
 
 def test_an_arm_that_swings_along_is_parted_from_the_ball_by_its_colour():
     swing = BALL.path + np.clip(np.arange(NUM_STEPS) - NUM_EMPTY - NUM_STILL, 0, None)[:, None] * (0.0, 3.0)
-    arm = Disc(path=swing + (4.0, 12.0), radius=8.0, color=(204, 148, 117))
+    arm = Disc(path=np.array((4.0, 12.0)) + swing, radius=8.0, color=(204, 148, 117))
     worst = errors((arm,), held_box())
     assert (worst <= 3.0).mean() >= 0.95
 

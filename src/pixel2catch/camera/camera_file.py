@@ -3,12 +3,14 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from math import isfinite, sqrt
 from pathlib import Path
 from typing import Any
 
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.errors import InvalidValueError
@@ -75,11 +77,9 @@ class CameraFile:
             num_envs: How many.
             generator: Where they are drawn from.
         """
-        device = generator.device
-        draws = torch.randn(num_envs, 7, generator=generator, device=device)
-        shares, axes = torch.linalg.eigh(torch.tensor(self.pose_covariance, dtype=torch.float64))
-        spread = (axes * shares.clamp(min=0.0).sqrt()).to(device, draws.dtype)
-        pose: Float[torch.Tensor, "num_envs 6"] = draws[:, :6] @ spread.T
+        draws = torch.randn(num_envs, 7, generator=generator, device=generator.device)
+        spread = _spread(self.pose_covariance, draws.dtype, draws.device)
+        pose: Float[Tensor, "num_envs 6"] = draws[:, :6] @ spread.T
         factor = 1.0 + (self.focal_std or 0.0) * draws[:, 6]
         nominal = nominal_projection(self.camera, draws)
         return nominal.zoomed(factor, self.camera).turned(pose[:, 3:]).moved(pose[:, :3])
@@ -110,6 +110,15 @@ class CameraFile:
 
     def _stds(self) -> list[float]:
         return [sqrt(row[i]) for i, row in enumerate(self.pose_covariance)]
+
+
+@lru_cache(maxsize=16)
+def _spread(
+    covariance: tuple[tuple[float, ...], ...], dtype: torch.dtype, device: torch.device
+) -> Float[Tensor, "6 6"]:
+    """A factor L of a covariance L Lᵀ, copied to a device once: a recorded step may not wait for a copy."""
+    shares, axes = torch.linalg.eigh(torch.tensor(covariance, dtype=torch.float64))
+    return (axes * shares.clamp(min=0.0).sqrt()).to(device, dtype)
 
 
 def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:

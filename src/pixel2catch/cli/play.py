@@ -19,6 +19,8 @@ class Play:
         seed: Seed of everything that is drawn.
         dynamics: Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy
             that was trained with a dynamics file.
+        camera: Camera file of the camera that is simulated. Default: the camera that the policy was trained
+            for, known exactly.
         view: What the pictures show.
     """
 
@@ -28,13 +30,14 @@ class Play:
     throws: int = 4
     seed: int = 0
     dynamics: Path | None = None
+    camera: Path | None = None
     view: Literal["rgb", "outside", "both"] = "both"
 
     def run(self) -> None:
         """Throw, draw and write."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.rendering import find_gl_backend
         from pixel2catch.evaluation.video import record_takes, write_video
@@ -43,7 +46,9 @@ class Play:
         prepare("cpu")
         find_gl_backend()
         policy, method = load_policy(self.policy)
-        task = task_of(policy, dynamics=self.dynamics)
+        task = task_of(policy, dynamics=self.dynamics, camera=self.camera)
+        for remark in camera_remark(policy, task):
+            say(remark)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )

@@ -16,7 +16,7 @@ METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "
 
 PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
 
-OWN = ("device", "seed", "dynamics")
+OWN = ("device", "seed", "dynamics", "camera")
 """Fields of a training's configuration that a study sets for each training, or leaves as they are."""
 
 NEUTRAL = ("checkpoint_seconds", "report_seconds")

@@ -89,15 +89,12 @@ class Train:
         from pixel2catch.methods import find_method
         from pixel2catch.policy import contract_of
         from pixel2catch.rl import train
-        from pixel2catch.robot.scene import SceneCfg
 
         method, cfg = find_method(self.method), self.resolve()
-        scenes = {rate: SceneCfg(physics_hz=rate) for rate in cfg.physics_hz}
         task = CatchEnvCfg().with_files(cfg.dynamics, cfg.camera)
+        scenes = {rate: dataclasses.replace(task.scene, physics_hz=rate) for rate in cfg.physics_hz}
         sensing = dataclasses.replace(task.sensing, latency_steps=cfg.latency_steps)
-        contract = dataclasses.replace(
-            contract_of(method, task.scene.handedness), camera=dataclasses.asdict(sensing.camera.camera)
-        )
+        contract = contract_of(method, task.scene.handedness, sensing.camera.camera)
 
         def make_env(cfg: "TrainCfg") -> CatchEnv:
             stage = dataclasses.replace(task, scene=scenes[cfg.physics_hz[0]], sensing=sensing)

@@ -10,7 +10,7 @@ from pixel2catch.agents import COMMANDS
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.draws import Episode, draw_episode
 from pixel2catch.envs.episodes import EpisodeRecord
-from pixel2catch.envs.eye import Eye
+from pixel2catch.envs.eye import Eye, ProjectingEye
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.step import Observation, Step
@@ -38,6 +38,7 @@ class CatchEnv:
         action_sizes: Number of each agent's actions, by name.
         state_size: Length of the value networks' input.
         statistics: Sums over ended episodes.
+        eye: What looks at the object; on the CPU it may be replaced before a `reset`.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class CatchEnv:
         self.statistics = EpisodeStatistics(
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
         )
-        self._eye = Eye(cfg.sensing, self.world, self._generator)
+        self.eye: Eye = ProjectingEye(cfg.sensing, self.world, self._generator)
         middles = torch.arange(cfg.scene.decimation, device=self.device) + 0.5
         self._substep_times = middles[:, None] * cfg.scene.physics_dt
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
@@ -143,7 +144,7 @@ class CatchEnv:
         """What is seen and measured at the beginning of an episode."""
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
-        detection, _ = self._eye.look(now, self._episode)
+        detection, _ = self.eye.look(now, self._episode)
         started = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
         measurement = self._measure(started, detection, detection.object_pos)
         senses = _Senses(
@@ -198,7 +199,7 @@ class CatchEnv:
         """Look and measure after a control step; nothing of an ended episode survives."""
         senses = self._senses
         truth = self.world.privileged(log.cleared(begun))
-        detected, is_seen = self._eye.look(truth, self._episode)
+        detected, is_seen = self.eye.look(truth, self._episode)
         detection = detected.held(begun | is_seen, senses.detections.newest)
         detections = select(
             begun,

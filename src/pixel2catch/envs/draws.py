@@ -24,7 +24,7 @@ class Episode:
     Attributes:
         parameters: Object, dynamics, biases and latency.
         throw: The throw, in the frame of the robot's base.
-        sight: What is wrong with the sight; nothing in training.
+        sight: What is wrong with the sight; in training only how well the camera is known.
         shake: How the table shakes; it stands still in training.
         command_delay: Control steps between a command and its effect.
         record: What became of the episode so far.
@@ -43,7 +43,7 @@ def draw_episode(
 ) -> Episode:
     """Draw an episode for every environment, on the generator's device.
 
-    What only tests of policies disturb is drawn last, so that a seed throws the same with and without it.
+    What not every task disturbs is drawn last, so that a seed throws the same with and without it.
     """
     parameters = sample_parameters(cfg.randomization, cfg.sensing, object_ids, num_envs, generator)
     throw = sample_throws(cfg.throws, num_envs, generator, _drag(cfg.scene, parameters))

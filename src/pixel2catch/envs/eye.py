@@ -1,5 +1,7 @@
 """The camera and what finds the object in its images: from the true state to a `Detection`."""
 
+from abc import ABC, abstractmethod
+
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -14,8 +16,21 @@ from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 
 
-class Eye:
-    """Looks at the object of every environment, with the errors of the sensors."""
+class Eye(ABC):
+    """Looks at the object of every environment, once in every control step."""
+
+    @abstractmethod
+    def look(self, truth: Privileged, episode: Episode) -> tuple[Detection, Bool[Tensor, " num_envs"]]:
+        """What the present image shows of the object, and whether it was found at all.
+
+        Args:
+            truth: What there is to see.
+            episode: The present episodes; one that has just begun has made no step.
+        """
+
+
+class ProjectingEye(Eye):
+    """Projects surface points instead of taking images, and adds the errors of the sensors."""
 
     def __init__(self, cfg: SensingCfg, world: CatchWorld, generator: torch.Generator) -> None:
         """Look into a world.
@@ -28,12 +43,12 @@ class Eye:
         self._cfg, self._world, self._generator = cfg, world, generator
 
     def look(self, truth: Privileged, episode: Episode) -> tuple[Detection, Bool[Tensor, " num_envs"]]:
-        """What the present image shows of the object, and whether it was found at all.
+        """See `Eye.look`.
 
-        Rays to hidden points start at the nominal camera: a few centimetres change little of what it hides.
+        Rays to hidden points start where the camera was calibrated: the rest changes little of what it hides.
         """
         cfg, camera = self._cfg, self._camera(episode)
-        points, is_visible = self._world.surface_points()
+        points, is_visible = self._world.surface_points(cfg.camera.camera)
         box, is_seen = detect(points, is_visible, cfg.least_visible, camera)
         if cfg.box_scale != 1.0:
             box = scaled_box(box, cfg.box_scale)
@@ -45,13 +60,13 @@ class Eye:
             shift = shift + episode.sight.box_bias
         object_pos = truth.object_pos
         if episode.sight is not None or episode.shake is not None or cfg.edge_noise:
-            object_pos = tracked_position(camera, object_pos, shift)
+            object_pos = tracked_position(camera, cfg.camera.camera, object_pos, shift)
         detection = Detection(box=perturb_box(box, error, RGB_CAMERA), object_pos=object_pos)
         return detection, is_seen & self._has_image(episode)
 
     def _camera(self, episode: Episode) -> Projection:
         """The true camera, in the frame of the robot's base."""
-        nominal = nominal_projection(RGB_CAMERA, episode.throw.pos)
+        nominal = nominal_projection(self._cfg.camera.camera, episode.throw.pos)
         camera = nominal if episode.sight is None else episode.sight.camera
         if episode.shake is None:
             return camera

@@ -16,7 +16,7 @@ from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
 from pixel2catch.mdp.throws import Throw
-from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, JOINTS, RGB_CAMERA
+from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, JOINTS, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.contact import contact_solref
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.object_table import ObjectTable, object_table
@@ -184,9 +184,13 @@ class CatchWorld:
         )
 
     def surface_points(
-        self,
+        self, camera: CameraSpec = RGB_CAMERA
     ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
-        """Surface points of the object, world frame [m], and which of them robot and table do not hide."""
+        """Surface points of the object, world frame [m], and which of them robot and table do not hide.
+
+        Args:
+            camera: From where they are looked at.
+        """
         body = self.objects.indices.body
         rotation = _snapshot(self._fields.xmat[:, body]).view(-1, 3, 3)
         points = torch.baddbmm(
@@ -194,8 +198,8 @@ class CatchWorld:
             self._surface[self._object_id],
             rotation.transpose(1, 2),
         )
-        directions = ray_directions(RGB_CAMERA, points).to(self.simulation.dtype)
-        hit = self.simulation.ray(camera_center(RGB_CAMERA, directions), directions, OCCLUDER_GROUPS)
+        directions = ray_directions(camera, points).to(self.simulation.dtype)
+        hit = self.simulation.ray(camera_center(camera, directions), directions, OCCLUDER_GROUPS)
         return points, is_unoccluded(hit)
 
     def close(self) -> None:

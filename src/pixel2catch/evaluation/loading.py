@@ -1,16 +1,19 @@
 """Finding and reading policies: those of training runs and the one that the package ships."""
 
 import hashlib
+from collections.abc import Iterator
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import PolicyMismatchError
-from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import Method, find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.allegro import Handedness
+from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.robot.scene import SceneCfg
 
 PHYSICS_HZ = 600.0
@@ -41,7 +44,7 @@ def shipped_policies() -> dict[str, Path]:
 
 
 def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Method]:
-    """Read a policy and see that it fits this code.
+    """Read a policy and see that it fits this code; it may have a camera of its own, see `task_of`.
 
     Args:
         folder: A policy's folder, the run folder around it, or the name of a shipped policy; the shipped
@@ -49,12 +52,15 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
         device: Device of the networks.
 
     Raises:
-        PolicyMismatchError: If there is no policy, or it is of another robot, camera, method or format.
+        PolicyMismatchError: If there is no policy, or it is of another robot, image size, method or format.
         UnknownNameError: If its method does not exist.
     """
     policy = Policy.load(_policy_folder(folder), device)
     method = find_method(policy.contract.method)
-    policy.contract.require(contract_of(method, policy.contract.handedness))
+    expected, found = contract_of(method, policy.contract.handedness), policy.contract.camera
+    size = {name: expected.camera[name] for name in ("width", "height")}
+    camera = {name: found.get(name, value) for name, value in expected.camera.items()} | size
+    policy.contract.require(replace(expected, camera=camera))
     return policy, method
 
 
@@ -79,21 +85,41 @@ def sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def task_of(policy: Policy, physics_hz: float = PHYSICS_HZ, dynamics: Path | None = None) -> CatchEnvCfg:
-    """The task, with finer physics than in training and the hand that the policy was trained with.
+def task_of(
+    policy: Policy,
+    physics_hz: float = PHYSICS_HZ,
+    dynamics: Path | None = None,
+    camera: Path | None = None,
+) -> CatchEnvCfg:
+    """The task, with finer physics than in training, and the hand and camera the policy was trained with.
 
     Args:
         policy: The policy.
         physics_hz: Physics steps in a second.
         dynamics: Dynamics file of the robot; nominal if absent, whatever the policy was trained with.
+        camera: Camera file of another camera.
 
     Raises:
-        InvalidValueError: If the rate does not divide a control step into whole physics steps, or the file
+        InvalidValueError: If the rate does not divide a control step into whole physics steps, or a file
             cannot be read.
     """
     handedness = cast(Handedness, policy.contract.handedness)  # the scene refuses other values
     task = CatchEnvCfg(scene=SceneCfg(handedness=handedness, physics_hz=physics_hz))
-    return task.with_dynamics(DynamicsFile.load(dynamics))
+    return task.with_camera(CameraFile(camera=_camera_of(policy))).with_files(dynamics, camera)
+
+
+def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
+    """What is to be said of the camera, where it is not that of the release alone."""
+    trained = _camera_of(policy)
+    if task.sensing.camera.camera != trained:
+        yield "the policy was trained for another camera: this is what the change does to it"
+    elif trained != RGB_CAMERA:
+        yield "the policy was trained for a camera of its own, and sees by that"
+
+
+def _camera_of(policy: Policy) -> CameraSpec:
+    """The camera that a policy was trained for."""
+    return CameraSpec(**cast(dict[str, Any], policy.contract.camera))
 
 
 def _policy_folder(folder: Path | None) -> Path:

@@ -10,9 +10,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_points, hold_box
+from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.camera.visibility import is_in_view
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.robot.constants import RGB_CAMERA
+
+RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)
+"""The camera of the release, known exactly."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,9 +33,11 @@ class SensingCfg:
         joint_bias: Standard deviation of their error in an episode [rad] (Source: release).
         least_visible: Share of the object's surface points that must be visible for a detection (Source:
             ours, see `benchmarks/box_error.py`).
-        camera_offset: Distance of the true camera from where the policy assumes it, in a random direction
-            [m]. This and what follows disturbs nothing in training (Source: ours, for tests of policies;
-            values with their sources are in `evaluation.stress.suite`).
+        camera: The camera, as a pinhole, and how well it is known: the true camera of an episode is drawn
+            within that. The default is the release's, known exactly.
+        camera_offset: Distance of the true camera from that one, in a random direction [m]. This and what
+            follows disturbs nothing in training (Source: ours, for tests of policies; values with their
+            sources are in `evaluation.stress.suite`).
         camera_turn: Angle between the two, about a random axis [rad].
         focal_error: Relative error of the focal length, of random sign.
         box_bias: Shift of every box of an episode in a random direction [px].
@@ -45,6 +52,7 @@ class SensingCfg:
     joint_noise: float = 0.005
     joint_bias: float = 0.001
     least_visible: float = 0.05
+    camera: CameraFile = RELEASE_CAMERA
     camera_offset: float = 0.0
     camera_turn: float = 0.0
     focal_error: float = 0.0
@@ -53,6 +61,15 @@ class SensingCfg:
     edge_noise: float = 0.0
     drop_rate: float = 0.0
     blackout_steps: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse a camera whose pixels mean something else to a policy."""
+        camera = self.camera.camera
+        if (camera.width, camera.height) != (RGB_CAMERA.width, RGB_CAMERA.height):
+            raise InvalidValueError(
+                f"the camera takes images of {camera.width} x {camera.height} pixels, but policies look at "
+                f"{RGB_CAMERA.width} x {RGB_CAMERA.height}: set it to that resolution and calibrate again."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

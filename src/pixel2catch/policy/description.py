@@ -9,15 +9,16 @@ from pixel2catch.mdp.observations import Frame, pixel_columns
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import Method
 from pixel2catch.policy.contract import AgentContract, PolicyContract
-from pixel2catch.robot.constants import CONTROL_DT, JOINTS, RGB_CAMERA
+from pixel2catch.robot.constants import CONTROL_DT, JOINTS, RGB_CAMERA, CameraSpec
 
 
-def contract_of(method: Method, handedness: str) -> PolicyContract:
+def contract_of(method: Method, handedness: str, camera: CameraSpec = RGB_CAMERA) -> PolicyContract:
     """Return what a policy of this method expects and promises.
 
     Args:
         method: The method.
         handedness: "left" or "right": which hand is on the arm.
+        camera: The camera that the policy is for.
     """
     return PolicyContract(
         method=method.name,
@@ -27,7 +28,7 @@ def contract_of(method: Method, handedness: str) -> PolicyContract:
             joint.name: dataclasses.asdict(command) for joint, command in zip(JOINTS, COMMANDS, strict=True)
         },
         control_dt=CONTROL_DT,
-        camera=dataclasses.asdict(RGB_CAMERA),
+        camera=dataclasses.asdict(camera),
         handedness=handedness,
     )
 

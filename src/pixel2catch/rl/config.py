@@ -29,6 +29,8 @@ class TrainCfg:
     that the policy does not live by what coarse steps do to an impact (ours)."""
     dynamics: Path | None = None
     """Dynamics file of the robot that is simulated; the nominal robot if absent."""
+    camera: Path | None = None
+    """Camera file of the camera that is simulated; the release's if absent."""
     latency_steps: tuple[int, int] = SensingCfg.latency_steps
     """Control steps between image and delivered box, first and last of the draw per episode."""
     transitions: int = 51_200_000
@@ -94,6 +96,11 @@ class TrainCfg:
         """Physics steps in a second after that many transitions."""
         stage = len(self.physics_hz) * transitions // self.transitions
         return self.physics_hz[min(stage, len(self.physics_hz) - 1)]
+
+    @property
+    def inputs(self) -> dict[str, Path | None]:
+        """The files that the training depends on, by the option that names them."""
+        return {"dynamics": self.dynamics, "camera": self.camera}
 
     @property
     def rollout_transitions(self) -> int:

@@ -25,12 +25,17 @@ _PACKAGES = ("pixel2catch", "torch", "skrl", "mujoco", "mujoco-warp", "warp-lang
 class RunFolder:
     """Files of a run.
 
-    `config.json` resolved configuration · `dynamics.json` of the robot, unless it was nominal ·
+    `config.json` resolved configuration · `dynamics.json`, `camera.json` copies of what it was given ·
     `sessions.json` versions, revision, hardware of every start · `metrics.csv` and TensorBoard events ·
     `checkpoint.pt` to resume · `policy/` to use · `summary.json` how it ended.
+
+    Attributes:
+        path: The folder.
+        inputs: Files that the run depends on, by the option that names them; some may be absent.
     """
 
     path: Path
+    inputs: Mapping[str, Path | None] = dataclasses.field(default_factory=dict)
 
     @property
     def checkpoint(self) -> Path:
@@ -42,29 +47,28 @@ class RunFolder:
         """The policy, for every other command."""
         return self.path / "policy"
 
-    @property
-    def dynamics(self) -> Path:
-        """Copy of the dynamics file of the robot, unless it was nominal."""
-        return self.path / "dynamics.json"
+    def copy_of(self, name: str) -> Path:
+        """Where the copy of an input is, if it was given."""
+        return self.path / f"{name}.json"
 
     @contextlib.contextmanager
-    def open(self, *, resume: bool, dynamics: Path | None = None) -> Iterator[None]:
+    def open(self, *, resume: bool) -> Iterator[None]:
         """Make the folder, or see that there is something to resume. Folders left empty go again at the end.
 
         Args:
             resume: Whether to go on with the run in the folder.
-            dynamics: Dynamics file of the robot; nominal if absent.
 
         Raises:
-            CheckpointError: The folder holds a run already, holds none to resume or one of other dynamics, or
+            CheckpointError: The folder holds a run already, holds none to resume or one with other inputs, or
                 cannot be made.
         """
         if resume and not self.checkpoint.exists():
             raise CheckpointError(f"'{self.path}' holds no checkpoint to resume; start without --resume.")
         if not resume and (self.path / "config.json").exists():
             raise CheckpointError(f"'{self.path}' holds a run already; name another folder, or add --resume.")
-        if resume or self.dynamics.exists():
-            self._require_dynamics(dynamics)
+        for name, given in self.inputs.items():
+            if resume or self.copy_of(name).exists():
+                self._require_same(name, given)
         made = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -77,20 +81,24 @@ class RunFolder:
                 for folder in made:
                     folder.rmdir()
 
-    def _require_dynamics(self, given: Path | None) -> None:
-        """See that the given dynamics are those of the folder: that file, or none."""
-        there = self.dynamics.read_bytes() if self.dynamics.exists() else None
+    def _require_same(self, name: str, given: Path | None) -> None:
+        """See that an input is that of the folder: the same file, or none."""
+        copy = self.copy_of(name)
+        there = copy.read_bytes() if copy.exists() else None
         if there != (given.read_bytes() if given else None):
-            fix = f"with --dynamics {self.dynamics}" if there else "without --dynamics"
+            which, fix = (
+                ("no", f"without --{name}") if there is None else ("another", f"with --{name} {copy}")
+            )
             raise CheckpointError(
-                f"'{self.path}' is of a robot with other dynamics; train {fix}, or name another folder."
+                f"'{self.path}' has {which} {name} file; train {fix}, or name another folder."
             )
 
-    def describe(self, config: Mapping[str, Any], num_processes: int, dynamics: Path | None = None) -> None:
-        """Write the resolved configuration, copy the dynamics, append this session's circumstances."""
+    def describe(self, config: Mapping[str, Any], num_processes: int) -> None:
+        """Write the resolved configuration, copy the inputs, append this session's circumstances."""
         self.write_json("config.json", config)
-        if dynamics:
-            write_atomically({self.dynamics: dynamics.read_bytes()})
+        write_atomically(
+            {self.copy_of(name): file.read_bytes() for name, file in self.inputs.items() if file}
+        )
         sessions_file = self.path / "sessions.json"
         sessions = json.loads(sessions_file.read_text()) if sessions_file.exists() else []
         session = {**circumstances(), "processes": num_processes}

@@ -68,12 +68,12 @@ def train(
         WorkerError: Another process failed; only in the first, which alone reports it.
         InvalidValueError: The environments cannot be split over the processes.
     """
-    folder = RunFolder(out_dir)
+    folder = RunFolder(out_dir, cfg.inputs)
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
         with workers.together():
             share = workers.share(cfg)
             if workers.is_first:
-                stack.enter_context(folder.open(resume=resume, dynamics=cfg.dynamics))
+                stack.enter_context(folder.open(resume=resume))
         with workers.together():
             stages = stack.enter_context(contextlib.closing(Stages(share, make_env, contract)))
             torch.manual_seed(cfg.seed)
@@ -122,7 +122,7 @@ class _Training:
         if is_first:
             train, env = dataclasses.asdict(self.cfg), dataclasses.asdict(self.stages.env.cfg)
             config = {"train": train, "env": env, "policy": self.contract.to_dict()}
-            self.folder.describe(config, self.workers.size, self.cfg.dynamics)
+            self.folder.describe(config, self.workers.size)
         return TrainingLog(self.cfg, self.folder, self.progress.transitions, is_silent=not is_first)
 
     def _loop(self, log: TrainingLog, stop: StopRequest) -> Literal["interrupted", "finished"]:

@@ -15,7 +15,6 @@ from pixel2catch.robot.allegro import add_hand
 from pixel2catch.robot.constants import (
     FINGERS,
     JOINTS,
-    RGB_CAMERA,
     TABLE,
     UR5E_DH,
     JointSpec,
@@ -161,7 +160,7 @@ def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
         solref=table_solref(cfg.physics_dt),
         solimp=SOLIMP,
     )
-    camera = RGB_CAMERA
+    camera = cfg.camera
     world.add_camera(
         name="rgb",
         pos=camera.pos,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robot.allegro import Handedness
-from pixel2catch.robot.constants import CONTROL_DT, PHYSICS_DT
+from pixel2catch.robot.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.contact import SOLIMP
 
 MAX_OBJECT_SCALE = 1.4
@@ -19,6 +19,7 @@ class SceneCfg:
         handedness: Left as in the release, or its mirror image.
         physics_hz: Physics steps in a second, a multiple of the control rate. Default: paper.
         visuals: Whether to add lights, textures and what is only seen.
+        camera: What pictures are taken by.
         object_friction: Sliding friction of the object; randomised per environment by the release.
         object_restitution: Speed after over speed before an impact; randomised per environment.
         object_solimp: Impedance of a contact with the object.
@@ -29,6 +30,7 @@ class SceneCfg:
     handedness: Handedness = "left"
     physics_hz: float = 1.0 / PHYSICS_DT
     visuals: bool = False
+    camera: CameraSpec = RGB_CAMERA
     object_friction: float = 1.0
     object_restitution: float = 0.25
     object_solimp: tuple[float, float, float, float, float] = SOLIMP
