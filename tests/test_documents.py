@@ -1,11 +1,24 @@
-"""Numbers in documents are those of the files beside them."""
+"""Numbers in documents are those of the files beside them, and their commands are such that exist."""
 
 import json
 import re
+import shlex
 from pathlib import Path
+
+import pytest
+
+from pixel2catch.cli.main import parse
 
 ROOT = Path(__file__).parents[1]
 COMPARISON = ROOT / "experiments" / "results" / "2026-11-21-comparison" / "report" / "table.json"
+
+
+PAGES = (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"))
+COMMANDS = [
+    (page.name, line)
+    for page in PAGES
+    for line in re.findall(r"^(?:torchrun .* -m )?(pixel2catch .*)$", page.read_text("utf-8"), re.MULTILINE)
+]
 
 
 def cells() -> dict[str, list[str]]:
@@ -28,6 +41,12 @@ def test_the_comparison_is_that_of_its_report():
 
 
 def test_links_lead_somewhere():
-    for page in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")):
+    for page in PAGES:
         for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS)
+def test_commands_are_understood(page: str, line: str):
+    """Options and their kinds are right; what the commands do is tested where they are."""
+    parse(shlex.split(line, comments=True)[1:])

@@ -60,7 +60,7 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"pixel2catch {importlib.metadata.version('pixel2catch')}")
         return 0
     try:
-        _parse(args).run()
+        parse(args).run()
     except (Pixel2CatchError, OSError) as error:
         if isinstance(error, BrokenPipeError):
             return 0
@@ -72,7 +72,8 @@ def main(args: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _parse(args: Sequence[str]):
+def parse(args: Sequence[str]):
+    """Return the command that arguments name, with its options; tyro prints help and mistakes, and exits."""
     names = [Annotated[command, tyro.conf.subcommand(command.__name__.lower())] for command in COMMANDS]
     return tyro.cli(
         Union[*names],  # type: ignore[valid-type]
