@@ -54,9 +54,9 @@ METHODS: dict[str, Method] = {
         replace(PROPOSED, name="journal", agents=_seeing(*JOURNAL_TERMS)),
     )
 }
-"""Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D, and `shared_reward`,
-in which arm and hand are both paid the sum of their rewards; release: `journal`, which adds palm displacement
-and joint targets."""
+"""Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D, and
+`shared_reward`, in which arm and hand are both paid the sum of their rewards; release: `journal`, which adds
+palm displacement and joint targets."""
 
 
 def find_method(name: str) -> Method:

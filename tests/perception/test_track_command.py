@@ -99,7 +99,17 @@ def test_images_that_cannot_be_used_are_passed_over(files: Path, tmp_path: Path)
 
 def test_sam2_runs_from_a_checkpoint(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     checkpoint = save_tiny_sam2(tmp_path / "checkpoint")
-    options = ["--segmenter", "sam2", "--checkpoint", str(checkpoint), "--point", "40", "150", "--seconds", "0.3"]
+    options = [
+        "--segmenter",
+        "sam2",
+        "--checkpoint",
+        str(checkpoint),
+        "--point",
+        "40",
+        "150",
+        "--seconds",
+        "0.3",
+    ]
     summary, rows = track(files, "throw.mp4", tmp_path / "out", "--json", *options)
     assert len(rows) == 10
     assert {row["verdict"] for row in rows} <= {"seen", "too large", "border", "jump", "too small"}
@@ -112,7 +122,14 @@ def test_what_is_printed_says_whether_it_is_fast_enough(
 ):
     track(files, "throw.mp4", tmp_path / "out", *RED, "--mask-robot", "--seconds", "0.5")
     printed = capsys.readouterr().out
-    for word in ("segment", "total", "p99", "16 control steps in 0.5 s", "never seen", "than a control step, 33.3"):
+    for word in (
+        "segment",
+        "total",
+        "p99",
+        "16 control steps in 0.5 s",
+        "never seen",
+        "than a control step, 33.3",
+    ):
         assert word in printed
     assert "the robot is not masked in 16 control steps" in printed
 
@@ -156,7 +173,15 @@ def test_nothing_is_overwritten(files: Path, tmp_path: Path, capsys: pytest.Capt
 
 def test_a_missing_extra_is_named(files: Path, tmp_path: Path):
     hidden = "import sys; sys.modules['cv2'] = None; from pixel2catch.cli.main import main; sys.exit(main())"
-    command = [sys.executable, "-c", hidden, "track", str(files / "throw.mp4"), "--out", str(tmp_path / "out")]
+    command = [
+        sys.executable,
+        "-c",
+        hidden,
+        "track",
+        str(files / "throw.mp4"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "pip install 'pixel2catch[perception]'" in done.stderr

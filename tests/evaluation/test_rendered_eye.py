@@ -1,0 +1,105 @@
+"""The environment through images: the same throws, other boxes."""
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.evaluation.protocol import EvaluationCfg
+from pixel2catch.evaluation.rendered.camera import OBJECT
+from pixel2catch.evaluation.rendered.eye import ImageEye
+from pixel2catch.evaluation.rendered.film import FilmCfg
+from pixel2catch.evaluation.rendered.takes import record_throws
+from pixel2catch.evaluation.rendered.watcher import Watcher
+from pixel2catch.evaluation.rendering import find_gl_backend
+from pixel2catch.mdp.masks import clone
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.mdp.snapshot import Measurement
+from pixel2catch.methods import METHODS
+from pixel2catch.perception.background import BackgroundSubtraction
+from pixel2catch.perception.gate import Verdict
+from pixel2catch.robot.constants import CONTROL_DT
+
+METHOD = METHODS["proposed"]
+FILM = FilmCfg(num_empty=2, num_held=2)
+NUM_STEPS = 4
+
+
+class Idle:
+    """Does nothing."""
+
+    def act(self, observations: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        num_envs = next(iter(observations.values())).shape[0]
+        return {agent.name: torch.zeros(num_envs, agent.num_joints) for agent in METHOD.agents}
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[CatchEnv]:
+    """One environment whose eye looks at images; without noise of boxes and without latency."""
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))
+    task = CatchEnvCfg(sensing=SensingCfg(corner_noise=0.0, latency_steps=(0, 0)))
+    env = CatchEnv(task, METHOD, num_envs=1)
+    eye = ImageEye(env.eye, env.world, FILM, Watcher(BackgroundSubtraction()))
+    env.eye = eye
+    yield env
+    eye.close()
+    env.close()
+
+
+def throw(env: CatchEnv, *, through_images: bool) -> list[Measurement]:
+    """What is measured in the first steps of one throw."""
+    assert isinstance(env.eye, ImageEye)
+    env.eye.is_open = through_images
+    env.seed(5)
+    observation, measured = env.reset(), []
+    for _ in range(NUM_STEPS):
+        step = env.step(Idle().act(observation.policy))
+        observation = step.observation
+        measured.append(clone(step.measurement))
+    return measured
+
+
+def test_the_throw_and_the_noise_are_the_same_and_the_boxes_agree(env: CatchEnv):
+    by_images, by_geometry = throw(env, through_images=True), throw(env, through_images=False)
+    for seen, known in zip(by_images, by_geometry, strict=True):
+        assert torch.equal(seen.joint_pos, known.joint_pos)
+        assert torch.equal(seen.object_pos, known.object_pos)
+        assert 0.0 < (seen.box - known.box).abs().max() <= 5.0
+
+
+def test_the_eye_keeps_the_images_of_the_episode_and_what_was_found(env: CatchEnv):
+    throw(env, through_images=True)
+    assert isinstance(env.eye, ImageEye)
+    assert len(env.eye.shots) == len(env.eye.extractions) == NUM_STEPS + 1
+    assert all(seen.verdict is Verdict.SEEN for seen in env.eye.extractions)
+    times = [shot.time for shot in env.eye.shots]
+    assert torch.tensor(times).diff().tolist() == pytest.approx([CONTROL_DT] * NUM_STEPS, abs=1e-6)
+    assert -20 * CONTROL_DT < times[0] <= -5 * CONTROL_DT
+
+
+def test_a_closed_eye_takes_no_images(env: CatchEnv):
+    throw(env, through_images=True)
+    assert isinstance(env.eye, ImageEye)
+    before = len(env.eye.shots)
+    throw(env, through_images=False)
+    assert len(env.eye.shots) == before
+
+
+def test_throws_are_recorded_with_the_time_of_their_release():
+    cfg = EvaluationCfg(objects=("cube_l", "sphere_s"), num_envs=2, trials=1)
+    for take in record_throws(cfg, Idle(), METHOD):
+        times = [moment.time for moment in take.moments]
+        assert -19 * CONTROL_DT <= times[0] <= -4 * CONTROL_DT
+        held = take.moments[times.index(0.0) - 1]
+        released, later = (take.moments[times.index(0.0) + i] for i in (0, 3))
+        assert abs(held.qvel[OBJECT]).max() < 0.01
+        assert released.qvel[OBJECT][2] > 3.0
+        assert later.qpos[OBJECT][0] - released.qpos[OBJECT][0] == pytest.approx(
+            3 * CONTROL_DT * released.qvel[OBJECT][0], rel=0.02
+        )
+        assert take.object_name in cfg.objects
