@@ -25,6 +25,7 @@ SIZES = {
     "without_pf": {"arm": 2 * (3 + 7 + 12), "hand": 2 * (3 + 7 + 26)},
     "object_position": {"arm": 50, "hand": 78},
     "proposed": {"arm": 50, "hand": 78},
+    "shared_reward": {"arm": 50, "hand": 78},
     "journal": {"arm": 2 * (25 + 3 + 6), "hand": 2 * (39 + 3 + 13)},
     "only_wh": {"arm": 46, "hand": 74},
     "only_center": {"arm": 46, "hand": 74},

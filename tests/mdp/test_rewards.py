@@ -13,6 +13,7 @@ from pixel2catch.agents import ARM, HAND, AgentSpec
 from pixel2catch.mdp import rewards
 from pixel2catch.mdp.rewards import RewardTerm, term_values
 from pixel2catch.mdp.snapshot import Transition
+from pixel2catch.methods import METHODS
 
 ANY = slice(0, NUM_JOINTS)
 
@@ -129,7 +130,7 @@ def test_weights_are_the_papers_and_a_grasp():
 
 
 @given(st.integers(0, 2**31), st.integers(0, 25))
-def test_single_agents_reward_is_the_sum_of_both(seed, held_steps):
+def test_the_single_and_the_sharing_agents_get_the_sum_of_both(seed, held_steps):
     generator = torch.Generator().manual_seed(seed)
     snapshots = [
         privileged(
@@ -141,7 +142,9 @@ def test_single_agents_reward_is_the_sum_of_both(seed, held_steps):
     ]
     action = torch.randn(3, NUM_JOINTS, generator=generator)
     step = transition(*snapshots, action=action, held_steps=(held_steps,) * 3)
-    torch.testing.assert_close(reward(ARM + HAND, step), reward(ARM, step) + reward(HAND, step))
+    total = reward(ARM, step) + reward(HAND, step)
+    for agent in (ARM + HAND, *METHODS["shared_reward"].agents):
+        torch.testing.assert_close(reward(agent, step), total)
 
 
 @given(st.lists(st.floats(-2.0, 2.0, width=32), min_size=12, max_size=12))
