@@ -8,11 +8,16 @@ nice python benchmarks/catch_through_images.py --throws 100 --out results.json
 
 import argparse
 import json
+import multiprocessing
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.step import Step
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
@@ -66,35 +71,30 @@ class Duel:
         """Nobody looks any more once the trial is decided: the policy is not asked then."""
 
         def watch(_: Step, state: RoundState) -> None:
-            self.eye.is_open &= bool((state.is_running & ~state.is_testing)[0])
+            if not (state.is_running & ~state.is_testing)[0]:
+                self.eye.close()
 
         self._env.seed(seed)
-        self.eye.is_open = through_images
+        if through_images:
+            self.eye.open()
         return run_round(self._env, self._actor, watch)
 
 
 def main() -> None:
     options = _options()
-    policy, method = load_policy(options.policy)
-    task = task_of(policy)
-    cfg = EvaluationCfg(objects=select_objects(options.objects), num_envs=1, trials=1, task=task)
-    film = FilmCfg(scene=task.scene, room=options.room)
-    begin, pairs = time.perf_counter(), []
-    duel = Duel(cfg, film, policy, method)
-    try:
-        for number in range(options.throws):
-            pair = duel.throw(options.seed + number)
-            pairs.append(pair)
-            caught = [bool(each.record.is_success[0]) for each in (pair.images, pair.geometry)]
-            seconds = time.perf_counter() - begin
-            print(f"{number} {pair.object_name} images, geometry: {caught} {seconds:.0f} s", flush=True)
-    finally:
-        duel.close()
+    begin = time.perf_counter()
+    seeds = range(options.seed, options.seed + options.throws)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(options.jobs, mp_context=context) as pool:
+        parts = [seeds[i :: options.jobs] for i in range(options.jobs)]
+        shares = pool.map(play, [options] * options.jobs, parts)
+        pairs = [pair for share in shares for pair in share]
+    task = task_of(load_policy(options.policy)[0])
     report = {
         "policy": fingerprint(options.policy),
         "objects": options.objects,
         "seed": options.seed,
-        "film": asdict(film),
+        "film": asdict(filming(options, task)),
         "sensing": {name: getattr(task.sensing, name) for name in SENSING},
         **compare(pairs),
         "seconds": time.perf_counter() - begin,
@@ -102,6 +102,27 @@ def main() -> None:
     print(json.dumps(report, indent=1))
     if options.out:
         write_atomically({options.out: json.dumps(report, indent=1).encode()})
+
+
+def play(options: argparse.Namespace, seeds: range) -> list[Pair]:
+    """Throw by seed, one after the other."""
+    torch.set_num_threads(1)
+    policy, method = load_policy(options.policy)
+    task = task_of(policy)
+    cfg = EvaluationCfg(objects=select_objects(options.objects), num_envs=1, trials=1, task=task)
+    duel, pairs = Duel(cfg, filming(options, task), policy, method), []
+    try:
+        for seed in seeds:
+            pairs.append(duel.throw(seed))
+            caught = [bool(each.record.is_success[0]) for each in (pairs[-1].images, pairs[-1].geometry)]
+            print(f"{seed} {pairs[-1].object_name} images, geometry: {caught}", flush=True)
+    finally:
+        duel.close()
+    return pairs
+
+
+def filming(options: argparse.Namespace, task: CatchEnvCfg) -> FilmCfg:
+    return FilmCfg(scene=task.scene, room=options.room)
 
 
 def compare(pairs: list[Pair]) -> dict[str, Any]:
@@ -142,6 +163,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--throws", type=int, default=100)
     parser.add_argument("--objects", nargs="+", default=["seen", "unseen"])
     parser.add_argument("--seed", type=int, default=0, help="of the first throw; the next has the next")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that throw at the same time")
     parser.add_argument("--room", type=int, default=0, help="seed of the room")
     parser.add_argument("--out", type=Path, help="JSON file")
     return parser.parse_args()

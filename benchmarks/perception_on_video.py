@@ -8,8 +8,10 @@ nice python benchmarks/perception_on_video.py --throws 20 --out results.json
 
 import argparse
 import json
+import multiprocessing
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -59,8 +61,10 @@ def main() -> None:
         objects, seed = select_objects(group), options.seed + number
         cfg = EvaluationCfg(objects=objects, num_envs=options.throws, trials=1, seed=seed)
         takes = record_throws(replace(cfg, task=task_of(policy)), policy, method)
-        for i, take in enumerate(takes):
-            watched = watch(take, replace(filming, room=i), seed=i)
+        rooms = [replace(filming, room=i) for i in range(options.throws)]
+        with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+            every = list(pool.map(watch, takes, rooms, range(options.throws)))
+        for i, (take, watched) in enumerate(zip(takes, every, strict=True)):
             for name, (rows, wait, total) in watched.items():
                 scores.setdefault(f"{name}, {group}", []).extend(rows)
                 waits.setdefault(f"{name}, {group}", []).append(wait)
@@ -135,6 +139,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--exposure", type=float, default=CameraCfg().exposure, help="[s]")
     parser.add_argument("--held", type=int, default=FilmCfg().num_held, help="images before the episode")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that watch at the same time")
     parser.add_argument("--out", type=Path, help="JSON file")
     return parser.parse_args()
 

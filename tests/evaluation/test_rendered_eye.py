@@ -54,7 +54,7 @@ def env() -> Iterator[CatchEnv]:
 def throw(env: CatchEnv, *, through_images: bool) -> list[Measurement]:
     """What is measured in the first steps of one throw."""
     assert isinstance(env.eye, ImageEye)
-    env.eye.is_open = through_images
+    env.eye.open() if through_images else env.eye.close()
     env.seed(5)
     observation, measured = env.reset(), []
     for _ in range(NUM_STEPS):

@@ -41,6 +41,13 @@ def test_a_colour_that_others_have_more_of_is_not_the_objects(num_others: int, i
     assert resembles(appearance, DARK) == is_alike
 
 
+def test_new_is_what_nothing_else_had():
+    appearance = Appearance()
+    appearance.learn(pixels(RED, 300), pixels(GREY, 8000))
+    for color, is_new in ((DARK, True), (RED, True), (GREY, False)):
+        assert appearance.is_new(pixels(color, 25).reshape(5, 5, 3)).all() == is_new
+
+
 def test_older_images_count_less():
     appearance = Appearance()
     appearance.learn(pixels(RED, 300), pixels(GREY, 8000))

@@ -63,6 +63,24 @@ def test_an_arm_that_swings_along_is_parted_from_the_ball_by_its_colour():
     assert (worst <= 3.0).mean() >= 0.95
 
 
+def test_a_side_that_was_not_seen_before_belongs_to_the_ball():
+    """It turns in flight: its lower half becomes dark red; an arm is still near."""
+    steps = np.arange(NUM_STEPS)[:, None]
+    is_flying = steps > NUM_EMPTY + NUM_STILL + 6
+    below = BALL.path + np.array((0.0, 7.0))
+    dark = Disc(path=np.where(is_flying, below, -100.0), radius=8.0, color=(105, 24, 18))
+    ball = Disc(path=BALL.path, radius=9.0)
+    arm = Disc(path=(25.0, 190.0) + 4.0 * np.sin(steps * (1.0, 1.3)), radius=30.0, color=(150, 110, 90))
+    segmenter, worst = BackgroundSubtraction(), []
+    for step, image in enumerate(painted.images((arm, ball, dark), NUM_STEPS)):
+        found = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
+        if step >= NUM_EMPTY:
+            assert found.mask is not None
+            truth = ball.mask(step) | dark.mask(step)
+            worst.append(np.abs(painted.box_of(found.mask) - painted.box_of(truth)).max())
+    assert (np.array(worst) <= 3.0).mean() >= 0.95
+
+
 def test_a_ball_that_is_held_for_long_is_not_lost():
     """It becomes background meanwhile; only its colour tells it."""
     still = np.repeat(BALL.path[NUM_EMPTY : NUM_EMPTY + 1], 60, axis=0)

@@ -114,30 +114,40 @@ class Renderer:
         model: The model; it is copied, its drawing settings are not touched.
         view: From where to draw.
         shadows: Whether to draw shadows, about three times slower without a GPU.
+        sky: Whether to draw the sky; without it a pixel that shows nothing is black.
+
+    Attributes:
+        model: The copy, which is drawn; what its geoms are may be changed between two pictures.
 
     Raises:
         DeviceUnavailableError: If no OpenGL back end works.
     """
 
-    def __init__(self, model: mujoco.MjModel, view: View = RGB_VIEW, *, shadows: bool = True) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, view: View = RGB_VIEW, *, shadows: bool = True, sky: bool = True
+    ) -> None:
         """Open the drawing context."""
         gl_module = importlib.import_module(f"mujoco.{find_gl_backend()}")
-        self._model = copy.copy(model)
-        self._model.vis.quality.offsamples = 0
-        self._model.vis.quality.shadowsize = 1024
-        self._model.vis.global_.offwidth = view.width
-        self._model.vis.global_.offheight = view.height
-        self._data = mujoco.MjData(self._model)
-        self._camera = _camera(self._model, view)
+        self.model = copy.copy(model)
+        self.model.vis.quality.offsamples = 0
+        self.model.vis.quality.shadowsize = 1024
+        self.model.vis.global_.offwidth = view.width
+        self.model.vis.global_.offheight = view.height
+        self._data = mujoco.MjData(self.model)
+        self._camera = _camera(self.model, view)
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = [group in DRAWN_GROUPS for group in range(mujoco.mjNGROUP)]
         self._option.sitegroup[:] = 0
-        self._scene = mujoco.MjvScene(self._model, maxgeom=1000)
-        self._flags = {mujoco.mjtRndFlag.mjRND_SHADOW: shadows, mujoco.mjtRndFlag.mjRND_REFLECTION: False}
+        self._scene = mujoco.MjvScene(self.model, maxgeom=1000)
+        self._flags = {
+            mujoco.mjtRndFlag.mjRND_SHADOW: shadows,
+            mujoco.mjtRndFlag.mjRND_SKYBOX: sky,
+            mujoco.mjtRndFlag.mjRND_REFLECTION: False,
+        }
         self._rect = mujoco.MjrRect(0, 0, view.width, view.height)
         self._gl: Any = gl_module.GLContext(view.width, view.height)
         self._gl.make_current()
-        self._drawing: Any = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        self._drawing: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._drawing)
 
     def image(self, qpos: Float[np.ndarray, " nq"]) -> UInt8[np.ndarray, "height width 3"]:
@@ -148,11 +158,11 @@ class Renderer:
         """Return which pixels show the body `object` at these joint positions, upper row first."""
         flags = {mujoco.mjtRndFlag.mjRND_SEGMENT: True, mujoco.mjtRndFlag.mjRND_IDCOLOR: True}
         colors = self._draw(qpos, flags)
-        owner = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY.value, OBJECT_BODY)
+        owner = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY.value, OBJECT_BODY)
         mask = np.zeros(colors.shape[:2], dtype=bool)
         for geom in self._scene.geoms[: self._scene.ngeom]:
             is_geom = geom.objtype == mujoco.mjtObj.mjOBJ_GEOM.value
-            if is_geom and geom.segid >= 0 and self._model.geom_bodyid[geom.objid] == owner:
+            if is_geom and geom.segid >= 0 and self.model.geom_bodyid[geom.objid] == owner:
                 low, high = (geom.segid + 1) % 256, (geom.segid + 1) // 256
                 mask |= (colors[..., 0] == low) & (colors[..., 1] == high)
         return mask
@@ -176,12 +186,12 @@ class Renderer:
     def _draw(self, qpos: np.ndarray, flags: dict[mujoco.mjtRndFlag, bool]) -> np.ndarray:
         """Draw with these flags on top of MuJoCo's own."""
         self._data.qpos[:] = qpos
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
+        mujoco.mj_kinematics(self.model, self._data)
+        mujoco.mj_comPos(self.model, self._data)
+        mujoco.mj_camlight(self.model, self._data)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
-            self._model, self._data, self._option, None, self._camera, everything, self._scene
+            self.model, self._data, self._option, None, self._camera, everything, self._scene
         )
         before = self._scene.flags.copy()
         for flag, value in flags.items():

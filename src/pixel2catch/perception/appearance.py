@@ -51,6 +51,10 @@ class Appearance:
         likely = _spread(self._object) > np.maximum(_spread(self._other), LEAST_COUNT)
         return likely[_codes(cv2.blur(image, (3, 3)))]
 
+    def is_new(self, image: Image) -> Mask:
+        """Return which pixels have colours that nothing else had: an unseen side of the object may have."""
+        return (_spread(self._other) <= LEAST_COUNT)[_codes(cv2.blur(image, (3, 3)))]
+
 
 def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]:
     """Index of every colour in a histogram."""

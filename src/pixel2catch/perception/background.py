@@ -25,6 +25,9 @@ LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
 """How many times larger or smaller than before the object may be; where the robot may hide a part of it, any
 times smaller. Source: ours."""
 
+LEAST_KNOWN = 0.2
+"""Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
+
 AREA_MEMORY = 0.7
 """Weight of what the object's area was before, in every image. Source: ours."""
 
@@ -78,13 +81,13 @@ class BackgroundSubtraction(Segmenter):
         self._course = None
 
     def _object(self, image: Image, moving: Mask, unknown: Mask, course: Course) -> tuple[Blobs, Blob | None]:
-        """The region of the object's colours, else what of it moves, else whatever moves.
+        """The region of the object's colours with its new sides, else of less, else whatever moves.
 
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alike = self._resembling(image, course)
-        for mask in (alike, alike & (moving | unknown), moving):
+        alike, whole = self._resembling(image, moving, course)
+        for mask in (whole, alike, alike & (moving | unknown), moving):
             found, blob = self._next(mask, course)
             if blob is not None and self._fits(blob, found.mask(blob), unknown):
                 return found, blob
@@ -102,16 +105,19 @@ class BackgroundSubtraction(Segmenter):
         is_large = blob.area >= LEAST_SHARE * self._area
         return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(mask, unknown))
 
-    def _resembling(self, image: Image, course: Course) -> Mask:
-        """Pixels with the object's colours, in reach of where it should be and a little further.
+    def _resembling(self, image: Image, moving: Mask, course: Course) -> tuple[Mask, Mask]:
+        """Pixels with the object's colours, and these with what moves along with them in a new colour.
 
-        What is out of reach now may be in reach in the next image, and is known for another thing then.
+        In reach of where the object should be and a little further: what is out of reach now may be in reach
+        in the next image, and is known for another thing then.
         """
-        mask = np.zeros(image.shape[:2], dtype=bool)
+        alike, whole = (np.zeros(image.shape[:2], dtype=bool) for _ in range(2))
         reach = course.reach(self._follow) + self._follow.reach
         window = _window((course.center, course.expected), reach, image)
-        mask[window] = self._appearance.resembles(image[window])
-        return mask
+        alike[window] = self._appearance.resembles(image[window])
+        new = self._appearance.is_new(image[window]) & moving[window]
+        whole[window] = _extended(alike[window], new)
+        return alike, whole
 
     def _learn(self, image: Image, mask: Mask, maybe: Mask, ignored: Mask | None) -> None:
         """Learn the colours of the object, of what is around all that may be its, and of what is ignored."""
@@ -143,6 +149,15 @@ def _overlap(mask: Mask, other: Mask) -> bool:
 def _grown(mask: Mask, shape: np.ndarray) -> Mask:
     """The mask with a rim."""
     return cv2.dilate(mask.view(np.uint8), shape) > 0
+
+
+def _extended(mask: Mask, more: Mask) -> Mask:
+    """A mask with those connected regions of it and of more that are to a good part its own."""
+    _, labels = cv2.connectedComponents((mask | more).view(np.uint8))
+    own = np.bincount(labels[mask], minlength=labels.max() + 1)
+    is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())
+    is_own[0] = False
+    return is_own[labels]
 
 
 def _prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask, Mask]:

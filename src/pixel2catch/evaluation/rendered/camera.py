@@ -1,5 +1,6 @@
 """A camera with an exposure time and a noisy sensor."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil
 
@@ -75,9 +76,7 @@ class RoomCamera:
 
     def image(self, moment: Moment) -> UInt8[np.ndarray, "height width 3"]:
         """The image, with motion blur and noise."""
-        num_parts = max(ceil(self._smear(moment) / self._cfg.part_length), 1)
-        share = (np.arange(num_parts) + 0.5) / num_parts - 0.5
-        pictures = [self._renderer.image(self._qpos(moment, self._cfg.exposure * each)) for each in share]
+        pictures = [self._renderer.image(self._qpos(moment, each)) for each in part_times(moment, self._cfg)]
         light = np.mean(pictures, axis=0, dtype=np.float32)
         deviation = np.sqrt(self._cfg.read_noise**2 + self._cfg.shot_noise * light)
         noise = self._rng.standard_normal(light.shape, dtype=np.float32)
@@ -99,18 +98,42 @@ class RoomCamera:
         """Close the camera."""
         self.close()
 
-    def _smear(self, moment: Moment) -> float:
-        """How far object and palm move in the image during the exposure, the farther of the two [px]."""
-        times = self._cfg.exposure * np.array(((-0.5,), (0.5,)))
-        palm_pos, _ = palm_pose(torch.from_numpy(moment.qpos[ARM] + times * moment.qvel[ARM]))
-        object_pos = torch.from_numpy(moment.qpos[OBJECT] + times * moment.qvel[OBJECT])
-        pixels, _ = project(RGB_CAMERA, torch.stack((palm_pos, object_pos), dim=1))
-        return float((pixels[1] - pixels[0]).norm(dim=-1).max())
-
     def _qpos(self, moment: Moment, offset: float) -> Float[np.ndarray, " num_positions"]:
         """All positions of the room so long after the middle of the exposure [s]."""
-        qpos, qvel = self._room.qpos0.copy(), np.zeros(self._room.nv)
-        qpos[: len(moment.qpos)], qvel[: len(moment.qvel)] = moment.qpos, moment.qvel
-        mujoco.mj_integratePos(self._room, qpos, qvel, offset)
-        qpos[len(moment.qpos) :] = self._bystanders.joint_pos(moment.time + offset)
-        return qpos
+        return room_positions(self._room, moment, offset, self._bystanders.joint_pos)
+
+
+def part_times(moment: Moment, cfg: CameraCfg) -> Float[np.ndarray, " num_parts"]:
+    """When the pictures are taken that are averaged over an exposure, from its middle [s]."""
+    num_parts = max(ceil(_smear(moment, cfg.exposure) / cfg.part_length), 1)
+    return cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
+
+
+def room_positions(
+    room: mujoco.MjModel,
+    moment: Moment,
+    offset: float,
+    bystanders: Callable[[float], Float[np.ndarray, " num_bystanders"]],
+) -> Float[np.ndarray, " num_positions"]:
+    """All positions of the room so long after the middle of an exposure.
+
+    Args:
+        room: From `build_room`.
+        moment: The middle of the exposure.
+        offset: Time from there [s].
+        bystanders: Positions of their joints at a time.
+    """
+    qpos, qvel = room.qpos0.copy(), np.zeros(room.nv)
+    qpos[: len(moment.qpos)], qvel[: len(moment.qvel)] = moment.qpos, moment.qvel
+    mujoco.mj_integratePos(room, qpos, qvel, offset)
+    qpos[len(moment.qpos) :] = bystanders(moment.time + offset)
+    return qpos
+
+
+def _smear(moment: Moment, exposure: float) -> float:
+    """How far object and palm move in the image during an exposure, the farther of the two [px]."""
+    times = exposure * np.array(((-0.5,), (0.5,)))
+    palm_pos, _ = palm_pose(torch.from_numpy(moment.qpos[ARM] + times * moment.qvel[ARM]))
+    object_pos = torch.from_numpy(moment.qpos[OBJECT] + times * moment.qvel[OBJECT])
+    pixels, _ = project(RGB_CAMERA, torch.stack((palm_pos, object_pos), dim=1))
+    return float((pixels[1] - pixels[0]).norm(dim=-1).max())

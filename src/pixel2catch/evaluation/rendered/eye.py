@@ -28,9 +28,10 @@ class ImageEye(Eye):
     The other eye still looks: it draws what it always draws, so that throws and noise stay those of its own
     boxes, and it tracks the object's position, which no image gives.
 
+    It films one episode after `open`; closed, it sees what the other eye sees.
+
     Attributes:
-        is_open: Whether images are taken; closed, it ends the film and sees what the other eye sees.
-        shots: The images of the present throw, since the beginning of the episode.
+        shots: The images of this episode, from its beginning to its end or to `close`.
         extractions: What was made of each.
     """
 
@@ -47,40 +48,45 @@ class ImageEye(Eye):
         self._qpos, self._qvel = (world.simulation.bind(name) for name in ("qpos", "qvel"))
         self._film: ThrowFilm | None = None
         self._num_throws = 0
-        self.is_open = True
+        self._is_open = False
         self.shots: list[Shot] = []
         self.extractions: list[Extraction] = []
 
     def look(self, truth: Privileged, episode: Episode) -> tuple[Detection, Bool[Tensor, " num_envs"]]:
         """See `Eye.look`."""
         detection, is_seen = self._other.look(truth, episode)
-        if not self.is_open:
-            self.close()
-            return detection, is_seen
         steps = int(episode.record.steps[0])
+        if steps == 0 and self.shots:
+            self.close()
+        if not self._is_open:
+            return detection, is_seen
         moment = Moment(
             qpos=self._qpos[0].numpy().copy(),
             qvel=self._qvel[0].numpy().copy(),
             time=(steps - int(episode.throw.hover_steps[0])) * CONTROL_DT,
         )
-        film = self._begun(episode, moment) if steps == 0 or self._film is None else self._film
+        film = self._film or self._begun(episode, moment)
         self.shots.append(film.shot(moment))
         self.extractions.append(self._watcher.see(self.shots[-1]))
         is_found = self.extractions[-1].verdict is Verdict.SEEN
         return replace(detection, box=self.extractions[-1].box), torch.tensor([is_found])
 
+    def open(self) -> None:
+        """Film the next episode; call it before the environment's reset."""
+        self.close()
+        self._is_open, self.shots, self.extractions = True, [], []
+
     def close(self) -> None:
-        """Free the drawing context."""
+        """Film no more, and free the drawing context."""
         if self._film is not None:
             self._film.close()
-        self._film = None
+        self._film, self._is_open = None, False
 
     def _begun(self, episode: Episode, start: Moment) -> ThrowFilm:
         """A new film, of which the images before the episode have been seen."""
-        self.close()
         name = self._world.objects.names[int(episode.parameters.object_id[0])]
         film = ThrowFilm(self._cfg, name, episode.throw.pos[0].double().numpy(), self._num_throws)
-        self._film, self.shots, self.extractions = film, [], []
+        self._film = film
         self._watcher.begin()
         for shot in film.lead_in(start, NUM_EMPTY_AGAIN if self._num_throws else self._cfg.num_empty):
             self._watcher.see(shot)
