@@ -59,3 +59,7 @@ class RecordingError(Pixel2CatchError):
 
 class PerceptionError(Pixel2CatchError):
     """Images, prompts or models of the perception that cannot be used."""
+
+
+class DeploymentError(Pixel2CatchError):
+    """A robot, profile, message or network that the deployment cannot work with."""

@@ -1,0 +1,93 @@
+"""A recording played as a network."""
+
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.bag import ReplayTransport
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.recorder import Recorder
+from pixel2catch.deployment.transport import Topic
+from pixel2catch.errors import PerceptionError
+
+NUMBER = Topic(name="/number", type=messages.NUMBER)
+STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
+IMAGE = Topic(name="/image", type=messages.IMAGE)
+EPOCH = 1_790_000_000.0
+PERIOD = 0.1
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three numbers, joint states and images, a period apart; stamps are 10 ms older than the messages."""
+    pixels = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
+    with Recorder(tmp_path / "throw") as bag:
+        for i in range(3):
+            moment = EPOCH + PERIOD * i
+            bag.record(NUMBER, messages.number(i), moment)
+            bag.record(STATES, messages.joint_state(["a"], [i], moment - 0.01), moment)
+            bag.record(IMAGE, messages.image(pixels, moment - 0.01), moment)
+    return tmp_path / "throw"
+
+
+def play(node: ReplayTransport, subscription, reader) -> list[tuple[float, float]]:
+    """When each message arrived, and what the reader makes of it."""
+    packets = []
+    while not (node.is_over and not node.wait(0.0)):
+        node.wait(0.02)
+        packets += [(packet.arrival, reader(packet.data)) for packet in subscription.take()]
+    return packets
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.5])
+def test_messages_come_in_their_order_at_their_time(folder: Path, rate: float):
+    begin = time.perf_counter()
+    with closing(ReplayTransport(folder, Clock(rate))) as node:
+        arrivals, values = zip(*play(node, node.subscription(NUMBER, 10), messages.read_number), strict=True)
+    assert values == (0.0, 1.0, 2.0)
+    np.testing.assert_allclose(np.diff(arrivals), PERIOD, atol=0.5 * PERIOD)
+    assert rate * (time.perf_counter() - begin) >= 2.0 * PERIOD
+
+
+@pytest.mark.parametrize(
+    ("topic", "stamp"),
+    [
+        (STATES, lambda data: messages.read_joint_state(data).stamp),
+        (IMAGE, lambda data: messages.read_image(data).stamp),
+    ],
+)
+def test_stamps_are_as_old_as_they_were(folder: Path, topic: Topic, stamp):
+    clock = Clock()
+    with closing(ReplayTransport(folder, clock)) as node:
+        packets = play(node, node.subscription(topic, 10), stamp)
+    ages = [arrival - (stamp - clock.stamp() + clock.now()) for arrival, stamp in packets]
+    assert len(ages) == 3
+    np.testing.assert_allclose(ages, 0.01, atol=0.05)
+    assert min(ages) > 0.009
+
+
+def test_nothing_comes_before_somebody_looks_and_nothing_is_sent(folder: Path):
+    with closing(ReplayTransport(folder, Clock())) as node:
+        subscription = node.subscription(NUMBER, depth=10)
+        assert node.num_other_publishers(NUMBER) == 0
+        node.publisher(NUMBER).publish(messages.number(9.0))
+        time.sleep(1.5 * PERIOD)
+        assert node.wait(1.0)
+        assert messages.read_number(subscription.take()[0].data) == 0.0
+
+
+def test_a_replay_that_is_closed_ends_at_once(folder: Path):
+    node = ReplayTransport(folder, Clock(0.001))
+    node.subscription(NUMBER).take()
+    begin = time.perf_counter()
+    node.close()
+    assert time.perf_counter() - begin < 5.0
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path):
+    with pytest.raises(PerceptionError, match="not a readable rosbag2"):
+        ReplayTransport(tmp_path / "gone", Clock())

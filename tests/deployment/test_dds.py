@@ -1,0 +1,202 @@
+"""What DDS shows to others on the network, where ROS 2 looks; `test_transports` has the rest."""
+
+import multiprocessing
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import pytest
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic as DdsTopic
+from networks import dds_nodes, own_domain
+from rosbags.typesys import Stores, get_typestore
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.dds import LOOPBACK
+from pixel2catch.deployment.dds_node import MESSAGE
+from pixel2catch.deployment.dds_types import dds_type
+from pixel2catch.deployment.network import make_transport
+from pixel2catch.deployment.transport import Topic
+from pixel2catch.errors import DeploymentError, UnknownNameError
+
+STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
+MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)
+
+
+@pytest.fixture
+def make(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    with ExitStack() as stack:
+        yield dds_nodes(stack)
+
+
+def announced():
+    """All publishers of the domain, by topic, as any DDS program sees them."""
+    participant = DomainParticipant(int(own_domain()))
+    reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
+    return {endpoint.topic_name: endpoint for endpoint in reader.take(N=100)}
+
+
+def test_publishers_have_the_names_types_and_hashes_of_ros_2(make):
+    node = make("node")
+    for topic in (STATES, MODE):
+        node.publisher(topic)
+    found = announced()
+    states, mode = found["rt/joint_states"], found["rt/io/safety_mode"]
+    assert states.type_name == "sensor_msgs::msg::dds_::JointState_"
+    assert mode.type_name == "ur_dashboard_msgs::msg::dds_::SafetyMode_"
+    # The hash is that of the message's definition in ROS 2 Jazzy: `ros2 topic info --verbose`.
+    digest = b"a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+    assert states.qos[Policy.Userdata].data == b"typehash=RIHS01_" + digest + b";"
+    assert states.qos[Policy.Durability] == Policy.Durability.Volatile
+    assert mode.qos[Policy.Durability] == Policy.Durability.TransientLocal
+    assert isinstance(states.qos[Policy.Reliability], Policy.Reliability.Reliable)
+
+
+@pytest.mark.parametrize(("distribution", "size"), [("humble", 24), ("jazzy", 16)])
+def test_a_node_has_its_name_where_the_version_of_ros_2_is_known(make, monkeypatch, distribution, size):
+    monkeypatch.setenv("ROS_DISTRO", distribution)
+    node = make("pixel2catch")
+    node.publisher(STATES)
+    node.subscription(MODE)
+    store = get_typestore(Stores(f"ros2_{distribution}"))
+    message: Any = store.deserialize_cdr(discovery(store), MESSAGE)
+    (entry,) = message.node_entities_info_seq
+    assert (entry.node_namespace, entry.node_name) == ("/", "pixel2catch")
+    assert len(message.gid.data) == size
+    assert (len(entry.writer_gid_seq), len(entry.reader_gid_seq)) == (1, 1)
+    publisher = bytes(entry.writer_gid_seq[0].data)[:16]
+    assert publisher == announced()["rt/joint_states"].key.bytes
+
+
+def test_nothing_is_sent_to_a_ros_2_whose_version_is_unknown(make, monkeypatch):
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    make("pixel2catch").publisher(STATES)
+    assert "ros_discovery_info" not in announced()
+
+
+def discovery(store) -> bytes:
+    """What the only node tells ROS's tools."""
+    participant = DomainParticipant(int(own_domain()))
+    topic = DdsTopic(participant, "ros_discovery_info", dds_type(MESSAGE, store))
+    qos = Qos(Policy.Durability.TransientLocal, Policy.Reliability.Reliable(0), Policy.History.KeepLast(1))
+    return DataReader(participant, topic, qos).take_one(timeout=10**9).cdr
+
+
+@pytest.mark.parametrize("hours", [-1.0, 1.0])
+def test_a_sender_with_a_wrong_clock_cannot_make_messages_older_or_newer_than_they_are(make, hours):
+    node, clock = make("node"), Clock()
+    subscription = node.subscription(STATES)
+    participant = DomainParticipant(int(own_domain()))
+    kind = dds_type(STATES.type)
+    qos = Qos(Policy.Reliability.Reliable(0))
+    writer = DataWriter(participant, DdsTopic(participant, "rt/joint_states", kind), qos)
+    subscription.take()
+    before = clock.now()
+    sent = round(1e9 * (clock.stamp() + 3600.0 * hours))
+    writer.write(kind(messages.joint_state([], [], 0.0)), sent)
+    assert node.wait(5.0)
+    (packet,) = subscription.take()
+    assert before - 1e-3 < packet.arrival <= clock.now()
+
+
+@pytest.mark.parametrize("text", ["233", "-1", "one"])
+def test_a_domain_that_does_not_exist_is_refused(make, monkeypatch, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(DeploymentError, match=r"ROS_DOMAIN_ID is .* set it to a number from 0 to 232"):
+        make("node")
+
+
+def test_an_unknown_transport_is_refused():
+    with pytest.raises(UnknownNameError, match="Did you mean 'dds'"):
+        make_transport("dss", "node", loopback=True, clock=Clock())
+
+
+def test_where_ros_2_is_not_sourced_its_transport_says_what_to_do():
+    if find_spec("rclpy"):
+        pytest.skip("ROS 2 is sourced")
+    with pytest.raises(DeploymentError, match=r"source ROS 2 .* or take the transport dds"):
+        make_transport("ros", "node", loopback=True, clock=Clock())
+
+
+def echo() -> None:
+    """The other process: turn every joint state's positions over, until it gets one without joints."""
+    with make_transport("dds", "echo", loopback=True, clock=Clock()) as node:
+        states, answers = node.subscription(STATES, depth=10), node.publisher(ECHO)
+        node.publisher(MODE).publish(messages.safety_mode(1))
+        while node.wait(10.0):
+            for packet in states.take():
+                reading = messages.read_joint_state(packet.data)
+                if not reading.names:
+                    return
+                answers.publish(messages.float_array(-reading.position))
+
+
+ECHO = Topic(name="/echo", type=messages.FLOAT_ARRAY)
+
+
+def test_two_processes_talk_over_the_loopback_interface(make):
+    node = make("node")
+    mode, answers, states = (
+        node.subscription(MODE),
+        node.subscription(ECHO, depth=100),
+        node.publisher(STATES),
+    )
+    process = multiprocessing.get_context("spawn").Process(target=echo)
+    process.start()
+    try:
+        assert node.wait(20.0), "the other process has come: its latched message is here"
+        assert [messages.read_safety_mode(packet.data) for packet in mode.take()] == [1]
+        for value in range(20):
+            states.publish(messages.joint_state(["a", "b"], [value, 1.0], 0.0))
+            assert node.wait(5.0)
+            (answer,) = answers.take()
+            np.testing.assert_array_equal(messages.read_float_array(answer.data), [-value, -1.0])
+        states.publish(messages.joint_state([], [], 0.0))
+        process.join(10.0)
+        assert process.exitcode == 0
+    finally:
+        process.kill()
+
+
+def shout(is_sent) -> None:
+    """Another process, with the configuration of CYCLONEDDS_URI: send a latched message and stay."""
+    with make_transport("dds", "driver", loopback=False, clock=Clock()) as node:
+        node.publisher(MODE).publish(messages.safety_mode(1))
+        is_sent.set()
+        time.sleep(30.0)
+
+
+@pytest.mark.parametrize("is_of_the_rehearsal", [True, False])
+def test_a_rehearsal_does_not_hear_a_robots_driver_on_this_machine(make, monkeypatch, is_of_the_rehearsal):
+    """The driver's node is reachable, but has no tag."""
+    tag = "<Tag>pixel2catch</Tag>"
+    assert tag in LOOPBACK
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK if is_of_the_rehearsal else LOOPBACK.replace(tag, ""))
+    node = make("node")
+    node.subscription(MODE)
+    context = multiprocessing.get_context("spawn")
+    is_sent = context.Event()
+    process = context.Process(target=shout, args=[is_sent], daemon=True)
+    process.start()
+    try:
+        assert is_sent.wait(20.0)
+        assert node.wait(5.0 if is_of_the_rehearsal else 0.5) == is_of_the_rehearsal
+    finally:
+        process.kill()
+
+
+def test_a_node_and_a_profile_need_no_simulator():
+    """The servo's process starts fast: neither torch, MuJoCo nor OpenCV is loaded for a node."""
+    script = "import sys, pixel2catch.deployment.dds, pixel2catch.deployment.profile; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert not {"torch", "mujoco", "cv2"} & set(loaded.split())

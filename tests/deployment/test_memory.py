@@ -1,0 +1,40 @@
+"""The transport in memory where several threads use it; `test_transports` has what all transports promise."""
+
+import threading
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.memory import Broker
+from pixel2catch.deployment.transport import Topic
+
+NUMBER = Topic(name="/number", type=messages.NUMBER)
+
+
+def test_nodes_in_several_threads_lose_nothing():
+    broker = Broker()
+    receiver = broker.node(Clock())
+    subscription = receiver.subscription(NUMBER, depth=2000)
+
+    def send(start: int) -> None:
+        with broker.node(Clock()) as node:
+            publisher = node.publisher(NUMBER)
+            for value in range(start, start + 500):
+                publisher.publish(messages.number(value))
+
+    threads = [threading.Thread(target=send, args=[500 * i]) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    received = []
+    while any(thread.is_alive() for thread in threads) or receiver.wait(0.0):
+        if receiver.wait(0.1):
+            received += [messages.read_number(packet.data) for packet in subscription.take()]
+    assert sorted(received) == list(range(2000))
+    assert receiver.num_other_publishers(NUMBER) == 0
+
+
+def test_brokers_are_networks_of_their_own():
+    here, there = Broker().node(Clock()), Broker().node(Clock())
+    subscription = here.subscription(NUMBER)
+    there.publisher(NUMBER).publish(messages.number(1.0))
+    assert not subscription.take()
+    assert here.num_other_publishers(NUMBER) == 0

@@ -1,0 +1,221 @@
+"""Robot profiles: the shipped ones, what they make of commands and joint states, and what is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.profile import PROFILES, Profile
+from pixel2catch.errors import DeploymentError, UnknownNameError
+from pixel2catch.robot.constants import JOINTS
+
+NAMES = [joint.name for joint in JOINTS]
+SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
+ARM = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+INDEX, MIDDLE, RING, THUMB = [6.0, 7.0, 8.0], [9.0, 10.0, 11.0], [12.0, 13.0, 14.0], [15.0, 16.0, 17.0, 18.0]
+THUMB_FIRST = [*THUMB, 0.0, *INDEX, 0.0, *MIDDLE, 0.0, *RING]
+THUMB_LAST = [0.0, *INDEX, 0.0, *MIDDLE, 0.0, *RING, *THUMB]
+
+
+def test_there_is_a_profile_for_each_layout_of_the_hand():
+    assert SHIPPED == ["ur5e_allegro_classic", "ur5e_allegro_v4", "ur5e_allegro_v5"]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_profiles_have_all_joints_and_the_policies_camera(name: str):
+    profile = Profile.load(name)
+    profile.require(NAMES)
+    assert profile.name == name
+    assert (profile.camera.width, profile.camera.height) == (640, 480)
+    assert profile.status.safety_mode
+    assert profile.status.safety_mode.is_latched
+    assert profile.operator.dead_man.name == "/pixel2catch/dead_man"
+
+
+def positions_of(data: bytes) -> np.ndarray:
+    """Those of a command without names."""
+    message: Any = messages.STORE.deserialize_cdr(data, messages.JOINT_STATE)
+    return message.position
+
+
+@pytest.mark.parametrize(
+    ("name", "hand", "read"),
+    [
+        ("ur5e_allegro_v4", THUMB_FIRST, messages.read_float_array),
+        (
+            "ur5e_allegro_v5",
+            THUMB_LAST,
+            positions_of,
+        ),
+        (
+            "ur5e_allegro_classic",
+            THUMB_LAST,
+            positions_of,
+        ),
+    ],
+)
+def test_commands_have_the_order_of_the_driver(name: str, hand: list[float], read):
+    arm_part, hand_part = Profile.load(name).robots
+    targets = np.arange(len(JOINTS), dtype=np.float64)
+    assert messages.read_float_array(arm_part.command(targets)).tolist() == ARM
+    assert read(hand_part.command(targets)).tolist() == hand
+
+
+def test_a_command_as_a_joint_state_has_a_stamp_and_no_speeds_or_efforts():
+    hand = Profile.load("ur5e_allegro_classic").robots[1]
+    data = hand.command(np.zeros(len(JOINTS)), stamp=2.5)
+    message: Any = messages.STORE.deserialize_cdr(data, messages.JOINT_STATE)
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (2, 500_000_000)
+    assert [len(field) for field in (message.name, message.velocity, message.effort)] == [0, 0, 0]
+
+
+def reading(**positions: float):
+    return messages.read_joint_state(messages.joint_state(positions, positions.values(), 0.0))
+
+
+def test_joint_states_are_read_by_name_in_any_order_and_some_at_a_time():
+    arm, hand = Profile.load("ur5e_allegro_v4").robots
+    joint_pos = np.full(len(JOINTS), -1.0)
+    state = reading(elbow_joint=2.0, ah_joint11=6.0, shoulder_pan_joint=0.0, gripper=99.0, ah_joint00=15.0)
+    assert arm.merge(state, joint_pos).tolist() == [0, 2]
+    assert joint_pos.tolist() == [0.0, -1.0, 2.0, *[-1.0] * 16]
+    assert hand.merge(state, joint_pos).tolist() == [6, 15]
+    assert (joint_pos[6], joint_pos[15]) == (6.0, 15.0)
+    assert arm.merge(reading(gripper=1.0), joint_pos).tolist() == []
+
+
+def test_what_is_sent_to_the_hand_comes_back_to_the_same_joints():
+    for name in SHIPPED:
+        hand = Profile.load(name).robots[1]
+        names = {wire.index_in_command: wire.name_in_state for wire in hand.joints.values()}
+        targets = np.arange(len(JOINTS), dtype=np.float64)
+        sent: Any = messages.STORE.deserialize_cdr(hand.command(targets), hand.command_topic.type)
+        values = sent.data if hasattr(sent, "data") else sent.position
+        state = reading(**{names[place]: value for place, value in enumerate(values) if place in names})
+        joint_pos = np.zeros(len(JOINTS))
+        assert sorted(hand.merge(state, joint_pos)) == list(range(6, 19))
+        np.testing.assert_array_equal(joint_pos[6:], targets[6:])
+
+
+def test_a_joint_state_with_a_joint_twice_is_refused():
+    arm = Profile.load("ur5e_allegro_v4").robots[0]
+    state = messages.read_joint_state(messages.joint_state(["elbow_joint", "elbow_joint"], [1.0, 2.0], 0.0))
+    with pytest.raises(DeploymentError, match="elbow_joint twice"):
+        arm.merge(state, np.zeros(len(JOINTS)))
+
+
+def test_images_of_another_size_or_encoding_are_refused():
+    camera = Profile.load("ur5e_allegro_v4").camera
+    camera.require(messages.read_image(messages.image(np.zeros((480, 640, 3), np.uint8), 0.0)))
+    with pytest.raises(DeploymentError, match="sends 848 x 480 rgb8, the profile says 640 x 480 rgb8: set"):
+        camera.require(messages.read_image(messages.image(np.zeros((480, 848, 3), np.uint8), 0.0)))
+
+
+def test_an_unknown_profile_is_refused_with_the_closest():
+    with pytest.raises(
+        UnknownNameError, match=r"unknown profile 'ur5e_allegro_v3'\. Did you mean 'ur5e_allegro_v"
+    ):
+        Profile.load("ur5e_allegro_v3")
+
+
+def changed(tmp_path: Path, change) -> Path:
+    """A shipped profile with a change in its content, as a file."""
+    content = yaml.safe_load((PROFILES / "ur5e_allegro_v4.yaml").read_text(encoding="utf-8"))
+    change(content)
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def test_a_profile_of_ones_own_may_leave_out_what_is_not_there(tmp_path: Path):
+    def change(content):
+        del content["status"], content["camera"]["info"]
+        content["operator"] = {"arm": "/lab/arm"}
+
+    profile = Profile.load(changed(tmp_path, change))
+    assert (profile.status.safety_mode, profile.camera.info) == (None, None)
+    assert (profile.operator.arm.name, profile.operator.stop.name) == ("/lab/arm", "/pixel2catch/stop")
+
+
+def test_a_robot_without_the_policys_joints_is_refused_with_their_names(tmp_path: Path):
+    def change(content):
+        hand = content["robots"][1]
+        del hand["joints"]["thumb_joint_3"]
+        hand["held"][3] = 0.0
+
+    with pytest.raises(
+        DeploymentError, match="'ur5e_allegro_v4' has no thumb_joint_3, which the policy moves"
+    ):
+        Profile.load(changed(tmp_path, change)).require(NAMES)
+
+
+GONE = object()
+ARM_JOINT = "robots.0.joints.elbow_joint"
+
+MISTAKES = [
+    ("camera.widths", 1, "camera: unknown key 'widths'. Did you mean 'width'?"),
+    ("robot", [], "unknown key 'robot'. Did you mean 'robots'?"),
+    ("camera.image", GONE, "camera: image missing; add it"),
+    ("camera.width", "640", "camera: width: '640' is not of type int"),
+    ("camera.width", True, "camera: width: True is not of type int"),
+    ("camera.image", "raw", "camera: image: 'raw' is no topic; write its whole name: '/raw'"),
+    ("handedness", "Left", "handedness: unknown value 'Left'. Did you mean 'left'?"),
+    ("robots", 3, "robots: 3 is not of type list"),
+    ("status", "none", "status: 'none' has no keys"),
+    (f"{ARM_JOINT}.index", 2, "robots[0]: joints.elbow_joint: unknown key 'index'"),
+    (f"{ARM_JOINT}.index_in_command", 1, "robots[0]: the command's place 1 is given twice"),
+    (f"{ARM_JOINT}.name_in_state", "wrist_1_joint", "the joint state's name wrist_1_joint is given twice"),
+    (
+        "robots.0.joints.elbow",
+        {"name_in_state": "x", "index_in_command": 0},
+        "unknown joint 'elbow'. Did you",
+    ),
+    ("robots.0.command_size", 7, "places 0 to 6, joints and held have [0, 1, 2, 3, 4, 5]: give each place"),
+    ("robots.1.held.4", GONE, "a command has places 0 to 15, joints and held have [0, 1, 2, 3, 5,"),
+    ("robots.1.held.4", float("nan"), "the held angles must be numbers"),
+    ("robots.1.rate_hz", 0, "robots[1]: rate_hz must be positive"),
+    (
+        "robots.0.command_topic.type",
+        messages.NUMBER,
+        "unknown type of commands 'std_msgs/msg/Float64'. Did you",
+    ),
+    (
+        "robots.1.command_topic.name",
+        "/forward_position_controller/commands",
+        "the command topic /forward_posi",
+    ),
+]
+
+
+@pytest.mark.parametrize(("keys", "value", "message"), MISTAKES)
+def test_a_mistake_is_named_with_its_file_its_key_and_the_fix(tmp_path: Path, keys: str, value, message: str):
+    def change(content):
+        *path, last = (int(key) if key.isdecimal() else key for key in keys.split("."))
+        for key in path:
+            content = content[key]
+        content[last] = value
+        if value is GONE:
+            del content[last]
+
+    with pytest.raises(DeploymentError) as raised:
+        Profile.load(changed(tmp_path, change))
+    assert str(raised.value).startswith(f"{tmp_path / 'lab.yaml'}: ")
+    assert message in str(raised.value)
+
+
+def test_a_joint_may_have_one_driver(tmp_path: Path):
+    with pytest.raises(DeploymentError, match=r"the joint .*elbow_joint.* is given twice"):
+        Profile.load(changed(tmp_path, lambda content: content["robots"].append(content["robots"][0])))
+
+
+@pytest.mark.parametrize("text", ["camera: [", "- 1", "", "\x00"])
+def test_a_file_that_is_no_profile_is_refused(tmp_path: Path, text: str):
+    path = tmp_path / "lab.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(DeploymentError, match=r"lab\.yaml: "):
+        Profile.load(path)
+    with pytest.raises(DeploymentError, match=r"gone\.yaml: cannot be read"):
+        Profile.load(tmp_path / "gone.yaml")

@@ -1,0 +1,158 @@
+"""What every transport promises; the same laws for memory and for DDS."""
+
+import gc
+import threading
+import time
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from networks import MakeNode, dds_nodes, memory_nodes, own_domain
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.transport import Subscription, Topic, Transport
+from pixel2catch.errors import DeploymentError
+
+NUMBER = Topic(name="/number", type=messages.NUMBER)
+MODE = Topic(name="/mode", type=messages.SAFETY_MODE, is_latched=True)
+IMAGE = Topic(name="/image", type=messages.IMAGE)
+ENOUGH = 2.0
+"""Time in which a message arrives on a loaded machine [s]; as a rule it is a millisecond."""
+
+
+@pytest.fixture(params=[memory_nodes, dds_nodes], ids=["memory", "dds"])
+def make(request, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    with ExitStack() as stack:
+        yield request.param(stack)
+
+
+def numbers(subscription: Subscription) -> list[float]:
+    return [messages.read_number(packet.data) for packet in subscription.take()]
+
+
+def wait_for(node: Transport, subscription: Subscription) -> bytes:
+    assert node.wait(ENOUGH)
+    (packet,) = subscription.take()
+    return packet.data
+
+
+def test_a_message_reaches_all_others_and_the_node_itself(make: MakeNode):
+    sender, other = make("sender"), make("other")
+    heard = [node.subscription(NUMBER) for node in (sender, other)]
+    sender.publisher(NUMBER).publish(messages.number(1.5))
+    for node, subscription in zip((sender, other), heard, strict=True):
+        assert messages.read_number(wait_for(node, subscription)) == 1.5
+        assert numbers(subscription) == []
+
+
+def test_of_more_messages_than_the_depth_the_newest_are_kept_in_order(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    last, three = receiver.subscription(NUMBER), receiver.subscription(NUMBER, depth=3)
+    publisher = sender.publisher(NUMBER)
+    for value in range(7):
+        publisher.publish(messages.number(value))
+    assert receiver.wait(ENOUGH)
+    time.sleep(0.05)
+    assert numbers(last) == [6.0]
+    assert numbers(three) == [4.0, 5.0, 6.0]
+
+
+def test_only_latched_topics_reach_late_subscribers(make: MakeNode):
+    sender = make("sender")
+    latched, fleeting = sender.publisher(MODE), sender.publisher(NUMBER)
+    for mode in (1, 3):
+        latched.publish(messages.safety_mode(mode))
+        fleeting.publish(messages.number(mode))
+    receiver = make("receiver")
+    late, missed = receiver.subscription(MODE, depth=5), receiver.subscription(NUMBER, depth=5)
+    assert messages.read_safety_mode(wait_for(receiver, late)) == 3
+    assert numbers(missed) == []
+
+
+def test_who_wants_latched_messages_hears_no_publisher_that_does_not_keep_them(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    wanting = receiver.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))
+    content = receiver.subscription(NUMBER)
+    sender.publisher(NUMBER).publish(messages.number(2.0))
+    assert receiver.wait(ENOUGH)
+    assert (numbers(content), numbers(wanting)) == ([2.0], [])
+
+
+def test_topics_of_another_type_are_other_topics(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    texts = receiver.subscription(Topic(name=NUMBER.name, type=messages.TEXT))
+    sender.publisher(NUMBER).publish(messages.number(2.0))
+    assert not receiver.wait(0.05)
+    assert texts.take() == []
+
+
+def test_other_publishers_are_counted_and_own_ones_are_not(make: MakeNode):
+    mine, other, third = make("mine"), make("other"), make("third")
+    assert mine.num_other_publishers(NUMBER) == 0
+    publishers = [node.publisher(NUMBER) for node in (mine, mine, other, third)]
+    assert [node.num_other_publishers(NUMBER) for node in (mine, other)] == [2, 3]
+    third.close()
+    assert mine.num_other_publishers(NUMBER) == 1
+    with pytest.raises(DeploymentError, match="/number cannot be sent"):
+        publishers[-1].publish(messages.number(0.0))
+
+
+def test_a_publisher_that_leaves_is_no_message(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    subscription = receiver.subscription(NUMBER, depth=5)
+    sender.publisher(NUMBER).publish(messages.number(1.0))
+    assert receiver.wait(ENOUGH)
+    sender.close()
+    assert numbers(subscription) == [1.0]
+    assert not receiver.wait(0.02)
+    assert subscription.take() == []
+
+
+def test_a_publisher_lives_as_long_as_its_node(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    sender.publisher(MODE).publish(messages.safety_mode(1))
+    gc.collect()
+    assert receiver.num_other_publishers(MODE) == 1
+    subscription = receiver.subscription(MODE)
+    assert messages.read_safety_mode(wait_for(receiver, subscription)) == 1
+
+
+def test_waiting_ends_when_a_message_arrives_and_not_before(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    subscription, publisher = receiver.subscription(NUMBER), sender.publisher(NUMBER)
+    begin = time.perf_counter()
+    assert not receiver.wait(0.05)
+    assert time.perf_counter() - begin >= 0.049
+    threading.Timer(0.05, publisher.publish, [messages.number(1.0)]).start()
+    begin = time.perf_counter()
+    assert receiver.wait(10.0 * ENOUGH)
+    assert time.perf_counter() - begin < ENOUGH
+    assert receiver.wait(0.0), "it waits to be taken still"
+    assert numbers(subscription) == [1.0]
+    assert not receiver.wait(0.0)
+
+
+def test_an_image_arrives_pixel_for_pixel(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    subscription, publisher = receiver.subscription(IMAGE), sender.publisher(IMAGE)
+    pixels = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
+    publisher.publish(messages.image(pixels, 12.5))
+    reading = messages.read_image(wait_for(receiver, subscription))
+    np.testing.assert_array_equal(reading.pixels, pixels)
+    assert (reading.stamp, reading.encoding) == (12.5, "rgb8")
+
+
+def test_packets_say_when_they_arrived_though_they_are_taken_late(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    subscription, publisher = receiver.subscription(NUMBER, depth=5), sender.publisher(NUMBER)
+    moments = []
+    for value in range(4):
+        moments.append(time.monotonic())
+        publisher.publish(messages.number(value))
+        time.sleep(0.02)
+    arrivals = [packet.arrival for packet in subscription.take()]
+    assert len(arrivals) == 4
+    assert arrivals == sorted(arrivals)
+    for moment, next_moment, arrival in zip(moments, [*moments[1:], time.monotonic()], arrivals, strict=True):
+        assert moment - 1e-3 < arrival < next_moment
