@@ -18,6 +18,7 @@ from filmed import CAMERA, HELD, PATH, box_at, compressed, jpeg, save_bag, save_
 from tiny_sam2 import save_tiny_sam2
 
 from pixel2catch.cli.main import main
+from pixel2catch.cli.sight import Sight
 from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO, Track
 from pixel2catch.perception.annotate import HEADER, PLOT_HEIGHT, PLOT_ROWS
 from pixel2catch.perception.choice import SEGMENTERS
@@ -135,7 +136,7 @@ def test_what_is_printed_says_whether_it_is_fast_enough(
 
 
 def test_choices_of_the_command_are_the_segmenters():
-    assert set(get_args(get_type_hints(Track)["segmenter"])) == set(SEGMENTERS)
+    assert set(get_args(get_type_hints(Sight)["segmenter"])) == set(SEGMENTERS)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor:
-    """Check this machine: versions, policy, physics, rendering, GPU, perception.
+    """Check this machine: versions, policy, physics, rendering, GPU, perception, network.
 
     The exit status is 0 if `catch` and `evaluate` work, and what an option asks for.
 
@@ -81,6 +81,9 @@ class Doctor:
             check("Warp on the GPU", probes.warp),
             check("OpenCV", optional("cv2", "opencv-python-headless", "perception")),
             check("rosbags", optional("rosbags", "rosbags", "identification")),
+            check("cyclonedds", optional("cyclonedds", "cyclonedds", "deployment")),
+            check("DDS", probes.dds),
+            check("viser", optional("viser", "viser", "twin")),
             check("transformers", optional("transformers", "transformers", "sam2")),
             check("torchvision", probes.torchvision),
             check("SAM 2", lambda: probes.sam2(self.checkpoint), is_needed=self.checkpoint is not None),

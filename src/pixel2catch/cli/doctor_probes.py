@@ -30,6 +30,9 @@ CAMERA_SECONDS = 3.0
 LEAST_RATE = 29.0
 """Images a second that the policies need; they act 30 times."""
 
+DDS_SECONDS = 5.0
+"""How long two nodes may take to find each other [s]."""
+
 SAM2_IMAGES = 3
 """Images that SAM 2 tracks to be timed; it warms up before, where that matters."""
 
@@ -206,6 +209,32 @@ def _in_process(code: str, remedy: str) -> str:
         said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
         raise Broken(f"{said[-1]}: {remedy}")
     return done.stdout.strip().splitlines()[-1]
+
+
+def dds() -> str:
+    """Send a message from one node to another on this machine, as `rehearse` does."""
+    if importlib.util.find_spec("cyclonedds") is None:
+        raise Absent(f"not looked at without cyclonedds: pip install '{PACKAGE}[deployment]'")
+    from pixel2catch.deployment import messages
+    from pixel2catch.deployment.clock import Clock
+    from pixel2catch.deployment.network import make_transport
+    from pixel2catch.deployment.transport import Topic
+
+    topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), Clock()
+    with (
+        make_transport("dds", "doctor", True, clock) as ear,
+        make_transport("dds", "d", True, clock) as mouth,
+    ):
+        heard, sent = ear.subscription(topic), mouth.publisher(topic)
+        begin = clock.now()
+        while clock.now() < begin + DDS_SECONDS:
+            sent.publish(messages.boolean(True))
+            if ear.wait(0.1) and heard.take():
+                return f"two nodes on this machine hear each other after {clock.now() - begin:.2f} s"
+    raise Broken(
+        f"two nodes on this machine do not hear each other in {DDS_SECONDS:g} s: look at the interface 'lo' "
+        "and at the firewall; UDP ports from 7400 on are needed."
+    )
 
 
 def sam2(checkpoint: Path | None) -> str:

@@ -4,13 +4,15 @@ import csv
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, takewhile
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
+
+from pixel2catch.cli.sight import Sight
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -25,8 +27,6 @@ VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"
 REPORT_SECONDS = 5.0
 """Time between two lines of progress [s]."""
 
-Span = tuple[float, float]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
@@ -37,51 +37,29 @@ class Track:
 
     Attributes:
         source: A video file, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or /dev/videoN.
-        segmenter: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint.
         out: New or empty folder for track.mp4, features.csv and summary.json.
-        box: The object at the time --at: xmin, ymin, xmax, ymax [px].
-        point: A point on the object at the time --at: u, v [px].
-        region: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
-        color: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
-        saturation: Smallest and largest saturation of --color.
-        value: Smallest and largest brightness of --color.
         at: When the throw begins and the object is pointed out [s after the first image].
         seconds: When to stop [s after the first image]. Default: at the end.
         topic: Topic of the images in a rosbag. Default: the only one.
         joint_states: Topic of the joint states in a rosbag, for --mask-robot.
-        camera: Camera file as `calibrate` writes it, for other image sizes and for --mask-robot. Default:
-            the camera of the policies.
         mask_robot: Ignore motion where the robot is; the rosbag must have the states of all joints.
-        checkpoint: Folder of a SAM 2.1 checkpoint in the format of transformers.
-        image_size: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
-        device: Where SAM 2 runs: cpu, cuda, cuda:1, ...
+        sight: What looks for the object.
         json: Print the summary as one JSON object.
     """
 
     source: Positional[str]
-    segmenter: Literal["background", "color", "sam2"] = "background"
     out: Path = Path("track")
-    box: tuple[float, float, float, float] | None = None
-    point: tuple[float, float] | None = None
-    region: tuple[float, float, float, float] | None = None
-    color: Span | None = None
-    saturation: Span = (0.4, 1.0)
-    value: Span = (0.2, 1.0)
     at: float = 0.0
     seconds: float | None = None
     topic: str | None = None
     joint_states: str = "/joint_states"
-    camera: Path | None = None
     mask_robot: bool = False
-    checkpoint: Path | None = None
-    image_size: int | None = None
-    device: str = "cpu"
+    sight: Sight = field(default_factory=Sight)
     json: bool = False
 
     def run(self) -> None:
         """Follow the object, write what is seen, and print how long it took."""
         from pixel2catch.cli.console import say
-        from pixel2catch.cli.device import prepare
         from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("perception"):
@@ -89,8 +67,7 @@ class Track:
         from pixel2catch.files import require_free_folder
 
         require_free_folder(self.out)
-        if self.checkpoint is None:  # SAM 2 on a CPU needs all its cores
-            prepare("cpu")
+        self.sight.prepare()
         notes: list[str] = []
         tally = Tally()
         self._record(tally, notes)
@@ -99,7 +76,12 @@ class Track:
                 f"the robot is not masked in {tally.num_without_joints} control steps: no states of all its "
                 f"joints on {self.joint_states} before their images."
             )
-        summary = {"source": self.source, "segmenter": self.segmenter, **tally.summary(), "notes": notes}
+        summary = {
+            "source": self.source,
+            "segmenter": self.sight.segmenter,
+            **tally.summary(),
+            "notes": notes,
+        }
         self._finish(summary)
         _print_result(tally, summary, as_json=self.json)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
@@ -113,7 +95,7 @@ class Track:
         from pixel2catch.perception.tracking import follow
         from pixel2catch.rl.interruption import StopRequest
 
-        camera = self._camera(notes)
+        camera = self.sight.camera_spec(notes)
         extractor = self._extractor(camera)
         source = SourceCfg(name=self.source, topic=self.topic, joint_states=self.joint_states)
         with closing(ticks_of(source, notes)) as ticks:
@@ -157,48 +139,21 @@ class Track:
 
     def _finish(self, summary: dict[str, Any]) -> None:
         """Write the summary, with how it came about."""
+        from pixel2catch.circumstances import circumstances
         from pixel2catch.files import plain, write_atomically
-        from pixel2catch.rl.run_folder import circumstances
 
         text = json.dumps(summary | {"circumstances": circumstances()}, indent=2, default=plain)
         write_atomically({self.out / SUMMARY: f"{text}\n".encode()})
 
-    def _camera(self, notes: list[str]) -> "CameraSpec":
-        """The camera that took the images."""
-        from pixel2catch.camera.camera_file import CameraFile
-        from pixel2catch.robot.constants import RGB_CAMERA
-
-        if self.camera is None:
-            return RGB_CAMERA
-        file = CameraFile.load(self.camera)
-        if file.distortion:
-            notes.append(f"{self.camera} has a lens: give rectified images, such as image_rect.")
-        return file.camera
-
     def _extractor(self, camera: "CameraSpec") -> "PixelFeatureExtractor":
         """What finds the object and makes features of it."""
-        from pixel2catch.perception.choice import PromptCfg, SegmenterCfg, make_prompter, make_segmenter
-        from pixel2catch.perception.color import ColorRange
         from pixel2catch.perception.extractor import PixelFeatureExtractor
         from pixel2catch.perception.robot_mask import RobotMask
         from pixel2catch.perception.tracking import LaterPrompter
 
-        hues = self.color
-        colors = hues and ColorRange(hue=hues, saturation=self.saturation, value=self.value)
-        prompter = make_prompter(
-            PromptCfg(box=self.box, point=self.point, colors=colors, region=self.region), camera
-        )
-        segmenter = make_segmenter(
-            SegmenterCfg(
-                kind=self.segmenter,
-                colors=colors,
-                checkpoint=self.checkpoint,
-                image_size=self.image_size,
-                device=self.device,
-            )
-        )
+        prompter = LaterPrompter(self.sight.make_prompter(camera))
         robot = RobotMask(camera) if self.mask_robot else None
-        return PixelFeatureExtractor(segmenter, LaterPrompter(prompter), robot=robot, camera=camera)
+        return PixelFeatureExtractor(self.sight.make_segmenter(), prompter, robot=robot, camera=camera)
 
 
 def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> None:

@@ -6,15 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robot.constants import JOINTS, SPEED_MARGIN
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 EFFORT_MARGIN = 0.999
 """Share of a joint's effort limit that a servo asks for; at the limit itself MuJoCo clamps."""
-
-SPEED_MARGIN = 0.9
-"""Share of a joint's speed limit that a servo asks for; the rest is for the pull of the other joints
-(ours)."""
 
 FRICTION_SPEED = 0.1
 """Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""

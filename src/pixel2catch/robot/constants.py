@@ -125,6 +125,9 @@ Source: limits, servo, friction and effort: release; lower limit of thumb joint 
 reaches -0.105); speed: public descriptions of the Allegro hand.
 """
 
+SPEED_MARGIN = 0.9
+"""Share of a joint's speed limit that is asked for; the rest is for the pull of the other joints (ours)."""
+
 JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
 """All controlled joints: the joint order of every tensor."""
 

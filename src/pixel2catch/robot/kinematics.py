@@ -44,7 +44,7 @@ def _pose_matrix(pos: Vec3, quat: Quat) -> np.ndarray:
     return matrix
 
 
-def _joint_matrices() -> np.ndarray:
+def joint_matrices() -> np.ndarray:
     """Matrices (3, 6, 4, 4): K, C, S with joint i's transform = K_i + cos(q_i) C_i + sin(q_i) S_i.
 
     The transform is before_i Rz(q_i) after_i; the base is before the first joint, the mount and the palm
@@ -90,7 +90,7 @@ def _product_maps() -> np.ndarray:
 def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """The joint matrices and the quaternion table on a device."""
     return (
-        torch.as_tensor(_joint_matrices(), dtype=dtype, device=device),
+        torch.as_tensor(joint_matrices(), dtype=dtype, device=device),
         torch.as_tensor(_product_maps(), dtype=dtype, device=device),
     )
 

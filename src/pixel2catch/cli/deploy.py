@@ -1,0 +1,143 @@
+"""`pixel2catch deploy`: let a policy catch with a robot, or with its digital twin."""
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+from pixel2catch.cli.link import Link
+from pixel2catch.cli.sight import Sight
+
+if TYPE_CHECKING:
+    from pixel2catch.deployment.brain import Brain
+    from pixel2catch.deployment.clock import Clock
+    from pixel2catch.deployment.deploying import Deployment
+    from pixel2catch.deployment.profile import Profile
+    from pixel2catch.robot.constants import CameraSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deploy:
+    """Catch with a robot: camera images and joint states in, joint commands out. See docs/deployment.md.
+
+    The robot stays where it is until an operator arms it on /pixel2catch/arm and holds the dead-man's switch
+    on /pixel2catch/dead_man; whatever goes wrong stops it until it is armed again. It runs until Ctrl-C.
+
+    Attributes:
+        policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
+        mask_robot: Ignore motion where the robot is in the image.
+        record: New folder for a rosbag2 (MCAP) of all that was seen, decided and commanded.
+        record_images: How images are recorded; raw ones are 27 MB a second.
+        seconds: When to end. Default: at Ctrl-C.
+        json: Print the summary as one JSON object, and each status as a line of JSON.
+        sight: What looks for the object.
+        link: How the robot is reached, and how fast it may be.
+    """
+
+    policy: Positional[Path | None] = None
+    mask_robot: bool = True
+    record: Path | None = None
+    record_images: Literal["jpeg", "raw", "none"] = "jpeg"
+    seconds: float | None = None
+    json: bool = False
+    sight: Sight = field(default_factory=Sight)
+    link: Link = field(default_factory=Link)
+
+    def run(self) -> None:
+        """Deploy until the end, and say what happened."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.extras import needs_extra
+
+        with needs_extra("deployment"):
+            from pixel2catch.deployment.deploying import Deployment
+            from pixel2catch.deployment.eyes import Eyes
+        self.sight.prepare()
+        notes: list[str] = []
+        camera, profile = self.sight.camera_spec(notes), self.link.load()
+        brain = self._brain(profile, camera)
+        for note in notes:
+            say(note)
+        with ExitStack() as stack:
+            connection = self.link.connect(profile, self.record, self.record_images, stack)
+            eyes = Eyes(connection.transport, profile.camera, camera, connection.clock)
+            deployment = Deployment(brain, eyes, connection, profile.operator)
+            self._loop(deployment, connection.clock)
+        print(
+            json.dumps({"summary": deployment.diary.summary()})
+            if self.json
+            else "\n".join(lines(deployment.diary.summary()))
+        )
+
+    def _brain(self, profile: "Profile", camera: "CameraSpec") -> "Brain":
+        """Perception and policy, for this robot and camera."""
+        from pixel2catch.deployment.brain import Brain
+        from pixel2catch.deployment.controller import Controller
+        from pixel2catch.evaluation.loading import load_policy
+        from pixel2catch.perception.extractor import PixelFeatureExtractor
+        from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter
+        from pixel2catch.perception.robot_mask import RobotMask
+        from pixel2catch.perception.tracking import LaterPrompter
+
+        policy, _ = load_policy(self.policy)
+        controller = Controller(policy, profile.handedness, camera)
+        profile.require(policy.contract.commands)
+        person = GivenPrompter()
+        prompter = LaterPrompter(FirstPrompter(person, self.sight.make_prompter(camera)))
+        robot = RobotMask(camera, handedness=profile.handedness) if self.mask_robot else None
+        extractor = PixelFeatureExtractor(self.sight.make_segmenter(), prompter, robot=robot, camera=camera)
+        return Brain(controller, extractor, person)
+
+    def _loop(self, deployment: "Deployment", clock: "Clock") -> None:
+        """Run until Ctrl-C or the time is over, and say when something changes."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.rl.interruption import StopRequest
+
+        begin, said = clock.now(), ""
+
+        def report(status: dict[str, Any]) -> None:
+            nonlocal said
+            if self.json:
+                print(json.dumps(status), flush=True)
+            elif (line := sentence(status)) != said:
+                said = line
+                say(f"{clock.now() - begin:7.1f} s  {line}")
+
+        with StopRequest() as stop:
+            deployment.run(lambda: stop.is_set or self._is_late(clock.now() - begin), report)
+
+    def _is_late(self, time: float) -> bool:
+        """Whether it is time to end."""
+        return self.seconds is not None and time > self.seconds
+
+
+def sentence(status: dict[str, Any]) -> str:
+    """A status in words, without what changes in every control step."""
+    parts = [status["mode"]]
+    for name in ("stopped_by", "refused"):
+        if status[name]:
+            parts.append(f"{name.replace('_', ' ')} {', '.join(status[name])}")
+    if status["mode"] == "idle" and status["found"]:
+        parts.append(f"not ready: {', '.join(status['found'])}")
+    if status["message"]:
+        parts.append(status["message"])
+    return "; ".join(parts)
+
+
+def lines(summary: dict[str, Any]) -> Iterator[str]:
+    """What happened, in words."""
+    yield (
+        f"{summary['num_steps']} control steps, {summary['num_missed']} without a new image, "
+        f"{summary['num_overruns']} too long; {summary['num_ticks']} servo ticks, "
+        f"{summary['num_late_ticks']} late"
+    )
+    for name in ("image_to_command_ms", "thinking_ms", "servo_tick_ms"):
+        if values := summary[name]:
+            times = ", ".join(f"{key} {values[key]:.2f}" for key in ("p50", "p95", "p99", "max"))
+            yield f"{name.removesuffix('_ms').replace('_', ' ')} [ms]: {times}"
+    for name in ("stops", "refusals", "clamps"):
+        for reason, count in summary[name].items():
+            yield f"{name}: {reason}: {count}"

@@ -1,0 +1,87 @@
+"""Options of the commands that move a robot, or its digital twin."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from pixel2catch.deployment.connection import Connection
+    from pixel2catch.deployment.profile import Profile
+    from pixel2catch.deployment.servo_process import ServoSetup
+    from pixel2catch.deployment.tape import Images
+
+NODE = "pixel2catch"
+"""Name of the node; the servo's has `_servo` behind it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """How the robot is reached, and how fast it may be.
+
+    Attributes:
+        profile: The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
+            ur5e_allegro_classic) or a .yaml file.
+        transport: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
+        loopback: Speak to this machine only, as the digital twin does.
+        clock: Seconds in a real second: 1, or the --clock of a digital twin.
+        speed: Share of the full speed, up to 1.
+        dry_run: Send nothing to the robot: nobody announces a command.
+    """
+
+    profile: str = "ur5e_allegro_v4"
+    transport: Literal["dds", "ros"] = "dds"
+    loopback: bool = False
+    clock: float = 1.0
+    speed: float = 1.0
+    dry_run: bool = False
+
+    def load(self) -> "Profile":
+        """The robot's profile."""
+        from pixel2catch.deployment.profile import Profile
+
+        return Profile.load(self.profile)
+
+    def connect(
+        self, profile: "Profile", record: Path | None, images: "Images", stack: ExitStack
+    ) -> "Connection":
+        """Join the network and start the servo process.
+
+        Args:
+            profile: The robot.
+            record: Folder of the recording; none for no recording.
+            images: How images are recorded.
+            stack: Ends it all: first the servo, which stops the robot.
+        """
+        from pixel2catch.deployment.clock import Clock
+        from pixel2catch.deployment.connection import Connection
+        from pixel2catch.deployment.network import make_transport
+        from pixel2catch.deployment.recorder import Recorder
+        from pixel2catch.deployment.servo_process import start_servo
+        from pixel2catch.deployment.tape import Tape
+
+        clock, setup = Clock(self.clock), self._setup(profile)
+        recorder = stack.enter_context(Recorder(record)) if record else None
+        transport = stack.enter_context(make_transport(self.transport, NODE, self.loopback, clock))
+        tape = Tape(recorder, transport, profile, clock, images) if recorder else None
+        servo = stack.enter_context(start_servo(setup))
+        return Connection(
+            transport=transport, servo=servo.link, servo_dt=setup.limits.dt, clock=clock, tape=tape
+        )
+
+    def _setup(self, profile: "Profile") -> "ServoSetup":
+        """What the servo process is started with."""
+        from pixel2catch.deployment.limits import JointLimits, ServoLimits
+        from pixel2catch.deployment.network import make_transport
+        from pixel2catch.deployment.servo_process import ServoSetup
+        from pixel2catch.robot.joint_dynamics import JointDynamics
+
+        joints = JointLimits.of(JointDynamics.nominal(), self.speed)
+        return ServoSetup(
+            profile=profile,
+            make_transport=partial(make_transport, self.transport, f"{NODE}_servo", self.loopback),
+            limits=ServoLimits(joints=joints),
+            clock_rate=self.clock,
+            is_dry_run=self.dry_run,
+        )

@@ -1,0 +1,89 @@
+"""`pixel2catch record`: let a robot follow a trajectory, and record what its joints do."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from pixel2catch.cli.link import Link
+
+if TYPE_CHECKING:
+    from pixel2catch.deployment.following import Follower
+    from pixel2catch.identification.trajectory import Trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """Let a robot, or its twin, follow a trajectory that `excite` wrote; the recording is for `identify`.
+
+    As with `deploy`, an operator arms and holds the dead-man's switch, and the same servo guards the robot.
+    Put the robot near the start pose before; it goes there within the first second.
+
+    Attributes:
+        trajectory: File of the trajectory.
+        out: New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
+        link: How the robot is reached, and how fast it may be.
+    """
+
+    trajectory: Positional[Path]
+    out: Path
+    link: Link = field(default_factory=Link)
+
+    def run(self) -> None:
+        """Wait for the operator, follow, record."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.identification.trajectory import Trajectory
+
+        with needs_extra("deployment"):
+            from pixel2catch.deployment.following import Follower
+            from pixel2catch.deployment.limits import ServoLimits
+        prepare("cpu")
+        trajectory, profile = Trajectory.load(self.trajectory), self.link.load()
+        profile.require(trajectory.joints)
+        with ExitStack() as stack:
+            connection = self.link.connect(profile, self.out, "none", stack)
+            targets = whole_robot(trajectory)
+            follower = Follower(targets, trajectory.duration, ServoLimits().ramp_time, connection)
+            say(f"{trajectory.duration:.0f} s of motion; waiting to be armed")
+            self._follow(follower)
+        done = "followed to its end" if follower.is_done else "not followed to its end"
+        print(f"{self.trajectory}: {done}; wrote {self.out}")
+
+    def _follow(self, follower: "Follower") -> None:
+        """Follow until the end or Ctrl-C, and say when something changes."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.deploy import sentence
+        from pixel2catch.rl.interruption import StopRequest
+
+        said = ""
+
+        def report(status: dict[str, Any]) -> None:
+            nonlocal said
+            if (line := sentence(status)) != said:
+                said = line
+                say(line)
+
+        with StopRequest() as stop:
+            follower.run(lambda: stop.is_set, report)
+
+
+def whole_robot(trajectory: "Trajectory"):
+    """The targets of all joints by time [rad]; joints that the trajectory leaves out hold the start pose."""
+    import numpy as np
+
+    from pixel2catch.robot.constants import JOINTS
+
+    names = [joint.name for joint in JOINTS]
+    columns = [names.index(name) for name in trajectory.joints]
+    home = np.array([joint.home for joint in JOINTS])
+
+    def at(time: float) -> np.ndarray:
+        target = home.copy()
+        target[columns] = trajectory.at(np.array([time]))[0]
+        return target
+
+    return at

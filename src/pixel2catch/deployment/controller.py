@@ -1,0 +1,186 @@
+"""From a reading of the sensors to joint targets, once in every control step, as in training.
+
+Observation builder, policy and action map are the very ones of the environment.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pixel2catch.agents import COMMANDS
+from pixel2catch.errors import NonFiniteError, PolicyMismatchError
+from pixel2catch.mdp.actions import ActionMap
+from pixel2catch.mdp.observations import Frame, observe, pixel_columns
+from pixel2catch.mdp.snapshot import History, Measurement
+from pixel2catch.methods import Method, find_method
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, JOINTS, RGB_CAMERA, CameraSpec
+from pixel2catch.robot.kinematics import palm_pose
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What the sensors say at one control step; the stamps are of one monotonic clock.
+
+    Attributes:
+        joint_pos: Joint encoders in joint order [rad].
+        box: Newest box of the object: xmin, ymin, xmax, ymax [px].
+        stamp: Time of this control step [s].
+        joint_stamp: When the oldest of the joints was measured [s].
+        image_stamp: When the image of the box was taken [s].
+    """
+
+    joint_pos: Float[Tensor, "1 num_joints"]
+    box: Float[Tensor, "1 4"]
+    stamp: float
+    joint_stamp: float
+    image_stamp: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Targets:
+    """What the joints shall do until the next control step, and of what it was decided.
+
+    Attributes:
+        joint_pos_target: Where the joints shall be at its end [rad].
+        measurement: What the policy saw last.
+        stamp: Time of the control step [s].
+        joint_age: How old the joint positions were [s].
+        image_age: How old the image was [s].
+        num_skipped: Control steps that were left out since the step before; the policy takes what changed in
+            them for the change in one.
+    """
+
+    joint_pos_target: Float[Tensor, "1 num_joints"]
+    measurement: Measurement
+    stamp: float
+    joint_age: float
+    image_age: float
+    num_skipped: int
+
+
+@dataclass(frozen=True)
+class _Past:
+    """What is remembered from the step before."""
+
+    history: History
+    action: Float[Tensor, "1 num_joints"]
+    targets: Targets
+
+
+class Controller:
+    """A policy at its control rate: call `reset` before a throw, then `step` in every control step.
+
+    Attributes:
+        method: The method that the policy was trained with.
+    """
+
+    def __init__(self, policy: Policy, handedness: str, camera: CameraSpec = RGB_CAMERA) -> None:
+        """Take over a policy.
+
+        Args:
+            policy: The policy.
+            handedness: "left" or "right": which hand is on the arm.
+            camera: The camera of the laboratory.
+
+        Raises:
+            PolicyMismatchError: It was trained for another robot, hand or camera, or needs what no camera
+                sees.
+        """
+        self.method = find_method(policy.contract.method)
+        policy.contract.require(contract_of(self.method, handedness, camera))
+        self._columns = pixel_columns(self.method.pixel_features)
+        self._policy = policy
+        self._action_map = ActionMap.of(COMMANDS, torch.device("cpu"))
+        self._past: _Past | None = None
+        self._held: Tensor | None = None
+        at_zero = self._measure(torch.zeros(1, len(JOINTS)), torch.zeros(1, 4))
+        _refuse_trackers(self.method, self._columns, at_zero)
+
+    def reset(self, joint_pos_target: Float[Tensor, "1 num_joints"] | None = None) -> None:
+        """Begin a new throw: the next step is the first of an episode.
+
+        Args:
+            joint_pos_target: Where the joints are held [rad]; where they are measured if absent.
+        """
+        self._past, self._held = None, joint_pos_target
+
+    def step(self, reading: Reading) -> Targets:
+        """Decide on the next control step.
+
+        Raises:
+            NonFiniteError: The reading has a NaN or an infinity; nothing was remembered of it.
+        """
+        _refuse_non_finite(reading)
+        past = self._past
+        now = self._measure(reading.joint_pos, reading.box)
+        history = History(now, now, now)
+        if past is not None:
+            history = History(past.history.before, past.history.now, now)
+        agents = self.method.agents
+        observations = {
+            agent.name: observe(agent.observation, agent.joints, self._columns, history) for agent in agents
+        }
+        actions = self._policy.act(observations)
+        action = torch.cat([actions[agent.name] for agent in agents], dim=-1)
+        targets = Targets(
+            joint_pos_target=self._action_map.joint_pos_target(action, now.joint_pos),
+            measurement=now,
+            stamp=reading.stamp,
+            joint_age=reading.stamp - reading.joint_stamp,
+            image_age=reading.stamp - reading.image_stamp,
+            num_skipped=0 if past is None else _num_skipped(reading.stamp - past.targets.stamp),
+        )
+        self._past = _Past(history, action, targets)
+        return targets
+
+    def _measure(self, joint_pos: Float[Tensor, "1 num_joints"], box: Float[Tensor, "1 4"]) -> Measurement:
+        """The measurement as the environment makes it; what only a tracker sees is not a number."""
+        past = self._past
+        palm_pos, palm_quat = palm_pose(joint_pos[:, : len(ARM_JOINTS)])
+        held = joint_pos if self._held is None else self._held
+        return Measurement(
+            box=box,
+            object_pos=_UNKNOWN,
+            initial_object_pos=_UNKNOWN,
+            joint_pos=joint_pos,
+            joint_pos_target=held if past is None else past.targets.joint_pos_target,
+            palm_pos=palm_pos,
+            palm_quat=palm_quat,
+            action=torch.zeros_like(joint_pos) if past is None else past.action,
+        )
+
+
+_UNKNOWN = torch.full((1, 3), torch.nan)
+
+
+def _refuse_trackers(method: Method, columns: tuple[int, ...], measurement: Measurement) -> None:
+    """Refuse a method whose observation depends on what a measurement does not have."""
+    for agent in method.agents:
+        frame = Frame(before=measurement, now=measurement, joints=agent.joints, pixel_columns=columns)
+        blind = [term.__name__ for term in agent.observation if not term(frame).isfinite().all()]
+        if blind:
+            raise PolicyMismatchError(
+                f"a policy of method '{method.name}' reads {', '.join(blind)}, which one camera cannot give; "
+                "deploy a policy that reads pixel features, such as 'proposed'."
+            )
+
+
+def _refuse_non_finite(reading: Reading) -> None:
+    bad = [
+        joint.name
+        for joint, is_good in zip(JOINTS, reading.joint_pos.isfinite()[0], strict=True)
+        if not is_good
+    ]
+    bad += [] if reading.box.isfinite().all() else ["the object's box"]
+    if bad:
+        raise NonFiniteError(
+            f"the reading at {reading.stamp:.3f} s has a NaN or an infinity for {', '.join(bad)}; "
+            "stop, and look at the driver that sent it."
+        )
+
+
+def _num_skipped(period: float) -> int:
+    return max(round(period / CONTROL_DT) - 1, 0)

@@ -1,0 +1,120 @@
+"""Where the robot may be: above the table, and with the hand in a box; by forward kinematics of the arm.
+
+The arm is made of its capsules, the hand is a box that holds it in every position of the fingers. Base and
+shoulder stand on the table; self-collisions are the policy's to avoid, and the arm's own controller watches.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from pixel2catch.robot.constants import PALM_POS, TABLE, UR5E_DH, TableSpec, Vec3
+from pixel2catch.robot.kinematics import joint_matrices
+from pixel2catch.robot.ur5e import LINKS, Capsule
+
+HAND_LOWER: Vec3 = (-0.05, -0.17, -0.11)
+HAND_UPPER: Vec3 = (0.14, 0.17, 0.24)
+"""Corners of a box about the arm's last link and the hand, left or right, whatever the fingers do [m].
+
+In the hand frame. Source: the model over all joint positions, rounded up.
+"""
+
+WATCHED_LINKS = (1, 2, 3, 4)
+"""Links of the arm that are watched as capsules: those between the shoulder and the last."""
+
+Corners = Float64[np.ndarray, "rows 3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workspace:
+    """What arm and hand keep to, world frame.
+
+    Attributes:
+        table: The table; the robot stays above it, wherever it is over it.
+        clearance: Distance to keep from its top and from its sides [m]. Source: ours: 2 cm.
+        lower: Lowest corner of the space for the hand [m].
+        upper: Highest corner. Source of both: ours; the shipped policies stay 8 cm or more inside.
+    """
+
+    table: TableSpec = TABLE
+    clearance: float = 0.02
+    lower: Vec3 = (0.0, -1.1, 0.35)
+    upper: Vec3 = (1.25, 1.1, 1.85)
+
+    def contains(self, arm_pos: Float64[np.ndarray, "rows 6"]) -> Bool[np.ndarray, " rows"]:
+        """Whether a robot with these arm positions [rad] is where it may be."""
+        frames = link_frames(arm_pos)
+        lower, upper = _hand_box(frames[-1])
+        is_inside = np.logical_and.reduce((lower >= self.lower) & (upper <= self.upper), axis=-1)
+        capsules = frames[_LINK_OF_CAPSULE] @ _ENDS
+        _, _, top = self._sides
+        _, _, top_for_axes = self._sides_for_axes
+        if (lower[:, 2] >= top).all() and (capsules[:, :, 2] >= top_for_axes).all():
+            return is_inside
+        return is_inside & self._is_box_clear(lower, upper) & self._are_clear(capsules[:, :, :3])
+
+    def _is_box_clear(self, lower: Corners, upper: Corners) -> Bool[np.ndarray, " rows"]:
+        """Which boxes in world axes are beside the table, or high enough."""
+        near, far, top = self._sides
+        is_over = (lower[:, :2] < far) & (upper[:, :2] > near)
+        return ~is_over.all(axis=-1) | (lower[:, 2] >= top)
+
+    def _are_clear(self, ends: Float64[np.ndarray, "capsules rows 3 2"]) -> Bool[np.ndarray, " rows"]:
+        """Where all capsules are beside the table, or high enough in that part of them that is over it."""
+        near, far, top = self._sides_for_axes
+        start, end = ends.transpose(3, 2, 0, 1)
+        way = end - start
+        slope = np.where(way == 0.0, 1e-12, way)[:2]
+        first, last = (near - start[:2]) / slope, (far - start[:2]) / slope
+        enter = np.minimum(first, last).max(axis=0).clip(0.0, None)
+        leave = np.maximum(first, last).min(axis=0).clip(None, 1.0)
+        lowest = start[2] + np.minimum(enter * way[2], leave * way[2])
+        return ((enter > leave) | (lowest >= top[..., 0])).all(axis=0)
+
+    @cached_property
+    def _sides(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Corners of the table in the plane and height of its top, with the clearance [m]."""
+        center, half = np.array(self.table.center), np.array(self.table.size) / 2.0 + self.clearance
+        return center[:2] - half, center[:2] + half, center[2] + self.clearance
+
+    @cached_property
+    def _sides_for_axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same for the axis of each capsule."""
+        near, far, top = self._sides
+        return near[:, None, None] - _RADII, far[:, None, None] + _RADII, top + _RADII[..., None]
+
+
+def _hand_box(palm: Float64[np.ndarray, "rows 4 4"]) -> tuple[Corners, Corners]:
+    """Lower and upper corners of a box in world axes about the hand [m]."""
+    rotation = palm[:, :3, :3]
+    middle, half = palm[:, :3, 3] + rotation @ _HAND_CENTER, np.abs(rotation) @ _HAND_HALF
+    return middle - half, middle + half
+
+
+def link_frames(arm_pos: Float64[np.ndarray, "rows 6"]) -> Float64[np.ndarray, "6 rows 4 4"]:
+    """World frames at the far ends of the arm's links; the last is the hand's, at the palm."""
+    angles = arm_pos.T
+    terms = np.empty((*angles.shape, 3))
+    terms[..., 0], terms[..., 1], terms[..., 2] = 1.0, np.cos(angles), np.sin(angles)
+    links = (terms @ _TERMS).reshape(*angles.shape, 4, 4)
+    return np.array([*accumulate(links, np.matmul)])
+
+
+def _ends_of(link: int, capsule: Capsule) -> Float64[np.ndarray, "1 4 2"]:
+    """Centres of both ends of a capsule in the frame at the far end of its link, homogeneous [m]."""
+    offset, length, alpha = UR5E_DH[link]
+    turn = ((1.0, 0.0, 0.0), (0.0, np.cos(alpha), -np.sin(alpha)), (0.0, np.sin(alpha), np.cos(alpha)))
+    points = (np.array((capsule.start, capsule.end)) - (length, 0.0, offset)) @ np.array(turn)
+    return np.vstack((points.T, np.ones(2)))[None]
+
+
+_TERMS = joint_matrices().swapaxes(0, 1).reshape(len(LINKS), 3, 16)
+_CAPSULES = [(link, capsule) for link in WATCHED_LINKS for capsule in LINKS[link][1]]
+_LINK_OF_CAPSULE = np.array([link for link, _ in _CAPSULES])
+_ENDS = np.array([_ends_of(link, capsule) for link, capsule in _CAPSULES])
+_RADII = np.array([[capsule.radius] for _, capsule in _CAPSULES])
+_HAND_CENTER = (np.array(HAND_LOWER) + np.array(HAND_UPPER)) / 2.0 - np.array(PALM_POS)
+_HAND_HALF = (np.array(HAND_UPPER) - np.array(HAND_LOWER)) / 2.0

@@ -1,0 +1,88 @@
+"""A laboratory with a camera as a process of its own, over DDS; what goes wrong in it is said by a word."""
+
+import json
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from loop_lab import BOX, picture
+from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.network import make_transport
+from pixel2catch.deployment.profile import Profile
+from pixel2catch.deployment.servo_link import Decision, Orders
+from pixel2catch.deployment.transport import Transport
+from pixel2catch.robot.constants import CONTROL_DT
+
+DT = 0.002
+IMAGE_TICKS = round(CONTROL_DT / DT)
+AGE = 0.02
+"""Age of an image when it is sent [s]."""
+
+
+class NoBrain:
+    """The brain is a process of its own here."""
+
+    def send(self, orders: Orders) -> None:
+        """There is nobody to send to."""
+
+    def receive(self) -> list[Decision]:
+        return []
+
+
+class CameraLab(WireLab):
+    """Sends images, too; `faults` are what can go wrong."""
+
+    def __init__(self, transport: Transport, profile: Profile, clock: Clock) -> None:
+        super().__init__(transport, NoBrain(), profile, clock)  # type: ignore[arg-type]
+        self._images = transport.publisher(profile.camera.image)
+        self._prompts = transport.publisher(profile.operator.prompt)
+        self._stage, self._num_steps = transport, 0
+        self.age, self.pixels = AGE, picture()
+        self.faults: dict[str, Callable[[], Any]] = {
+            "none": self.mend,
+            "arm": self.ask_to_arm,
+            "point": lambda: self._prompts.publish(messages.text(json.dumps({"box": BOX}))),
+            "camera killed": lambda: self.silent.add("camera"),
+            "publisher frozen": lambda: setattr(self, "change", frozen),
+            "NaN joint": lambda: setattr(self, "change", with_nan),
+            "joint missing": lambda: setattr(self, "change", without_elbow),
+            "joints shuffled": lambda: setattr(self, "change", shuffled),
+            "images late": lambda: setattr(self, "age", 0.15),
+            "wrong image size": lambda: setattr(self, "pixels", np.zeros((240, 320, 3), dtype=np.uint8)),
+            "protective stop": lambda: self.say(profile.status.safety_mode, messages.safety_mode(3)),
+            "slider": lambda: setattr(self, "speed", 50.0),
+            "switch let go": lambda: setattr(self, "is_held", False),
+        }
+
+    def mend(self) -> None:
+        """All is well again."""
+        self.silent, self.change, self.age = set(), lambda reading: reading, AGE
+        self.pixels, self.speed, self.is_held = picture(), 100.0, True
+        self._say_status()
+
+    def step(self) -> None:
+        """See `WireLab.step`."""
+        super().step()
+        if self._num_steps % IMAGE_TICKS == 0 and "camera" not in self.silent:
+            self._images.publish(messages.image(self.pixels, self.clock.stamp() - self.age))
+        self._num_steps += 1
+
+
+def laboratory(orders: Connection, rate: float) -> None:
+    """Be the laboratory until the other end of the pipe is closed; answer each word."""
+    clock = Clock(rate)
+    with make_transport("dds", "laboratory", True, clock) as transport:
+        lab, due = CameraLab(transport, Profile.load("ur5e_allegro_v4"), clock), clock.now()
+        try:
+            while True:
+                lab.step()
+                while orders.poll():
+                    lab.faults[orders.recv()]()
+                due = max(due + DT, clock.now())
+                clock.sleep_until(due)
+        except EOFError:
+            return

@@ -1,0 +1,124 @@
+"""Labs in which anything can happen: inputs of the servo, some as they should be, many not."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from servo_rows import HOME
+
+from pixel2catch.deployment.limits import ServoLimits
+from pixel2catch.deployment.watchdog import Inputs
+from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+
+STRANGE = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e3, 0.0])
+WRONG_STAMPS = np.array([np.nan, np.inf, -np.inf, 0.0])
+RECKLESSNESS = np.array([0.0, 3e-4, 1e-3, 1e-2])
+"""Chance of each mishap in a tick; a quarter of the labs each."""
+
+SENDERS = ("joint_stamp", "target_stamp", "image_stamp", "dead_man_stamp")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Robots:
+    """Joints that follow their commands with their own lag, some of them badly."""
+
+    joint_pos: np.ndarray
+    follow: np.ndarray
+
+
+class Chaos:
+    """`num_rows` labs; `inputs` for a tick, then `follow` what the servo said."""
+
+    def __init__(self, num_rows: int, limits: ServoLimits, seed: int) -> None:
+        self.random, self.limits, self.rows = np.random.default_rng(seed), limits, num_rows
+        self.time = np.full(num_rows, 1000.0)
+        self.chance = RECKLESSNESS[np.arange(num_rows) % len(RECKLESSNESS)]
+        start = self._pose(0.1)
+        follow = np.minimum(limits.dt / limits.joints.lag, 1.0) * self.random.uniform(0.7, 1.4, (num_rows, 1))
+        self.robots = _Robots(joint_pos=start, follow=follow)
+        self.target = start.copy()
+        self.sent = {name: self.time.copy() for name in SENDERS}
+        self.silent_until = {name: self.time - 1.0 for name in SENDERS}
+
+    def inputs(self) -> Inputs:
+        """What the servos are told now."""
+        self.time = self.time + self.limits.dt * self.random.uniform(0.5, 1.5, self.rows)
+        self._decide()
+        self._send()
+        now = self._wrong(self.time, WRONG_STAMPS)
+        joint_stamp = np.tile(self.sent["joint_stamp"][:, None], len(JOINTS))
+        return Inputs(
+            now=np.where(self._happens(), now - self.random.exponential(0.1, self.rows), now),
+            joint_pos=self._wrong(self.robots.joint_pos, STRANGE),
+            joint_stamp=self._wrong(joint_stamp, WRONG_STAMPS),
+            joint_pos_target=self._wrong(self.target, STRANGE),
+            target_stamp=self._wrong(self.sent["target_stamp"], WRONG_STAMPS),
+            image_stamp=self._wrong(self.sent["image_stamp"], WRONG_STAMPS),
+            dead_man_stamp=self._wrong(self.sent["dead_man_stamp"], WRONG_STAMPS),
+            arm_stamp=self._requests(),
+            is_stop_requested=self._happens(),
+            is_safe=~self._happens(),
+            speed_scaling=np.where(self._happens(), self.random.choice([0.0, 0.9, np.nan], self.rows), 1.0),
+            has_other_publisher=self._happens(),
+        )
+
+    def follow(self, command: np.ndarray) -> None:
+        """Move the robots; some are held fast, bumped or carried away, where nothing commands them."""
+        joint_pos = self.robots.joint_pos
+        goal = np.where(np.isnan(command), joint_pos, command)
+        joint_pos = joint_pos + self.robots.follow * (goal - joint_pos)
+        bump = self._happens()[:, None] * self.random.normal(0.0, 0.5, joint_pos.shape)
+        away = np.isnan(command).any(axis=-1) & (self.random.random(self.rows) < 0.01)
+        spread = self.random.choice([0.1, 0.1, 0.5, 3.0])
+        joint_pos = np.where(away[:, None], self._pose(spread), joint_pos + bump)
+        stuck = self._happens() & (self.random.random(self.rows) < 0.2)
+        follow = np.where(stuck[:, None], 0.0, self.robots.follow)
+        self.robots = replace(self.robots, joint_pos=joint_pos, follow=follow)
+
+    def _pose(self, spread: float) -> np.ndarray:
+        """Joints about the start pose; a wide spread may be beyond their limits."""
+        pose = HOME + self.random.normal(0.0, spread, (self.rows, len(JOINTS)))
+        return np.clip(pose, self.limits.joints.lower, self.limits.joints.upper) if spread < 1.0 else pose
+
+    def _decide(self) -> None:
+        """Policies: small steps from the joints, jumps to anywhere, or full swing from limit to limit."""
+        kind = self.random.random((self.rows, 1))
+        shape = self.target.shape
+        near = self.robots.joint_pos + self.random.normal(0.0, 0.2, shape)
+        swing = np.where(self.random.random(shape) < 0.5, self.limits.joints.lower, self.limits.joints.upper)
+        anywhere = self.random.uniform(-7.0, 7.0, shape)
+        target = np.where(kind < 0.7, near, np.where(kind < 0.85, swing, anywhere))
+        speaks = self.time - self.sent["target_stamp"] >= CONTROL_DT * self.random.random(self.rows)
+        self.target = np.where(speaks[:, None], target, self.target)
+        self._deliver("target_stamp", speaks)
+
+    def _send(self) -> None:
+        """Messages arrive, out of order now and then; some senders fall silent for a while."""
+        for name in SENDERS[:1] + SENDERS[2:]:
+            self._deliver(name, self.random.random(self.rows) < 0.9)
+        for name in SENDERS:
+            silence = self._happens() * self.random.exponential(0.1, self.rows)
+            self.silent_until[name] = np.maximum(self.silent_until[name], self.time + silence)
+
+    def _deliver(self, name: str, is_due: np.ndarray) -> None:
+        delay = self.random.exponential(0.001, self.rows)
+        is_heard = is_due & (self.time > self.silent_until[name] + 1e-9)
+        self.sent[name] = np.where(is_heard, self.time - delay, self.sent[name])
+
+    def _requests(self) -> np.ndarray:
+        """Operators who ask to arm from time to time, some with stamps of the past or future."""
+        asks = self.random.random(self.rows) < 0.05
+        stamp = self.time + self.random.normal(0.0, 0.05, self.rows) * self._happens()
+        return self._wrong(np.where(asks, stamp, -np.inf), WRONG_STAMPS)
+
+    def _happens(self) -> np.ndarray:
+        return self.random.random(self.rows) < self.chance
+
+    def _wrong(self, values: np.ndarray, strange: np.ndarray) -> np.ndarray:
+        """Values with a strange one in some rows; all joints of a row or one of them."""
+        is_wrong = self._happens()
+        if values.ndim == 1:
+            return np.where(is_wrong, self.random.choice(strange, self.rows), values)
+        picked = self.random.choice(strange, (self.rows, 1))
+        joint = self.random.integers(-1, values.shape[1], (self.rows, 1))
+        columns = (np.arange(values.shape[1]) == joint) | (joint < 0)
+        return np.where(is_wrong[:, None] & columns, picked, values)

@@ -1,0 +1,133 @@
+"""What must hold of every output of the servo, whatever it was told; checked without the servo's own code."""
+
+import numpy as np
+
+from pixel2catch.deployment.limits import STOP_TIME, ServoLimits
+from pixel2catch.deployment.servo_state import Mode, Output
+from pixel2catch.deployment.watchdog import Fault, Inputs
+from pixel2catch.deployment.workspace import Workspace
+
+ROUNDING = 1e-9
+ALLOWED = {
+    Mode.IDLE: {Mode.IDLE, Mode.ARMED},
+    Mode.ARMED: {Mode.ARMED, Mode.RAMP, Mode.STOPPED},
+    Mode.RAMP: {Mode.RAMP, Mode.RUN, Mode.STOPPED},
+    Mode.RUN: {Mode.RUN, Mode.STOPPED},
+    Mode.STOPPED: {Mode.STOPPED, Mode.ARMED, Mode.IDLE},
+}
+ACTIVE = (Mode.ARMED, Mode.RAMP, Mode.RUN)
+DRIVEN = (Mode.RAMP, Mode.RUN)
+
+
+class Laws:
+    """Watches rows of robots tick by tick, and counts what it has seen."""
+
+    def __init__(self, num_rows: int, limits: ServoLimits) -> None:
+        self.limits = limits
+        self.mode = np.zeros(num_rows, dtype=np.int64)
+        self.command: np.ndarray | None = None
+        self.change: np.ndarray | None = None
+        self.last_tick = np.full(num_rows, np.nan)
+        self.newest_request = np.full(num_rows, -np.inf)
+        self.stopped_ticks = np.zeros(num_rows, dtype=np.int64)
+        self.ticks_in = np.zeros(len(Mode), dtype=np.int64)
+        self.stops_by = {fault: 0 for fault in Fault}
+        self.refusals_by = {fault: 0 for fault in Fault}
+        self.num_clamps = 0
+
+    def check(self, inputs: Inputs, output: Output) -> None:
+        """Check a tick, and remember it."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            self._check_modes(inputs, output)
+            self._check_faults(inputs, output)
+            self._check_motion(inputs, output)
+            self._remember(inputs, output)
+
+    def _check_modes(self, inputs: Inputs, output: Output) -> None:
+        for before, after in ALLOWED.items():
+            assert np.isin(output.mode[self.mode == before], list(after)).all()
+        is_armed = (output.mode == Mode.ARMED) & (self.mode != Mode.ARMED)
+        age = inputs.now - inputs.arm_stamp
+        is_asked = (inputs.arm_stamp > self.newest_request) & (age < self.limits.operator_age + ROUNDING)
+        assert is_asked[is_armed].all(), "armed without a fresh request of its own"
+        is_late = self.stopped_ticks * self.limits.dt >= STOP_TIME - ROUNDING
+        assert is_late[is_armed & (self.mode == Mode.STOPPED)].all(), "armed in the middle of a stop"
+        is_left = (output.mode == Mode.IDLE) & (self.mode == Mode.STOPPED)
+        assert is_late[is_left].all(), "given up in the middle of a stop"
+        if self.command is not None:
+            away = np.abs(inputs.joint_pos - self.command)[is_left] > self.limits.joints.moved_error
+            assert away.any(axis=-1).all(), "given up though nobody moved it"
+        np.testing.assert_array_equal(output.stopped_by != 0, output.mode == Mode.STOPPED)
+
+    def _check_faults(self, inputs: Inputs, output: Output) -> None:
+        """No row is active with anything wrong."""
+        limits, now = self.limits, inputs.now
+        joint_age = now[:, None] - inputs.joint_stamp
+        is_well = (
+            ((now - self.last_tick) > 0.0)
+            & ((now - self.last_tick) <= limits.tick_age)
+            & (joint_age <= limits.joints.position_age).all(axis=-1)
+            & np.isfinite(inputs.joint_pos).all(axis=-1)
+            & (now - inputs.dead_man_stamp <= limits.operator_age)
+            & ~inputs.is_stop_requested
+            & inputs.is_safe
+            & (inputs.speed_scaling >= 1.0)
+            & ~inputs.has_other_publisher
+        )
+        assert is_well[np.isin(output.mode, ACTIVE)].all()
+        sees = (now - inputs.image_stamp <= limits.image_age) & (
+            now - inputs.target_stamp <= limits.target_age
+        )
+        makes_sense = np.isfinite(inputs.joint_pos_target).all(axis=-1)
+        assert (sees & makes_sense)[np.isin(output.mode, DRIVEN)].all()
+
+    def _check_motion(self, inputs: Inputs, output: Output) -> None:
+        limits, joints, command = self.limits, self.limits.joints, output.command
+        is_sent = output.mode != Mode.IDLE
+        assert np.isnan(command[~is_sent]).all()
+        assert ((command >= joints.lower - ROUNDING) & (command <= joints.upper + ROUNDING))[is_sent].all()
+        wider = widened(limits.workspace)
+        assert wider.contains(command[is_sent][:, :6]).all()
+        first = is_sent & (self.mode == Mode.IDLE)
+        assert (np.abs(command - inputs.joint_pos) <= joints.start_error + ROUNDING)[first].all()
+        if self.command is None or self.change is None:
+            return
+        change = np.where((self.mode == Mode.IDLE)[:, None], 0.0, command - self.command)
+        largest = np.minimum(joints.speed * limits.dt, joints.step)
+        assert (np.abs(change) <= largest + ROUNDING)[is_sent].all()
+        before = np.where((self.mode == Mode.IDLE)[:, None], 0.0, self.change)
+        change_of_change = np.abs(change - before)
+        assert (change_of_change <= joints.acceleration * limits.dt**2 + ROUNDING)[is_sent].all()
+        is_over = (output.mode == Mode.STOPPED) & (self.stopped_ticks * limits.dt >= STOP_TIME)
+        assert not np.abs(change[is_over]).any(), "a stop that still moves"
+
+    def _remember(self, inputs: Inputs, output: Output) -> None:
+        begun = (output.mode == Mode.STOPPED) & (self.mode != Mode.STOPPED)
+        for fault in Fault:
+            self.stops_by[fault] += int((begun & ((output.stopped_by & fault) != 0)).sum())
+            self.refusals_by[fault] += int(((output.refused & fault) != 0).sum())
+        self.num_clamps |= int(np.bitwise_or.reduce(output.clamped))
+        previous = output.command if self.command is None else self.command
+        is_new = (self.mode == Mode.IDLE) | (output.mode == Mode.IDLE)
+        self.change = np.where(is_new[:, None], 0.0, output.command - previous)
+        self.command = output.command
+        is_still = output.mode == Mode.STOPPED
+        self.stopped_ticks = np.where(is_still & ~begun, self.stopped_ticks + 1, 0)
+        age = inputs.now - inputs.arm_stamp
+        is_real = (age >= -0.001 - ROUNDING) & (age <= self.limits.operator_age)
+        self.newest_request = np.where(
+            is_real, np.fmax(self.newest_request, inputs.arm_stamp), self.newest_request
+        )
+        self.ticks_in += np.bincount(output.mode, minlength=len(Mode))
+        self.mode, self.last_tick = output.mode, inputs.now
+
+
+def widened(workspace: Workspace) -> Workspace:
+    """The workspace, and room for rounding."""
+    lower, upper = np.array(workspace.lower) - ROUNDING, np.array(workspace.upper) + ROUNDING
+    return Workspace(
+        table=workspace.table,
+        clearance=workspace.clearance - ROUNDING,
+        lower=tuple(lower.tolist()),
+        upper=tuple(upper.tolist()),
+    )

@@ -1,0 +1,89 @@
+"""A brain's surroundings in memory: network, camera, and the servo's end of the link."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.brain import Brain
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.connection import Connection
+from pixel2catch.deployment.controller import Controller
+from pixel2catch.deployment.memory import Broker
+from pixel2catch.deployment.profile import Profile
+from pixel2catch.deployment.servo_link import Decision, ServoEnd, link
+from pixel2catch.deployment.servo_state import Mode
+from pixel2catch.deployment.transport import Transport
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.perception.color import ColorRange, ColorThreshold
+from pixel2catch.perception.extractor import PixelFeatureExtractor
+from pixel2catch.perception.prompt import GivenPrompter
+from pixel2catch.robot.constants import JOINTS
+
+HOME = np.array([joint.home for joint in JOINTS])
+PROFILE = Profile.load("ur5e_allegro_v4")
+BOX = (300.0, 200.0, 330.0, 230.0)
+RED = ColorRange(hue=(340.0, 20.0))
+
+
+def picture(box: tuple[float, float, float, float] | None = BOX) -> np.ndarray:
+    """Grey, with a red rectangle."""
+    image = np.full((480, 640, 3), 120, dtype=np.uint8)
+    if box:
+        xmin, ymin, xmax, ymax = map(int, box)
+        image[ymin:ymax, xmin:xmax] = (200, 30, 20)
+    return image
+
+
+def brain() -> Brain:
+    """The shipped policy, and eyes for red."""
+    policy, _ = load_policy(None)
+    person = GivenPrompter()
+    extractor = PixelFeatureExtractor(ColorThreshold(RED), person)
+    return Brain(Controller(policy, PROFILE.handedness), extractor, person)
+
+
+def decision(mode: Mode, *, time: float, **others: float) -> Decision:
+    """A tick of the servo, at home, in which nothing happens but what is given."""
+    return Decision(
+        time=time,
+        mode=int(mode),
+        stopped_by=int(others.get("stopped_by", 0)),
+        found=0,
+        refused=int(others.get("refused", 0)),
+        clamped=0,
+        command=HOME,
+        joint_pos=HOME,
+        duration=4e-4,
+        target_stamp=others.get("target_stamp", -np.inf),
+        image_stamp=others.get("image_stamp", -np.inf),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surroundings:
+    """What a loop is connected to, and the other ends of it."""
+
+    connection: Connection
+    servo: ServoEnd
+    lab: Transport
+    clock: Clock
+
+    def show(self, image: np.ndarray, age: float = 0.0) -> None:
+        """The camera sends an image of this age."""
+        self.lab.publisher(PROFILE.camera.image).publish(messages.image(image, self.clock.stamp() - age))
+
+
+@contextmanager
+def surroundings() -> Iterator[Surroundings]:
+    """Open all ends."""
+    clock, broker = Clock(), Broker()
+    with ExitStack() as stack:
+        node, lab = (stack.enter_context(broker.node(clock)) for _ in range(2))
+        end, servo = link()
+        stack.callback(end.close)
+        stack.callback(servo.close)
+        connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, tape=None)
+        yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock)

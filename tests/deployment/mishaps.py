@@ -1,0 +1,63 @@
+"""What can go wrong in the laboratory, as changes of good inputs, and the fault that is found."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from pixel2catch.deployment.watchdog import Fault, Inputs
+from pixel2catch.robot.constants import JOINTS
+
+ELBOW = np.arange(len(JOINTS)) == 2
+
+
+def aged(seconds: float) -> Callable[[Inputs], np.ndarray]:
+    """A stamp of some time ago."""
+    return lambda good: good.now - seconds
+
+
+def elbow(value: float, field: str) -> Callable[[Inputs], np.ndarray]:
+    """Something strange of the elbow alone."""
+    return lambda good: np.where(ELBOW, value, getattr(good, field))
+
+
+def always(value: float | bool) -> Callable[[Inputs], np.ndarray]:
+    """One value in every row."""
+    return lambda good: np.full(len(good.now), value)
+
+
+MISHAPS: tuple[tuple[Fault, str, Callable[[Inputs], np.ndarray]], ...] = (
+    (Fault.IMAGE_STALE, "image_stamp", aged(0.11)),
+    (Fault.IMAGE_STALE, "image_stamp", aged(-0.01)),
+    (Fault.IMAGE_STALE, "image_stamp", always(np.nan)),
+    (Fault.POLICY_LATE, "target_stamp", aged(0.07)),
+    (Fault.TARGET_NOT_FINITE, "joint_pos_target", elbow(np.nan, "joint_pos_target")),
+    (Fault.TARGET_NOT_FINITE, "joint_pos_target", elbow(-np.inf, "joint_pos_target")),
+    (Fault.JOINTS_STALE, "joint_stamp", lambda good: good.joint_stamp - 0.021 * ELBOW),
+    (Fault.JOINTS_NOT_FINITE, "joint_pos", elbow(np.nan, "joint_pos")),
+    (Fault.TRACKING_ERROR, "joint_pos", lambda good: good.joint_pos + 0.3 * ELBOW),
+    (Fault.SAFETY_MODE, "is_safe", always(False)),
+    (Fault.SPEED_SCALING, "speed_scaling", always(0.99)),
+    (Fault.SPEED_SCALING, "speed_scaling", always(np.nan)),
+    (Fault.OTHER_PUBLISHER, "has_other_publisher", always(True)),
+    (Fault.DEAD_MAN, "dead_man_stamp", aged(0.21)),
+    (Fault.STOP_REQUEST, "is_stop_requested", always(True)),
+    (Fault.CLOCK, "now", always(np.nan)),
+    (Fault.CLOCK, "now", aged(0.003)),
+    (Fault.CLOCK, "now", aged(-0.021)),
+)
+"""What stops the robot, one row each; a clock that is wrong makes stamps wrong as well."""
+
+
+def all_at_once(good: Inputs) -> Inputs:
+    """Inputs in which each row has its own fault."""
+    change: dict[str, np.ndarray] = {}
+    for row, (_, field, value) in enumerate(MISHAPS):
+        change.setdefault(field, getattr(good, field).copy())[row] = value(good)[row]
+    return replace(good, **change)
+
+
+def one(number: int) -> Callable[[Inputs], Inputs]:
+    """Inputs in which all rows have the same fault."""
+    _, field, value = MISHAPS[number]
+    return lambda good: replace(good, **{field: value(good)})

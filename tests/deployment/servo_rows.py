@@ -1,0 +1,99 @@
+"""A robot that does as it is told, in any number of rows, and what its servo is told about it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from pixel2catch.deployment.limits import ServoLimits
+from pixel2catch.deployment.servo_core import ServoCore
+from pixel2catch.deployment.servo_state import Output, ServoState
+from pixel2catch.deployment.watchdog import Inputs
+from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+
+HOME = np.array([joint.home for joint in JOINTS])
+LIMITS = ServoLimits(ramp_time=0.1)
+"""Those of the robot, with a ramp that makes tests short."""
+
+
+def given(**change: np.ndarray) -> Callable[[Inputs], Inputs]:
+    """Good inputs, but for some."""
+    return lambda good: replace(good, **change)
+
+
+class Lab:
+    """A core, and inputs in which all is well but for what a test changes.
+
+    The joints are where the commands are, with the lag of their servos. The policy speaks at 30 Hz.
+    """
+
+    def __init__(self, num_rows: int = 1, limits: ServoLimits = LIMITS) -> None:
+        self.core, self.limits = ServoCore(limits), limits
+        self.state = ServoState.idle(num_rows, len(JOINTS))
+        self.rows = num_rows
+        self.time = 100.0
+        self.target = np.tile(HOME, (num_rows, 1))
+        self.joint_pos = self.target.copy()
+        self.is_held_fast = np.zeros(len(JOINTS), dtype=bool)
+        self._target_stamp = self.time
+        self.outputs: list[Output] = []
+        self.told = self.inputs()
+
+    def inputs(self) -> Inputs:
+        now = np.full(self.rows, self.time)
+        if self.time - self._target_stamp > CONTROL_DT - 1e-6:
+            self._target_stamp = self.time
+        return Inputs(
+            now=now,
+            joint_pos=self.joint_pos.copy(),
+            joint_stamp=np.tile(now[:, None], len(JOINTS)),
+            joint_pos_target=self.target.copy(),
+            target_stamp=np.full(self.rows, self._target_stamp),
+            image_stamp=now - 0.03,
+            dead_man_stamp=now,
+            arm_stamp=np.full(self.rows, -np.inf),
+            is_stop_requested=np.zeros(self.rows, dtype=bool),
+            is_safe=np.ones(self.rows, dtype=bool),
+            speed_scaling=np.ones(self.rows),
+            has_other_publisher=np.zeros(self.rows, dtype=bool),
+        )
+
+    def tick(self, distort: Callable[[Inputs], Inputs] | None = None) -> Output:
+        """A tick, in which something may be otherwise; the robot follows."""
+        self.time += self.limits.dt
+        good = self.inputs()
+        self.told = distort(good) if distort else good
+        self.state, output = self.core.tick(self.state, self.told)
+        self.outputs.append(output)
+        follow = np.minimum(self.limits.dt / self.limits.joints.lag, 1.0)
+        command = np.where(np.isnan(output.command), self.joint_pos, output.command)
+        self.joint_pos += np.where(self.is_held_fast, 0.0, follow * (command - self.joint_pos))
+        return output
+
+    def run(self, seconds: float, distort: Callable[[Inputs], Inputs] | None = None) -> Output:
+        """Ticks for a time."""
+        for _ in range(round(seconds / self.limits.dt) - 1):
+            self.tick(distort)
+        return self.tick(distort)
+
+    def arm(self) -> Output:
+        """A first tick, and one in which the operator asks to arm."""
+        self.tick()
+        return self.ask()
+
+    def ask(self) -> Output:
+        """A tick in which the operator asks to arm."""
+        return self.tick(lambda good: replace(good, arm_stamp=good.now))
+
+    def swung(self) -> "Lab":
+        """In the middle of a fast motion of the arm."""
+        self.started()
+        self.target[:, :3] += (0.4, -0.4, -0.4)
+        self.run(0.05)
+        return self
+
+    def started(self) -> "Lab":
+        """Armed, through the ramp and running."""
+        self.arm()
+        self.run(self.limits.ramp_time + 0.05)
+        return self

@@ -1,0 +1,92 @@
+"""A servo and a laboratory on a stage: in memory, in time that passes only while the servo sleeps."""
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from itertools import groupby, repeat
+
+from servo_rows import LIMITS
+from wire_lab import WireLab
+
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.memory import Broker
+from pixel2catch.deployment.profile import Profile
+from pixel2catch.deployment.servo_link import BrainEnd, ServoEnd
+from pixel2catch.deployment.servo_process import Servo, ServoSetup
+from pixel2catch.deployment.servo_state import Mode
+from pixel2catch.deployment.watchdog import reasons
+
+
+class ClockOfScript(Clock):
+    """Time passes only while the servo sleeps; then the laboratory steps, and the script goes on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.time = 1000.0
+        self.script: Iterator[None] = iter(())
+        self.sleep: Callable[[], None] = lambda: None
+
+    def now(self) -> float:
+        return self.time
+
+    def stamp(self) -> float:
+        return 1.7e9 + self.time
+
+    def sleep_until(self, moment: float) -> None:
+        self.time = moment
+        self.sleep()
+
+
+class Cut(Exception):  # noqa: N818
+    """Nothing of interest follows."""
+
+
+class Stage:
+    """A servo and a laboratory in memory; `play` runs the servo while a script, tick by tick, says what else
+    happens."""
+
+    def __init__(self, profile: Profile, ends: tuple[BrainEnd, ServoEnd], is_dry_run: bool = False) -> None:
+        self.clock, self.broker = ClockOfScript(), Broker()
+        brain, end = ends
+        setup = ServoSetup(
+            profile=profile, make_transport=self.broker.node, limits=LIMITS, is_dry_run=is_dry_run
+        )
+        self.servo = Servo(end, self.broker.node(self.clock), setup, self.clock)
+        self.lab = WireLab(self.broker.node(self.clock), brain, profile, self.clock)
+
+    def play(self, script: Iterator[None]) -> None:
+        """Run until the script is over and the robot stands."""
+
+        def sleep() -> None:
+            self.lab.step()
+            if next(script, Cut) is Cut:
+                self.servo.end()
+
+        self.clock.sleep = sleep
+        with suppress(Cut):
+            self.servo.run()
+        self.lab.step()
+
+    def armed(self, num_ticks: int = 5) -> Iterator[None]:
+        """Everybody is heard of, and the operator arms."""
+        yield from wait(11)
+        self.lab.ask_to_arm()
+        yield from wait(num_ticks)
+        assert self.mode in (Mode.ARMED, Mode.RAMP, Mode.RUN)
+
+    @property
+    def mode(self) -> int:
+        return self.lab.decisions[-1].mode
+
+    @property
+    def modes(self) -> list[int]:
+        """The modes in their order."""
+        return [mode for mode, _ in groupby(decision.mode for decision in self.lab.decisions)]
+
+    @property
+    def stopped_by(self) -> tuple[str, ...]:
+        """Why it was stopped first."""
+        return next(reasons(each.stopped_by) for each in self.lab.decisions if each.mode == Mode.STOPPED)
+
+
+def wait(num_ticks: int) -> Iterator[None]:
+    return repeat(None, num_ticks)

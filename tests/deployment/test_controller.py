@@ -1,0 +1,153 @@
+"""The controller gives what the environment gives: the same joint targets from the same measurements."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+
+from pixel2catch.deployment.controller import Controller, Reading
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.step import Step
+from pixel2catch.errors import NonFiniteError, PolicyMismatchError
+from pixel2catch.evaluation.loading import shipped_policies
+from pixel2catch.mdp.masks import clone
+from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.mdp.snapshot import Measurement
+from pixel2catch.methods import METHODS
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.robot.constants import CONTROL_DT, JOINTS, RGB_CAMERA
+
+STEADY_ACTIONS = RandomizationCfg(
+    arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
+)
+"""The environment adds this noise after the policy, where no controller can know of it."""
+
+NUM_EPISODES = 2
+HEIGHT = len(JOINTS) + 2
+SEEN_BY_CAMERA = ("proposed", "only_wh", "only_center", "single_agent", "shared_reward", "journal")
+HOME = torch.tensor([[joint.home for joint in JOINTS]])
+
+
+def policy_of(method: str) -> Policy:
+    """The shipped policy of a method, or one with random networks, whose actions fill their range."""
+    folder = shipped_policies().get(f"{method}-seed0")
+    if folder is not None:
+        return Policy.load(folder)
+    torch.manual_seed(0)
+    policy = Policy(contract_of(METHODS[method], "left")).eval()
+    with torch.no_grad():
+        for network in (policy.network(name) for name in policy.contract.agents):
+            network.get_parameter("network.6.weight").mul_(20.0)
+    return policy
+
+
+def reading(measurement: Measurement, stamp: float = 0.0) -> Reading:
+    return Reading(
+        joint_pos=measurement.joint_pos,
+        box=measurement.box,
+        stamp=stamp,
+        joint_stamp=stamp - 0.002,
+        image_stamp=stamp - 0.05,
+    )
+
+
+def at_home(stamp: float = 0.0, **change: torch.Tensor) -> Reading:
+    box = torch.tensor([[310.0, 200.0, 330.0, 225.0]])
+    return replace(
+        Reading(joint_pos=HOME, box=box, stamp=stamp, joint_stamp=stamp, image_stamp=stamp), **change
+    )
+
+
+def steps(env: CatchEnv, policy: Policy) -> Iterator[Step]:
+    """The environment's steps under its own observations; in the first one the object is lost."""
+    observation = env.reset()
+    env.world.simulation.bind("qpos")[:, HEIGHT] = 0.1
+    while True:
+        step = env.step(policy.act(observation.policy))
+        observation = step.observation
+        yield step
+
+
+@pytest.mark.parametrize("method", SEEN_BY_CAMERA)
+def test_targets_are_those_of_the_environment_bit_for_bit(method: str):
+    """Whole episodes of one robot, with all noise of its sensors, and with a reset in between."""
+    policy = policy_of(method)
+    controller = Controller(policy, "left")
+    env = CatchEnv(CatchEnvCfg(randomization=STEADY_ACTIONS), METHODS[method], num_envs=1, seed=3)
+    given, num_steps, num_ended = None, 0, 0
+    for step in steps(env, policy):
+        if given is not None:
+            num_steps += 1
+            assert torch.equal(given.joint_pos_target, step.joint_pos_target), f"at step {num_steps}"
+        if step.terminated.all():
+            num_ended += 1
+            controller.reset(step.measurement.joint_pos_target.clone())
+        if num_ended > NUM_EPISODES:
+            break
+        given = controller.step(reading(clone(step.measurement), num_steps * CONTROL_DT))
+    env.close()
+    assert num_steps > 20 * NUM_EPISODES
+
+
+def test_a_throw_begins_as_an_episode():
+    """The history is the first reading, the last action none; nothing of the throw before is left."""
+    controller = Controller(policy_of("journal"), "left")
+    first = controller.step(at_home())
+    assert torch.equal(first.measurement.joint_pos_target, HOME)
+    assert not first.measurement.action.any()
+    second = controller.step(at_home(CONTROL_DT))
+    assert second.measurement.action.any()
+    assert torch.equal(second.measurement.joint_pos_target, first.joint_pos_target)
+    controller.reset()
+    assert torch.equal(controller.step(at_home(9.0)).joint_pos_target, first.joint_pos_target)
+
+
+def test_ages_and_skipped_steps_are_told():
+    controller = Controller(policy_of("proposed"), "left")
+    stamps = [0.0, 1.1 * CONTROL_DT, 1.9 * CONTROL_DT, 4.9 * CONTROL_DT]
+    measurement = Controller(policy_of("proposed"), "left").step(at_home()).measurement
+    given = [controller.step(reading(measurement, stamp)) for stamp in stamps]
+    assert [targets.num_skipped for targets in given] == [0, 0, 0, 2]
+    assert given[-1].joint_age == pytest.approx(0.002)
+    assert given[-1].image_age == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_refused_by_name_and_forgotten(bad: float):
+    controller, twin = (Controller(policy_of("proposed"), "left") for _ in range(2))
+    controller.step(at_home())
+    twin.step(at_home())
+    joint_pos = HOME.clone()
+    joint_pos[0, 2] = bad
+    with pytest.raises(NonFiniteError, match="elbow_joint"):
+        controller.step(at_home(CONTROL_DT, joint_pos=joint_pos))
+    box = torch.tensor([[0.0, bad, 1.0, 1.0]])
+    with pytest.raises(NonFiniteError, match="box"):
+        controller.step(at_home(CONTROL_DT, box=box))
+    given, expected = (each.step(at_home(CONTROL_DT)) for each in (controller, twin))
+    assert torch.equal(given.joint_pos_target, expected.joint_pos_target)
+
+
+@pytest.mark.parametrize(
+    ("method", "term"), [("without_pf", "initial_object_position"), ("object_position", "object_position")]
+)
+def test_a_policy_that_needs_a_tracker_is_refused(method: str, term: str):
+    with pytest.raises(PolicyMismatchError, match=term):
+        Controller(policy_of(method), "left")
+
+
+def test_the_camera_of_the_policy_is_that_of_the_laboratory():
+    """A policy trained for a calibrated camera runs with that one, and with no other."""
+    calibrated = replace(RGB_CAMERA, pos=(0.02, -0.01, 2.19))
+    policy = Policy(contract_of(METHODS["proposed"], "left", calibrated)).eval()
+    given = Controller(policy, "left", calibrated).step(at_home())
+    assert given.joint_pos_target.isfinite().all()
+    with pytest.raises(PolicyMismatchError, match=r"camera\.pos"):
+        Controller(policy, "left")
+
+
+def test_a_policy_of_the_other_hand_is_refused():
+    with pytest.raises(PolicyMismatchError, match="handedness"):
+        Controller(policy_of("proposed"), "right")

@@ -1,0 +1,134 @@
+"""The loop between camera, servo and operator, in memory."""
+
+import json
+from typing import Any
+
+import pytest
+from loop_lab import BOX, PROFILE, Surroundings, brain, decision, picture, surroundings
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.deploying import Deployment, read_prompt
+from pixel2catch.deployment.eyes import Eyes
+from pixel2catch.deployment.servo_state import Mode
+from pixel2catch.deployment.watchdog import Fault
+from pixel2catch.errors import DeploymentError
+from pixel2catch.robot.constants import RGB_CAMERA
+
+
+class Course:
+    """A deployment that is led step by step."""
+
+    def __init__(self, around: Surroundings) -> None:
+        self.around = around
+        eyes = Eyes(around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock)
+        self.deployment = Deployment(brain(), eyes, around.connection, PROFILE.operator)
+        self._prompts = around.lab.publisher(PROFILE.operator.prompt)
+        self.statuses = around.lab.subscription(PROFILE.operator.status, 100)
+
+    def say(self, mode: Mode, **others: float) -> None:
+        """The servo has ticked."""
+        self.around.servo.send(decision(mode, time=self.around.clock.now(), **others))
+
+    def point(self, text: str) -> None:
+        self._prompts.publish(messages.text(text))
+
+    def step(self) -> dict[str, Any]:
+        """Run until the next status."""
+        seen: list[dict[str, Any]] = []
+        self.deployment.run(lambda: bool(seen), seen.append)
+        return seen[0]
+
+
+def test_from_the_prompt_on_every_image_gives_orders_and_a_status():
+    with surroundings() as around:
+        course = Course(around)
+        course.say(Mode.ARMED)
+        around.show(picture())
+        assert course.step()["verdict"] == "no prompt"
+        assert around.servo.receive() == []
+        course.point(json.dumps({"box": BOX}))
+        status = {}
+        for _ in range(3):
+            around.show(picture(), age=0.02)
+            status = course.step()
+            (orders,) = around.servo.receive()
+            assert around.clock.now() - orders.image_stamp == pytest.approx(0.02, abs=0.05)
+            assert status["mode"] == "armed"
+            assert status["box"] == list(BOX)
+        sent = [json.loads(messages.read_text(packet.data)) for packet in course.statuses.take()]
+        assert sent[-1] == status
+        assert course.deployment.diary.num_steps == 4
+
+
+def test_without_images_the_steps_go_on_and_are_counted():
+    with surroundings() as around:
+        course = Course(around)
+        course.say(Mode.ARMED)
+        around.show(picture())
+        course.point(json.dumps({"box": BOX}))
+        course.step()
+        course.step()
+        first, second = around.servo.receive()
+        assert second.target_stamp > first.target_stamp
+        assert second.image_stamp == first.image_stamp
+        assert course.deployment.diary.num_missed == 1
+
+
+def test_arming_begins_a_new_throw():
+    with surroundings() as around:
+        course = Course(around)
+        around.show(picture())
+        course.point(json.dumps({"box": BOX}))
+        course.say(Mode.IDLE)
+        assert course.step()["box"] is not None
+        course.say(Mode.ARMED)
+        around.show(picture())
+        assert course.step()["box"] is None
+
+
+def test_stops_and_refusals_are_told_once_and_counted():
+    with surroundings() as around:
+        course = Course(around)
+        course.say(Mode.RUN)
+        course.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE)
+        course.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE, refused=Fault.START_POSE)
+        course.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE)
+        first, second = course.step(), course.step()
+        assert first["stopped_by"] == second["stopped_by"] == ["image stale", "dead man"]
+        assert (first["refused"], second["refused"]) == (["start pose"], [])
+        summary = course.deployment.diary.summary()
+        assert summary["stops"] == {"image stale, dead man": 1}
+        assert summary["refusals"] == {"start pose": 1}
+
+
+def test_the_latency_is_from_the_image_to_the_first_command_with_it():
+    with surroundings() as around:
+        course, now = Course(around), around.clock.now()
+        for tick in range(4):
+            late = {"target_stamp": now + 0.004 * (tick // 2), "image_stamp": now - 0.02}
+            around.servo.send(decision(Mode.RUN, time=now + 0.002 * tick, **late))
+        course.step()
+        latency = course.deployment.diary.summary()["image_to_command_ms"]
+        assert latency["count"] == 1
+        assert latency["p50"] == pytest.approx(24.0, abs=1e-6)
+
+
+def test_a_dead_servo_is_an_error():
+    with surroundings() as around:
+        course = Course(around)
+        around.servo.close()
+        with pytest.raises(DeploymentError, match="press its stop"):
+            course.step()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", '{"box": [1, 2, 3]}', '{"box": [9, 9, 1, 1]}', '{"box": null}', "[1, 2, 3, 4]"]
+)
+def test_a_bad_prompt_is_told_and_begins_nothing(text: str):
+    with pytest.raises(DeploymentError, match="prompt"):
+        read_prompt(messages.text(text))
+    with surroundings() as around:
+        course = Course(around)
+        around.show(picture())
+        course.point(text)
+        assert "prompt" in course.step()["message"]

@@ -1,0 +1,81 @@
+"""Images from the network: the newest counts, a bad one does not, and each knows where the robot was."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loop_lab import HOME, PROFILE, Surroundings, picture, surroundings
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.eyes import Eyes
+from pixel2catch.errors import DeploymentError
+from pixel2catch.robot.constants import RGB_CAMERA
+
+
+def eyes_in(around: Surroundings) -> Eyes:
+    return Eyes(around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock)
+
+
+def test_the_newest_image_counts_and_the_others_are_counted():
+    with surroundings() as around:
+        eyes = eyes_in(around)
+        assert eyes.newest() is None
+        for edge in (100, 200, 300):
+            around.show(picture((edge, 100, edge + 20, 130)))
+        frame = eyes.newest()
+        assert frame is not None
+        assert frame.image[110, 310].tolist() == [200, 30, 20]
+        assert eyes.num_lost == 2
+        assert eyes.newest() is None
+
+
+def test_the_stamp_is_of_the_exposure_on_the_monotonic_clock():
+    with surroundings() as around:
+        eyes = eyes_in(around)
+        around.show(picture(), age=0.04)
+        frame, now = eyes.newest(), around.clock.now()
+        assert frame is not None
+        assert now - frame.stamp == pytest.approx(0.04, abs=0.01)
+
+
+def test_joints_are_those_at_the_time_of_the_image():
+    with surroundings() as around:
+        eyes = eyes_in(around)
+        around.show(picture(), age=0.1)
+        now = around.clock.now()
+        for age in (0.15, 0.1, 0.05, 0.0):
+            eyes.remember(now - age, HOME + age)
+        frame = eyes.newest()
+        assert frame is not None
+        assert frame.joint_pos == pytest.approx(HOME + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (messages.image(np.zeros((240, 320, 3), dtype=np.uint8), 1.0), "sends 320 x 240 rgb8"),
+        (messages.image(picture(), 1.0)[:1000], "disagree about the type"),
+        (b"", "disagree about the type"),
+    ],
+)
+def test_a_bad_image_is_none_and_says_why(data: bytes, words: str):
+    with surroundings() as around:
+        eyes = eyes_in(around)
+        around.lab.publisher(PROFILE.camera.image).publish(data)
+        assert eyes.newest() is None
+        assert words in eyes.message
+        around.show(picture())
+        assert eyes.newest() is not None
+        assert eyes.message == ""
+
+
+def test_another_lens_than_the_calibrated_one_is_refused():
+    with surroundings() as around:
+        eyes, info = eyes_in(around), PROFILE.camera.info
+        assert info is not None
+        lens = around.lab.publisher(info)
+        lens.publish(messages.camera_info(RGB_CAMERA, 0.0))
+        eyes.newest()
+        lens.publish(messages.camera_info(replace(RGB_CAMERA, fx=1.05 * RGB_CAMERA.fx), 0.0))
+        with pytest.raises(DeploymentError, match="calibrate the camera"):
+            eyes.newest()

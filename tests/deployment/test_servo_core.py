@@ -1,0 +1,235 @@
+"""The servo's states, its watch, and the way it takes from target to target."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mishaps import MISHAPS, all_at_once
+from servo_rows import HOME, LIMITS, Lab, given
+
+from pixel2catch.deployment.limits import STOP_TIME, JointLimits
+from pixel2catch.deployment.servo_state import Clamp, Mode
+from pixel2catch.deployment.watchdog import Fault, reasons
+from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.robot.joint_dynamics import JointDynamics
+
+STEP_TICKS = round(CONTROL_DT / LIMITS.dt) + 1
+STOP_TICKS = round(STOP_TIME / LIMITS.dt)
+YES, NO = np.array([True]), np.array([False])
+
+
+def test_the_states_in_their_order():
+    lab = Lab()
+    assert np.isnan(lab.tick().command).all()
+    assert lab.arm().mode == Mode.ARMED
+    assert lab.tick().mode == Mode.RAMP
+    lab.run(LIMITS.ramp_time - 2 * LIMITS.dt)
+    assert lab.tick().mode == Mode.RAMP
+    lab.run(2 * LIMITS.dt)
+    assert lab.tick().mode == Mode.RUN
+    assert lab.tick(given(is_stop_requested=YES)).mode == Mode.STOPPED
+
+
+def test_nothing_is_sent_before_the_operator_asks():
+    lab = Lab()
+    lab.run(0.5)
+    assert all(np.isnan(output.command).all() for output in lab.outputs)
+
+
+def test_the_first_command_is_the_measured_pose():
+    lab = Lab()
+    lab.joint_pos[0, :6] += (0.1, -0.1, 0.05, 0.02, -0.03, 0.04)
+    start = lab.joint_pos.copy()
+    np.testing.assert_allclose(lab.arm().command, start, atol=1e-12)
+
+
+def test_armed_it_waits_for_the_camera():
+    lab = Lab()
+    lab.arm()
+    stale = np.array([0.0])
+    assert lab.run(0.2, given(image_stamp=stale)).mode == Mode.ARMED
+    np.testing.assert_allclose(lab.tick(given(image_stamp=stale)).command, HOME[None], atol=1e-12)
+    assert lab.tick().mode == Mode.RAMP
+
+
+def test_the_ramp_goes_over_evenly():
+    """Halfway through it, the command is halfway between the pose at the start and the policy's target."""
+    lab = Lab()
+    lab.target[0, 1] += 0.1
+    lab.arm()
+    output = lab.run(LIMITS.ramp_time / 2 + LIMITS.dt)
+    assert output.command[0, 1] - HOME[1] == pytest.approx(0.05, abs=4e-3)
+    assert lab.run(LIMITS.ramp_time).command[0, 1] - HOME[1] == pytest.approx(0.1, abs=1e-12)
+
+
+def test_a_target_is_reached_after_a_control_step_as_in_training():
+    """The ramp of training from 0 to 0.05 rad: even, but for the acceleration at its ends."""
+    lab = Lab().started()
+    while lab.state.course.stamp[0] != lab.state.now[0]:
+        lab.tick()
+    lab.run(CONTROL_DT - 2 * LIMITS.dt)
+    lab.target[0, 0] += 0.05
+    while lab.state.course.stamp[0] != lab.state.now[0]:
+        lab.tick()
+    commands = [
+        lab.outputs[-1].command[0, 0] - HOME[0],
+        *(lab.tick().command[0, 0] - HOME[0] for _ in range(STEP_TICKS)),
+    ]
+    ideal = 0.05 * np.minimum(np.arange(1, STEP_TICKS + 2) * LIMITS.dt / CONTROL_DT, 1.0)
+    lag = 1.5**2 / (2 * LIMITS.joints.acceleration[0]) + 2 * 1.5 * LIMITS.dt
+    assert (np.abs(np.array(commands) - ideal) <= lag).all()
+    assert commands[-1] == pytest.approx(0.05, abs=1e-4)
+
+
+def test_every_fault_stops_and_is_named():
+    lab = Lab(len(MISHAPS)).swung()
+    output = lab.tick(all_at_once)
+    assert (output.mode == Mode.STOPPED).all()
+    for row, (fault, field, _) in enumerate(MISHAPS):
+        found = int(output.stopped_by[row])
+        assert found & fault if field == "now" else found == fault, reasons(found)
+        assert str(fault.name).lower().replace("_", " ") in reasons(found)
+
+
+def test_every_stop_stands_still_in_time_near_where_the_joints_are():
+    lab = Lab(len(MISHAPS)).swung()
+    assert (np.abs(lab.state.motion.velocity[:, :3]) > 3.0).all()
+    commands = np.stack([lab.tick(all_at_once).command, *(lab.tick().command for _ in range(2 * STOP_TICKS))])
+    assert not np.diff(commands[STOP_TICKS:], axis=0).any()
+    assert (np.abs(lab.joint_pos - commands[-1]) < 0.02).all()
+
+
+def test_a_stop_without_positions_brakes_where_it_is():
+    lab = Lab().swung()
+    motion = lab.state.motion
+    final = lab.run(STOP_TIME, given(joint_pos=np.full((1, len(JOINTS)), np.nan))).command
+    distance = motion.velocity**2 / (2.0 * LIMITS.joints.acceleration) + np.abs(motion.velocity) * LIMITS.dt
+    assert (np.abs(final - motion.position) <= distance).all()
+
+
+def test_a_stop_lasts_until_the_operator_asks_again():
+    """All is well again; a request of before the stop, or one repeated, is none."""
+    lab = Lab().swung()
+    asked = np.array([lab.time])
+    lab.tick(given(arm_stamp=asked))
+    lab.tick(given(is_safe=NO))
+    assert lab.run(0.4, given(arm_stamp=asked)).mode == Mode.STOPPED
+    assert lab.run(0.2).mode == Mode.STOPPED
+    lab.target = lab.joint_pos.copy()
+    assert lab.ask().mode == Mode.ARMED
+    assert lab.outputs[-1].stopped_by == 0
+
+
+def test_a_stopped_robot_that_somebody_moves_is_left_to_them_and_armed_where_it_is():
+    lab = Lab().swung()
+    lab.tick(given(is_safe=NO))
+    lab.run(2.0 * STOP_TIME)
+    homed = lab.joint_pos.copy()
+    homed[0, 2] -= 0.1
+    assert lab.tick(given(joint_pos=homed)).mode == Mode.IDLE
+    assert np.isnan(lab.outputs[-1].command).all()
+    assert lab.run(0.1, given(joint_pos=homed)).mode == Mode.IDLE
+    lab.joint_pos[:] = lab.target[:] = homed
+    assert lab.arm().mode == Mode.ARMED
+    assert (np.abs(lab.outputs[-1].command - homed) < 1e-9).all()
+
+
+def test_a_request_in_the_middle_of_a_stop_is_refused():
+    lab = Lab().swung()
+    lab.tick(given(is_safe=NO))
+    lab.run(0.1)
+    output = lab.ask()
+    assert output.mode == Mode.STOPPED
+    assert output.refused == Fault.STILL_STOPPING
+
+
+@pytest.mark.parametrize(
+    ("joint", "offset", "fault"),
+    [(2, 1.5, Fault.START_POSE), (0, 1.2, Fault.START_POSE), (1, 1.6, Fault.WORKSPACE)],
+)
+def test_a_pose_to_keep_away_from_is_refused(joint: int, offset: float, fault: Fault):
+    """The elbow beyond its upper limit, the pan beyond its own, the arm turned down through the table."""
+    lab = Lab()
+    lab.joint_pos[0, joint] += offset
+    assert lab.arm().mode == Mode.IDLE
+    assert lab.outputs[-1].refused & fault
+
+
+def test_a_first_target_far_away_is_refused():
+    lab = Lab()
+    lab.target[0, 1] += 0.6
+    lab.arm()
+    output = lab.tick()
+    assert (output.mode, output.stopped_by) == (Mode.STOPPED, Fault.TARGET_FAR)
+
+
+def test_an_arm_that_is_held_fast_stops_fingers_do_not():
+    lab = Lab().started()
+    lab.is_held_fast[6:] = True
+    lab.target[0, 6:] += 0.5
+    assert lab.run(0.4).mode == Mode.RUN
+    lab.is_held_fast[1] = True
+    lab.target[0, 1] += 0.3
+    lab.run(0.5)
+    assert lab.outputs[-1].stopped_by == Fault.TRACKING_ERROR
+
+
+def test_a_command_stays_near_its_joint():
+    """However far the target, the joints' own speeds are those that training allows."""
+    lab = Lab().started()
+    lab.target[0, 0] -= 1.0
+    speeds, leads = [], []
+    for _ in range(100):
+        before = lab.joint_pos[0, 0]
+        output = lab.tick()
+        speeds.append(abs(lab.joint_pos[0, 0] - before) / LIMITS.dt)
+        leads.append(abs(output.command[0, 0] - before))
+    assert any(output.clamped & Clamp.LEAD for output in lab.outputs)
+    assert max(leads) <= LIMITS.joints.lead[0] + 1e-9
+    assert 2.4 < max(speeds) < JOINTS[0].velocity_limit
+
+
+def test_the_share_of_the_speed_slows_the_joints():
+    limits = replace(LIMITS, joints=JointLimits.of(JointDynamics.nominal(), 0.5))
+    lab = Lab(limits=limits).started()
+    lab.target[0, 0] -= 1.0
+    speeds = []
+    for _ in range(100):
+        before = lab.joint_pos[0, 0]
+        lab.tick()
+        speeds.append(abs(lab.joint_pos[0, 0] - before) / LIMITS.dt)
+    assert 1.2 < max(speeds) < 0.5 * JOINTS[0].velocity_limit
+
+
+def test_the_table_holds_back_only_what_leads_into_it():
+    """The elbow bent down to the table stays above it, pan and fingers go on, and it may go up again."""
+    lab = Lab().started()
+    lab.target[0, [0, 2, 8]] = HOME[0] + 0.2, HOME[2] + 0.8, 1.0
+    output = lab.run(0.6)
+    assert output.mode == Mode.RUN
+    assert output.clamped & Clamp.WORKSPACE
+    np.testing.assert_allclose(output.command[0, [0, 8]], lab.target[0, [0, 8]], atol=1e-6)
+    assert 0.6 < output.command[0, 2] - HOME[2] < 0.75
+    lab.target[0, 2] = HOME[2]
+    np.testing.assert_allclose(lab.run(0.6).command[0, 2], HOME[2], atol=1e-9)
+
+
+def test_targets_out_of_limits_are_clipped_and_said():
+    lab = Lab().started()
+    lab.target[0, -1] = 9.0
+    output = lab.run(0.5)
+    assert output.clamped & Clamp.POSITION
+    assert output.command[0, -1] == pytest.approx(JOINTS[-1].upper, abs=1e-9)
+
+
+def test_rows_do_not_know_of_each_other():
+    """Of three robots, one is stopped; the others do as one alone."""
+    alone, three = Lab(1).started(), Lab(3).started()
+    for lab in (alone, three):
+        lab.target[:, 1] += 0.1
+    three.tick(given(is_stop_requested=np.arange(3) == 1))
+    alone.tick()
+    for _ in range(50):
+        one, several = alone.tick(), three.tick()
+        assert several.mode.tolist() == [Mode.RUN, Mode.STOPPED, Mode.RUN]
+        np.testing.assert_array_equal(several.command[[0, 2]], np.repeat(one.command, 2, axis=0))

@@ -1,0 +1,87 @@
+"""Nothing out of limits is ever commanded, whatever policy, robot, network and operator do."""
+
+from copy import deepcopy
+from functools import cache
+
+import numpy as np
+import pytest
+from chaos import Chaos
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from laws import Laws
+from mishaps import MISHAPS, one
+from servo_rows import LIMITS, Lab
+
+from pixel2catch.deployment.servo_core import ServoCore
+from pixel2catch.deployment.servo_state import Clamp, Mode, ServoState
+from pixel2catch.deployment.watchdog import Fault
+from pixel2catch.robot.constants import JOINTS
+
+
+def watched(num_rows: int, num_ticks: int, seed: int) -> Laws:
+    """What was seen in `num_rows * num_ticks` ticks of chaos."""
+    core, state = ServoCore(LIMITS), ServoState.idle(num_rows, len(JOINTS))
+    chaos, laws = Chaos(num_rows, LIMITS, seed), Laws(num_rows, LIMITS)
+    for _ in range(num_ticks):
+        inputs = chaos.inputs()
+        state, output = core.tick(state, inputs)
+        laws.check(inputs, output)
+        chaos.follow(output.command)
+    return laws
+
+
+def check_that_everything_happened(laws: Laws) -> None:
+    assert laws.ticks_in.min() > 100, laws.ticks_in
+    assert laws.ticks_in[Mode.RUN] > 0.1 * laws.ticks_in.sum(), laws.ticks_in
+    assert laws.num_clamps == sum(Clamp)
+    never_stops = {Fault.START_POSE, Fault.WORKSPACE, Fault.STILL_STOPPING}
+    assert {fault for fault, number in laws.stops_by.items() if number == 0} == never_stops
+    assert all(laws.refusals_by[fault] for fault in never_stops)
+
+
+def watch(lab: Lab, laws: Laws, num_ticks: int, mishap: int | None = None) -> None:
+    for _ in range(num_ticks):
+        output = lab.tick(None if mishap is None else one(mishap))
+        laws.check(lab.told, output)
+
+
+@cache
+def running() -> tuple[Lab, Laws]:
+    lab, laws = Lab(), Laws(1, LIMITS)
+    watch(lab, laws, 1)
+    output = lab.ask()
+    laws.check(lab.told, output)
+    watch(lab, laws, 80)
+    return lab, laws
+
+
+@settings(max_examples=8)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([None, *range(len(MISHAPS))]),
+            st.lists(st.floats(), min_size=len(JOINTS), max_size=len(JOINTS)),
+            st.integers(1, 20),
+        ),
+        max_size=4,
+    )
+)
+def test_no_law_is_broken_by_any_story(story: list[tuple[int | None, list[float], int]]):
+    """Chapters of some ticks, each with its own targets and a mishap or none; then the operator goes on."""
+    lab, laws = deepcopy(running())
+    for mishap, target, num_ticks in story:
+        lab.target = np.array([target])
+        watch(lab, laws, num_ticks, mishap)
+    lab.target = lab.joint_pos.copy()
+    watch(lab, laws, 170)
+    assert lab.ask().mode in (Mode.ARMED, Mode.RUN)
+
+
+def test_no_law_is_broken_in_two_hundred_thousand_ticks():
+    check_that_everything_happened(watched(num_rows=500, num_ticks=400, seed=0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_law_is_broken_in_two_million_ticks(seed: int):
+    check_that_everything_happened(watched(num_rows=1000, num_ticks=1000, seed=seed))

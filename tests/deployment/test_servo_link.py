@@ -1,0 +1,108 @@
+"""The link between brain and servo: whole packets, no waiting, and an end that is seen."""
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from pixel2catch.deployment.servo_link import BrainEnd, Decision, Orders, ServoEnd, link
+from pixel2catch.robot.constants import JOINTS
+
+NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))
+
+
+def orders(stamp: float = 1.0) -> Orders:
+    return Orders(joint_pos_target=NUMBERS, target_stamp=stamp, image_stamp=0.5, is_stop_requested=True)
+
+
+def decision(time: float = 1.0) -> Decision:
+    return Decision(
+        time=time,
+        mode=3,
+        stopped_by=4,
+        found=1 << 15,
+        refused=6,
+        clamped=7,
+        command=np.full(len(JOINTS), np.nan),
+        joint_pos=NUMBERS,
+        duration=5e-4,
+        target_stamp=time - 0.01,
+        image_stamp=time - 0.02,
+    )
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[BrainEnd, ServoEnd]]:
+    brain, servo = link()
+    with closing(brain), closing(servo):
+        yield brain, servo
+
+
+def test_orders_and_decisions_arrive_as_they_were_sent(ends: tuple[BrainEnd, ServoEnd]):
+    brain, servo = ends
+    brain.send(orders())
+    servo.send(decision())
+    (ordered,), (decided,) = servo.receive(), brain.receive()
+    for sent, received in ((orders(), ordered), (decision(), decided)):
+        for name, value in vars(sent).items():
+            np.testing.assert_array_equal(getattr(received, name), value)
+    assert not servo.receive()
+    assert not servo.is_closed
+
+
+def test_what_nobody_takes_is_dropped_and_counted(ends: tuple[BrainEnd, ServoEnd]):
+    """At least 0.3 s of ticks fit; then the newest are lost, whole, and at once."""
+    brain, servo = ends
+    begun = perf_counter()
+    for tick in range(5000):
+        servo.send(decision(float(tick)))
+    assert perf_counter() - begun < 1.0
+    received = brain.receive()
+    assert [each.time for each in received] == [float(tick) for tick in range(len(received))]
+    assert len(received) > 150
+    assert servo.num_dropped == 5000 - len(received)
+    servo.send(decision(9.0))
+    assert brain.receive()[0].time == 9.0
+
+
+def test_what_was_sent_before_the_end_is_received_and_then_the_end(ends: tuple[BrainEnd, ServoEnd]):
+    brain, servo = ends
+    brain.send(orders())
+    brain.close()
+    assert len(servo.receive()) == 1
+    assert servo.is_closed
+    servo.send(decision())
+    assert servo.num_dropped == 1
+
+
+def answer(end: ServoEnd) -> None:
+    """A process that repeats what it is told, until it is killed."""
+    while True:
+        for order in end.receive():
+            end.send(decision(order.target_stamp))
+        time.sleep(0.001)
+
+
+@pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGKILL])
+def test_a_process_that_is_killed_is_seen_to_be_gone(stop: signal.Signals, ends: tuple[BrainEnd, ServoEnd]):
+    brain, servo = ends
+    process = multiprocessing.get_context("spawn").Process(target=answer, args=(servo,), daemon=True)
+    process.start()
+    servo.close()
+    brain.send(orders(7.0))
+    received = []
+    while not received:
+        received = brain.receive()
+        time.sleep(0.001)
+    assert received[0].time == 7.0
+    assert process.pid is not None
+    os.kill(process.pid, stop)
+    process.join()
+    assert not brain.receive()
+    assert brain.is_closed

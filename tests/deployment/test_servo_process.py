@@ -1,0 +1,245 @@
+"""The servo against a laboratory on the wire: every layout, every fault, every end."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from servo_rows import HOME, LIMITS
+from servo_stage import Cut, Stage, wait
+from wire_lab import frozen, shuffled, twice, with_nan, without_elbow
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.limits import STOP_TIME
+from pixel2catch.deployment.profile import Profile, StatusTopics
+from pixel2catch.deployment.servo_link import BrainEnd, ServoEnd, link
+from pixel2catch.deployment.servo_state import Mode
+from pixel2catch.deployment.watchdog import reasons
+
+PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
+STOP_TICKS = round(STOP_TIME / LIMITS.dt)
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[BrainEnd, ServoEnd]]:
+    brain, servo = link()
+    with closing(brain), closing(servo):
+        yield brain, servo
+
+
+@pytest.fixture
+def stage(ends: tuple[BrainEnd, ServoEnd]) -> Stage:
+    return Stage(Profile.load("ur5e_allegro_v4"), ends)
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_arm_and_hand_go_where_the_policy_wants(name: str, ends: tuple[BrainEnd, ServoEnd]):
+    """Over all drivers' layouts, with joint states in any order, and nothing sent while idle."""
+    stage = Stage(Profile.load(name), ends)
+    lab = stage.lab
+    lab.change = shuffled
+
+    def script() -> Iterator[None]:
+        yield from wait(5)
+        assert not any(lab.commands.values())
+        yield from stage.armed(60)
+        lab.target = HOME + np.where(np.arange(len(HOME)) < 6, 0.02, 0.1)
+        yield from wait(150)
+
+    stage.play(script())
+    assert stage.modes == [Mode.IDLE, Mode.ARMED, Mode.RAMP, Mode.RUN, Mode.STOPPED]
+    assert stage.stopped_by == ("stop request",)
+    target = lab.target.clip(LIMITS.joints.lower, LIMITS.joints.upper)
+    np.testing.assert_allclose(lab.joint_pos, target, atol=0.01)
+
+
+def test_each_driver_gets_whole_commands_at_its_rate(stage: Stage):
+    """The arm in every tick, the hand five times less often; joints that are none of ours stand still."""
+    lab = stage.lab
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(50)
+        lab.step()
+        sent = [len(commands) for commands in lab.commands.values()]
+        assert sent[0] >= 50
+        assert sent[1] == -(-sent[0] // 5)
+        raise Cut
+
+    stage.play(script())
+    hand = stage.lab.profile.robots[1]
+    for place, angle in hand.held.items():
+        assert {command[place] for command in lab.commands["hand"]} == {angle}
+    assert {len(command) for command in lab.commands["arm"]} == {6}
+    np.testing.assert_allclose(lab.commands["arm"][0], HOME[:6], atol=1e-12)
+
+
+def silence(*names: str) -> Callable[[Stage], None]:
+    """Somebody says nothing more."""
+    return lambda stage: stage.lab.silent.update(names)
+
+
+def joints(change: Callable[[messages.JointReading], messages.JointReading]) -> Callable[[Stage], None]:
+    """Joint states are otherwise from now on."""
+    return lambda stage: setattr(stage.lab, "change", change)
+
+
+def says(name: str, data: bytes) -> Callable[[Stage], None]:
+    """The driver or the operator says something."""
+
+    def say(stage: Stage) -> None:
+        profile = stage.lab.profile
+        owner = profile.operator if hasattr(profile.operator, name) else profile.status
+        stage.lab.say(getattr(owner, name), data)
+
+    return say
+
+
+def slowed(stage: Stage) -> None:
+    stage.lab.speed = 50.0
+
+
+def released(stage: Stage) -> None:
+    stage.lab.is_held = False
+
+
+def blinded(stage: Stage) -> None:
+    stage.lab.image_age = 0.2
+
+
+def rivalled(stage: Stage) -> None:
+    stage.broker.node(stage.clock).publisher(stage.lab.profile.robots[0].command_topic)
+
+
+def garbled(stage: Stage) -> None:
+    """Bytes that are no joint state, and one with fewer positions than names."""
+    topic, lab = stage.lab.profile.robots[0].state_topic, stage.lab
+    lab.say(topic, b"\x00\x01\x00\x00garbage")
+    lab.say(topic, messages.joint_state(["elbow_joint", "wrist_1_joint"], [1.0], 1.0))
+    lab.silent.add("arm")
+
+
+FAULTS = {
+    "arm gone": (silence("arm"), "joints stale"),
+    "hand gone": (silence("hand"), "joints stale"),
+    "joint missing": (joints(without_elbow), "joints stale"),
+    "joint states frozen": (joints(frozen), "joints stale"),
+    "joint states garbled": (garbled, "joints stale"),
+    "joint twice": (joints(twice), "joints stale"),
+    "joint not a number": (joints(with_nan), "joints not finite"),
+    "protective stop": (says("safety_mode", messages.safety_mode(3)), "safety mode"),
+    "reduced mode": (says("safety_mode", messages.safety_mode(2)), "safety mode"),
+    "robot idle": (says("robot_mode", messages.robot_mode(5)), "safety mode"),
+    "program stopped": (says("program_running", messages.boolean(False)), "safety mode"),
+    "speed slider": (slowed, "speed scaling"),
+    "rival": (rivalled, "other publisher"),
+    "dead man let go": (released, "dead man"),
+    "dead man silent": (silence("/pixel2catch/dead_man"), "dead man"),
+    "operator stops": (says("stop", messages.boolean(True)), "stop request"),
+}
+"""What goes wrong, and the one reason that is given."""
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_goes_wrong_on_the_wire_stops_the_robot_by_name(fault: str, stage: Stage):
+    happens, reason = FAULTS[fault]
+
+    def script() -> Iterator[None]:
+        yield from stage.armed()
+        happens(stage)
+        for _ in range(130):
+            yield
+            if stage.mode == Mode.STOPPED:
+                raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == (reason,)
+
+
+@pytest.mark.parametrize(("happens", "reason"), [(silence("brain"), "policy late"), (blinded, "image stale")])
+def test_a_brain_that_lags_stops_the_robot_that_runs(
+    happens: Callable[[Stage], None], reason: str, stage: Stage
+):
+    def script() -> Iterator[None]:
+        yield from stage.armed(10)
+        happens(stage)
+        for _ in range(60):
+            yield
+            if stage.mode == Mode.STOPPED:
+                raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by[-1] == reason
+
+
+@pytest.mark.parametrize("topic", ["safety_mode", "robot_mode", "program_running", "speed_scaling"])
+def test_a_driver_that_says_nothing_of_itself_is_not_armed(topic: str, stage: Stage):
+    stage.lab.silent.add(getattr(stage.lab.profile.status, topic).name)
+
+    def script() -> Iterator[None]:
+        yield from wait(11)
+        stage.lab.ask_to_arm()
+        yield from wait(5)
+
+    stage.play(script())
+    reason = "speed scaling" if topic == "speed_scaling" else "safety mode"
+    assert {reasons(each.refused) for each in stage.lab.decisions} == {(), (reason,)}
+    assert stage.modes == [Mode.IDLE]
+
+
+def test_status_that_the_profile_does_not_name_is_not_watched(ends: tuple[BrainEnd, ServoEnd]):
+    profile = replace(Profile.load("ur5e_allegro_v4"), status=StatusTopics())
+    stage = Stage(profile, ends)
+    stage.play(stage.armed())
+
+
+def test_a_brain_that_is_gone_stops_the_robot_and_ends_the_servo(stage: Stage):
+    def script() -> Iterator[None]:
+        yield from stage.armed(60)
+        stage.lab.target = HOME + 0.1
+        yield from wait(30)
+        stage.lab.silent.add("brain")
+        stage.lab.brain.close()
+        while True:
+            yield
+
+    commands = stage.lab.commands["arm"]
+    stage.play(script())
+    assert len(commands) > STOP_TICKS
+    changes = np.abs(np.diff(commands, axis=0)).max(axis=-1)
+    assert changes.max() > 1e-4
+    assert not changes[-3:].any()
+
+
+def test_what_nobody_foresaw_is_raised_after_the_robot_stands(stage: Stage, monkeypatch: pytest.MonkeyPatch):
+    def fail(*_: object, **__: object) -> int:
+        raise RuntimeError("the network card melted")
+
+    def script() -> Iterator[None]:
+        yield from stage.armed()
+        monkeypatch.setattr(stage.broker, "num_publishers", fail)
+        while True:
+            yield
+
+    with pytest.raises(RuntimeError, match="melted"):
+        stage.play(script())
+    assert stage.modes[-1] == Mode.STOPPED
+    assert len(stage.lab.commands["arm"]) > STOP_TICKS
+
+
+def test_a_dry_run_sends_nothing_and_runs(ends: tuple[BrainEnd, ServoEnd]):
+    """The robot stands still, and the servo says what it would have sent."""
+    stage = Stage(Profile.load("ur5e_allegro_v4"), ends, is_dry_run=True)
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(60)
+        stage.lab.target = HOME + 0.2
+        yield from wait(60)
+        assert stage.mode == Mode.RUN
+        raise Cut
+
+    stage.play(script())
+    assert not any(stage.lab.commands.values())
+    watcher = stage.broker.node(stage.clock)
+    assert not any(watcher.num_other_publishers(part.command_topic) for part in stage.lab.profile.robots)
+    assert stage.lab.decisions[-1].command[0] > HOME[0] + 0.1

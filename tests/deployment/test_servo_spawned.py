@@ -1,0 +1,112 @@
+"""The servo as the process that it is, over DDS, against a laboratory in this process."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+import pytest
+from networks import own_domain
+from servo_rows import HOME, LIMITS
+from wire_lab import WireLab
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.limits import STOP_TIME
+from pixel2catch.deployment.network import make_transport
+from pixel2catch.deployment.profile import Profile
+from pixel2catch.deployment.servo_process import RunningServo, ServoSetup, start_servo
+from pixel2catch.deployment.servo_state import Mode
+from pixel2catch.deployment.transport import Transport
+from pixel2catch.deployment.watchdog import reasons
+
+RATE = 0.2
+"""Rate of the clock: what is late on a machine that is busy with tests is not late by this one."""
+
+
+class Theatre:
+    """A servo process and a laboratory that steps in real time."""
+
+    def __init__(self, servo: RunningServo, lab: WireLab) -> None:
+        self.servo, self.lab = servo, lab
+
+    def until(self, holds: Callable[[], bool], seconds: float = 60.0) -> None:
+        """Let time pass until something holds."""
+        begun, due = time.monotonic(), self.lab.clock.now()
+        while not holds():
+            assert time.monotonic() - begun < seconds, self.story
+            self.lab.step()
+            due = max(due + LIMITS.dt, self.lab.clock.now())
+            self.lab.clock.sleep_until(due)
+
+    def is_in(self, mode: Mode) -> bool:
+        decisions = self.lab.decisions
+        return bool(decisions) and decisions[-1].mode == mode
+
+    def run(self) -> None:
+        """Everybody is heard of, the operator arms, and the arm is in motion."""
+        self.until(lambda: bool(self.lab.decisions) and self.lab.decisions[-1].found == 0)
+        self.lab.ask_to_arm()
+        self.until(lambda: self.is_in(Mode.RUN))
+        self.lab.target = HOME + 0.1
+        self.until(lambda: self.lab.joint_pos[0] > HOME[0] + 0.03)
+
+    @property
+    def story(self) -> list[str]:
+        """What was found last, for the message of a test that fails."""
+        return [str((each.mode, *reasons(each.found | each.stopped_by))) for each in self.lab.decisions[-5:]]
+
+
+@pytest.fixture
+def theatre(monkeypatch: pytest.MonkeyPatch) -> Iterator[Theatre]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    profile, clock = Profile.load("ur5e_allegro_v4"), Clock(RATE)
+    setup = ServoSetup(profile=profile, make_transport=partial(join, "servo"), limits=LIMITS, clock_rate=RATE)
+    with start_servo(setup) as servo, join("laboratory", clock) as transport:
+        yield Theatre(servo, WireLab(transport, servo.link, profile, clock))
+
+
+def join(name: str, clock: Clock) -> Transport:
+    return make_transport("dds", name, loopback=True, clock=clock)
+
+
+def leave(theatre: Theatre) -> None:
+    theatre.lab.silent.add("brain")
+    theatre.servo.link.close()
+
+
+def terminate(theatre: Theatre) -> None:
+    theatre.servo.process.terminate()
+
+
+@pytest.mark.parametrize("end", [leave, terminate])
+def test_however_it_ends_it_stops_the_robot_first(end: Callable[[Theatre], None], theatre: Theatre):
+    """Armed and run; Ctrl-C is not for it; the brain goes, or it is to terminate itself."""
+    process, lab = theatre.servo.process, theatre.lab
+    theatre.run()
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGINT)
+    theatre.until(lambda: lab.joint_pos[0] > HOME[0] + 0.06)
+    num_sent = len(lab.commands["arm"])
+    end(theatre)
+    theatre.until(lambda: not process.is_alive())
+    assert process.exitcode == 0
+    commands = np.array(lab.commands["arm"])
+    assert len(commands) - num_sent < 2.0 * STOP_TIME / LIMITS.dt
+    steps = np.abs(np.diff(commands, axis=0)).max(axis=-1)
+    assert steps[:num_sent].max() > 1e-4
+    assert not steps[-2:].any()
+
+
+def test_the_operator_stops_and_goes_on(theatre: Theatre):
+    theatre.run()
+    theatre.lab.say(theatre.lab.profile.operator.stop, messages.boolean(True))
+    theatre.until(lambda: theatre.is_in(Mode.STOPPED))
+    assert reasons(theatre.lab.decisions[-1].stopped_by) == ("stop request",)
+    theatre.lab.target = theatre.lab.joint_pos.copy()
+    begun = theatre.lab.clock.now()
+    theatre.until(lambda: theatre.lab.clock.now() > begun + 1.5 * STOP_TIME)
+    theatre.lab.ask_to_arm()
+    theatre.until(lambda: theatre.is_in(Mode.RUN))

@@ -1,0 +1,129 @@
+"""Where the robot may be, against MuJoCo's own kinematics and collisions."""
+
+from dataclasses import replace
+from math import pi, radians
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from pixel2catch.deployment.workspace import HAND_LOWER, HAND_UPPER, Workspace, link_frames
+from pixel2catch.robot.allegro import Handedness
+from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, JOINTS, TableSpec
+from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.robot.scene import SceneCfg, build_model
+
+LOWER, UPPER = np.array([(joint.lower, joint.upper) for joint in JOINTS]).T
+HOME = np.array([[joint.home for joint in ARM_JOINTS]])
+ELBOW_AND_WRIST = ("forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
+
+
+def model_of(handedness: Handedness) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    model = build_model(SceneCfg(handedness=handedness))
+    return model, mujoco.MjData(model)
+
+
+def put(model: mujoco.MjModel, data: mujoco.MjData, joint_pos: np.ndarray) -> None:
+    data.qpos[: len(joint_pos)] = joint_pos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_collision(model, data)
+
+
+def half_extents(model: mujoco.MjModel, data: mujoco.MjData, geom: int, axes: np.ndarray) -> np.ndarray:
+    """Half-extents of a capsule or a box along the columns of `axes` [m]."""
+    rotation, size = axes.T @ data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return np.abs(rotation[:, 2]) * size[1] + size[0]
+    return np.abs(rotation) @ size
+
+
+def test_the_last_frame_is_the_palm_of_training():
+    random = np.random.default_rng(0)
+    arm_pos = random.uniform(LOWER[:6], UPPER[:6], (50, 6))
+    palm_pos, _ = palm_pose(torch.from_numpy(arm_pos))
+    np.testing.assert_allclose(link_frames(arm_pos)[-1][:, :3, 3], palm_pos.numpy(), atol=1e-12)
+
+
+def test_the_frames_are_where_the_links_of_the_model_are():
+    model, data = model_of("left")
+    arm_pos = np.random.default_rng(1).uniform(LOWER[:6], UPPER[:6], (20, 6))
+    frames = link_frames(arm_pos)
+    for row, joints in enumerate(arm_pos):
+        put(model, data, joints)
+        for link, body in enumerate(ELBOW_AND_WRIST, start=1):
+            np.testing.assert_allclose(frames[link][row, :3, 3], data.body(body).xpos, atol=1e-9)
+
+
+@pytest.mark.parametrize("handedness", ["left", "right"])
+def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(handedness: Handedness):
+    model, data = model_of(handedness)
+    parts = ("wrist_3", "palm", *FINGERS)
+    geoms = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name.startswith(parts)]
+    random = np.random.default_rng(2)
+    for number in range(400):
+        pose = random.uniform(LOWER, UPPER)
+        ends = np.where(random.random(len(JOINTS)) < 0.5, LOWER, UPPER)
+        put(model, data, ends if number % 2 else pose)
+        axes, origin = data.body("palm").xmat.reshape(3, 3), data.body("palm").xpos
+        for geom in geoms:
+            middle = axes.T @ (data.geom_xpos[geom] - origin)
+            half = half_extents(model, data, geom, axes)
+            assert (middle - half >= HAND_LOWER).all()
+            assert (middle + half <= HAND_UPPER).all()
+
+
+def test_no_pose_inside_touches_the_table():
+    """Poses about the table's height, by MuJoCo's collisions; some of those outside do touch it."""
+    model, data = model_of("left")
+    table = model.geom("table").id
+    random = np.random.default_rng(3)
+    lower, upper = np.array(LOWER), np.array(UPPER)
+    lower[[1, 2, 3]], upper[[1, 2, 3]] = (-pi, 0.5, 2.1), (0.2, 2.9, 5.0)
+    workspace = Workspace(lower=(-2.0, -2.0, -2.0), upper=(2.0, 2.0, 2.0))
+    num_inside = num_touching = 0
+    for pose in random.uniform(lower, upper, (2000, len(JOINTS))):
+        put(model, data, pose)
+        is_inside = bool(workspace.contains(pose[None, :6])[0])
+        is_touching = any(table in contact.geom and _moves(model, contact) for contact in data.contact)
+        num_inside, num_touching = num_inside + is_inside, num_touching + is_touching
+        assert not (is_inside and is_touching), pose
+    assert num_inside > 200
+    assert num_touching > 200
+
+
+def _moves(model: mujoco.MjModel, contact: mujoco.MjContact) -> bool:
+    names = {model.body(model.geom_bodyid[geom]).name for geom in contact.geom}
+    return not names & {"base_link", "shoulder_link", "object"}
+
+
+def test_walls_by_hand():
+    """At the start pose the palm is at (0.434, 0.133, 1.391); a wall beyond it is one too near."""
+    assert Workspace().contains(HOME).all()
+    lower, upper = (-2.0, -2.0, -2.0), (2.0, 2.0, 2.0)
+    assert Workspace(lower=lower, upper=upper).contains(HOME).all()
+    for axis, palm in enumerate((0.434, 0.133, 1.391)):
+        assert not Workspace(lower=_with(lower, axis, palm), upper=upper).contains(HOME).any()
+        assert not Workspace(lower=lower, upper=_with(upper, axis, palm)).contains(HOME).any()
+
+
+@pytest.mark.parametrize(("height", "is_inside"), [(1.23, True), (1.36, False)])
+def test_a_table_under_the_elbow_by_hand(height: float, is_inside: bool):
+    """At the start pose the elbow is at (-0.131, 0, 1.388), with tubes of up to 5.5 cm about it."""
+    table = TableSpec(center=(-0.131, 0.0, height), size=(0.02, 0.02), thickness=0.04)
+    assert Workspace(table=table).contains(HOME).all() == is_inside
+
+
+def test_the_side_of_the_table_is_one():
+    """Beside the table the hand may be lower than its top, over it not."""
+    low = np.array([[pi, radians(-20.0), radians(60.0), pi, -pi / 2, pi]])
+    workspace = Workspace(lower=(-2.0, -2.0, -2.0))
+    assert workspace.contains(low).all()
+    wider = replace(workspace.table, size=(3.0, 3.0))
+    assert not replace(workspace, table=wider).contains(low).any()
+
+
+def _with(corner: tuple[float, float, float], axis: int, value: float) -> tuple[float, float, float]:
+    values = [*corner]
+    values[axis] = value
+    return (values[0], values[1], values[2])
