@@ -5,7 +5,7 @@ import pytest
 import torch
 from loop_lab import BOX, HOME, PROFILE, brain, picture
 
-from pixel2catch.deployment.controller import Controller, Reading
+from pixel2catch.deployment.controller import Controller
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.finder import CameraFrame
 from pixel2catch.perception.gate import Verdict
@@ -42,14 +42,7 @@ def test_orders_are_the_controllers_for_what_was_seen():
         now = 1.0 + step * CONTROL_DT
         orders = thinking.think(frame(now - 0.01, 4.0 * step), HOME, now).orders
         assert orders is not None
-        reading = Reading(
-            joint_pos=joint_pos,
-            box=torch.tensor([moved(4.0 * step)]),
-            stamp=now,
-            joint_stamp=now,
-            image_stamp=now - 0.01,
-        )
-        expected = controller.step(reading).joint_pos_target[0].numpy()
+        expected = controller.step(joint_pos, torch.tensor([moved(4.0 * step)]))[0].numpy()
         assert orders.joint_pos_target == pytest.approx(expected, abs=1e-6)
         assert (orders.target_stamp, orders.image_stamp) == (now, now - 0.01)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pixel2catch.deployment.controller import Controller, Reading
+from pixel2catch.deployment.controller import Controller
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.step import Step
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
@@ -17,7 +17,7 @@ from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.constants import CONTROL_DT, JOINTS, RGB_CAMERA
+from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 
 STEADY_ACTIONS = RandomizationCfg(
     arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
@@ -28,6 +28,7 @@ NUM_EPISODES = 2
 HEIGHT = len(JOINTS) + 2
 SEEN_BY_CAMERA = ("proposed", "only_wh", "only_center", "single_agent", "shared_reward", "journal")
 HOME = torch.tensor([[joint.home for joint in JOINTS]])
+BOX = torch.tensor([[310.0, 200.0, 330.0, 225.0]])
 
 
 def policy_of(method: str) -> Policy:
@@ -41,23 +42,6 @@ def policy_of(method: str) -> Policy:
         for network in (policy.network(name) for name in policy.contract.agents):
             network.get_parameter("network.6.weight").mul_(20.0)
     return policy
-
-
-def reading(measurement: Measurement, stamp: float = 0.0) -> Reading:
-    return Reading(
-        joint_pos=measurement.joint_pos,
-        box=measurement.box,
-        stamp=stamp,
-        joint_stamp=stamp - 0.002,
-        image_stamp=stamp - 0.05,
-    )
-
-
-def at_home(stamp: float = 0.0, **change: torch.Tensor) -> Reading:
-    box = torch.tensor([[310.0, 200.0, 330.0, 225.0]])
-    return replace(
-        Reading(joint_pos=HOME, box=box, stamp=stamp, joint_stamp=stamp, image_stamp=stamp), **change
-    )
 
 
 def steps(env: CatchEnv, policy: Policy) -> Iterator[Step]:
@@ -80,54 +64,51 @@ def test_targets_are_those_of_the_environment_bit_for_bit(method: str):
     for step in steps(env, policy):
         if given is not None:
             num_steps += 1
-            assert torch.equal(given.joint_pos_target, step.joint_pos_target), f"at step {num_steps}"
+            assert torch.equal(given, step.joint_pos_target), f"at step {num_steps}"
         if step.terminated.all():
             num_ended += 1
             controller.reset(step.measurement.joint_pos_target.clone())
         if num_ended > NUM_EPISODES:
             break
-        given = controller.step(reading(clone(step.measurement), num_steps * CONTROL_DT))
+        sensed = clone(step.measurement)
+        given = controller.step(sensed.joint_pos, sensed.box)
     env.close()
     assert num_steps > 20 * NUM_EPISODES
+
+
+def measured(controller: Controller) -> Measurement:
+    assert controller.measurement is not None
+    return controller.measurement
 
 
 def test_a_throw_begins_as_an_episode():
     """The history is the first reading, the last action none; nothing of the throw before is left."""
     controller = Controller(policy_of("journal"), "left")
-    first = controller.step(at_home())
-    assert torch.equal(first.measurement.joint_pos_target, HOME)
-    assert not first.measurement.action.any()
-    second = controller.step(at_home(CONTROL_DT))
-    assert second.measurement.action.any()
-    assert torch.equal(second.measurement.joint_pos_target, first.joint_pos_target)
+    first = controller.step(HOME, BOX)
+    assert torch.equal(measured(controller).joint_pos_target, HOME)
+    assert not measured(controller).action.any()
+    controller.step(HOME, BOX)
+    assert measured(controller).action.any()
+    assert torch.equal(measured(controller).joint_pos_target, first)
     controller.reset()
-    assert torch.equal(controller.step(at_home(9.0)).joint_pos_target, first.joint_pos_target)
-
-
-def test_ages_and_skipped_steps_are_told():
-    controller = Controller(policy_of("proposed"), "left")
-    stamps = [0.0, 1.1 * CONTROL_DT, 1.9 * CONTROL_DT, 4.9 * CONTROL_DT]
-    measurement = Controller(policy_of("proposed"), "left").step(at_home()).measurement
-    given = [controller.step(reading(measurement, stamp)) for stamp in stamps]
-    assert [targets.num_skipped for targets in given] == [0, 0, 0, 2]
-    assert given[-1].joint_age == pytest.approx(0.002)
-    assert given[-1].image_age == pytest.approx(0.05)
+    assert controller.measurement is None
+    assert torch.equal(controller.step(HOME, BOX), first)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_refused_by_name_and_forgotten(bad: float):
     controller, twin = (Controller(policy_of("proposed"), "left") for _ in range(2))
-    controller.step(at_home())
-    twin.step(at_home())
+    controller.step(HOME, BOX)
+    twin.step(HOME, BOX)
     joint_pos = HOME.clone()
     joint_pos[0, 2] = bad
     with pytest.raises(NonFiniteError, match="elbow_joint"):
-        controller.step(at_home(CONTROL_DT, joint_pos=joint_pos))
+        controller.step(joint_pos, BOX)
     box = torch.tensor([[0.0, bad, 1.0, 1.0]])
     with pytest.raises(NonFiniteError, match="box"):
-        controller.step(at_home(CONTROL_DT, box=box))
-    given, expected = (each.step(at_home(CONTROL_DT)) for each in (controller, twin))
-    assert torch.equal(given.joint_pos_target, expected.joint_pos_target)
+        controller.step(HOME, box)
+    given, expected = (each.step(HOME, BOX) for each in (controller, twin))
+    assert torch.equal(given, expected)
 
 
 @pytest.mark.parametrize(
@@ -142,8 +123,8 @@ def test_the_camera_of_the_policy_is_that_of_the_laboratory():
     """A policy trained for a calibrated camera runs with that one, and with no other."""
     calibrated = replace(RGB_CAMERA, pos=(0.02, -0.01, 2.19))
     policy = Policy(contract_of(METHODS["proposed"], "left", calibrated)).eval()
-    given = Controller(policy, "left", calibrated).step(at_home())
-    assert given.joint_pos_target.isfinite().all()
+    given = Controller(policy, "left", calibrated).step(HOME, BOX)
+    assert given.isfinite().all()
     with pytest.raises(PolicyMismatchError, match=r"camera\.pos"):
         Controller(policy, "left")
 

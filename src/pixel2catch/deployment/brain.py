@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from pixel2catch.deployment.controller import Controller, Reading
+from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.motion import Joints
 from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.errors import NonFiniteError
@@ -66,17 +66,11 @@ class Brain:
         seen = self._extractor.step(frame, now)
         if frame is None or not seen.is_valid or np.isnan(joint_pos).any():
             return Thought(extraction=seen, orders=None, message=seen.message)
-        reading = Reading(
-            joint_pos=torch.tensor(joint_pos[None], dtype=torch.float32),
-            box=seen.box,
-            stamp=now,
-            joint_stamp=now,
-            image_stamp=now - seen.age,
-        )
         try:
-            targets = self._controller.step(reading)
+            target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), seen.box)
         except NonFiniteError as error:
             return Thought(extraction=seen, orders=None, message=str(error))
-        target = targets.joint_pos_target[0].double().numpy()
-        orders = Orders(joint_pos_target=target, target_stamp=now, image_stamp=frame.stamp)
+        orders = Orders(
+            joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=frame.stamp
+        )
         return Thought(extraction=seen, orders=orders, message=seen.message)

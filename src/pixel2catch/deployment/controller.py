@@ -1,4 +1,4 @@
-"""From a reading of the sensors to joint targets, once in every control step, as in training.
+"""From joint positions and the object's box to joint targets, once in every control step, as in training.
 
 Observation builder, policy and action map are the very ones of the environment.
 """
@@ -16,49 +16,8 @@ from pixel2catch.mdp.observations import Frame, observe, pixel_columns
 from pixel2catch.mdp.snapshot import History, Measurement
 from pixel2catch.methods import Method, find_method
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, JOINTS, RGB_CAMERA, CameraSpec
+from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.kinematics import palm_pose
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reading:
-    """What the sensors say at one control step; the stamps are of one monotonic clock.
-
-    Attributes:
-        joint_pos: Joint encoders in joint order [rad].
-        box: Newest box of the object: xmin, ymin, xmax, ymax [px].
-        stamp: Time of this control step [s].
-        joint_stamp: When the oldest of the joints was measured [s].
-        image_stamp: When the image of the box was taken [s].
-    """
-
-    joint_pos: Float[Tensor, "1 num_joints"]
-    box: Float[Tensor, "1 4"]
-    stamp: float
-    joint_stamp: float
-    image_stamp: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Targets:
-    """What the joints shall do until the next control step, and of what it was decided.
-
-    Attributes:
-        joint_pos_target: Where the joints shall be at its end [rad].
-        measurement: What the policy saw last.
-        stamp: Time of the control step [s].
-        joint_age: How old the joint positions were [s].
-        image_age: How old the image was [s].
-        num_skipped: Control steps that were left out since the step before; the policy takes what changed in
-            them for the change in one.
-    """
-
-    joint_pos_target: Float[Tensor, "1 num_joints"]
-    measurement: Measurement
-    stamp: float
-    joint_age: float
-    image_age: float
-    num_skipped: int
 
 
 @dataclass(frozen=True)
@@ -67,7 +26,7 @@ class _Past:
 
     history: History
     action: Float[Tensor, "1 num_joints"]
-    targets: Targets
+    joint_pos_target: Float[Tensor, "1 num_joints"]
 
 
 class Controller:
@@ -107,15 +66,28 @@ class Controller:
         """
         self._past, self._held = None, joint_pos_target
 
-    def step(self, reading: Reading) -> Targets:
+    @property
+    def measurement(self) -> Measurement | None:
+        """What the policy saw in the last step; none before the first."""
+        return None if self._past is None else self._past.history.now
+
+    def step(
+        self, joint_pos: Float[Tensor, "1 num_joints"], box: Float[Tensor, "1 4"]
+    ) -> Float[Tensor, "1 num_joints"]:
         """Decide on the next control step.
 
+        Args:
+            joint_pos: Joint encoders in joint order [rad].
+            box: Newest box of the object: xmin, ymin, xmax, ymax [px].
+
+        Returns:
+            Where the joints shall be at its end [rad].
+
         Raises:
-            NonFiniteError: The reading has a NaN or an infinity; nothing was remembered of it.
+            NonFiniteError: There is a NaN or an infinity; nothing is remembered of it.
         """
-        _refuse_non_finite(reading)
-        past = self._past
-        now = self._measure(reading.joint_pos, reading.box)
+        _refuse_non_finite(joint_pos, box)
+        past, now = self._past, self._measure(joint_pos, box)
         history = History(now, now, now)
         if past is not None:
             history = History(past.history.before, past.history.now, now)
@@ -125,16 +97,9 @@ class Controller:
         }
         actions = self._policy.act(observations)
         action = torch.cat([actions[agent.name] for agent in agents], dim=-1)
-        targets = Targets(
-            joint_pos_target=self._action_map.joint_pos_target(action, now.joint_pos),
-            measurement=now,
-            stamp=reading.stamp,
-            joint_age=reading.stamp - reading.joint_stamp,
-            image_age=reading.stamp - reading.image_stamp,
-            num_skipped=0 if past is None else _num_skipped(reading.stamp - past.targets.stamp),
-        )
-        self._past = _Past(history, action, targets)
-        return targets
+        target = self._action_map.joint_pos_target(action, now.joint_pos)
+        self._past = _Past(history, action, target)
+        return target
 
     def _measure(self, joint_pos: Float[Tensor, "1 num_joints"], box: Float[Tensor, "1 4"]) -> Measurement:
         """The measurement as the environment makes it; what only a tracker sees is not a number."""
@@ -146,7 +111,7 @@ class Controller:
             object_pos=_UNKNOWN,
             initial_object_pos=_UNKNOWN,
             joint_pos=joint_pos,
-            joint_pos_target=held if past is None else past.targets.joint_pos_target,
+            joint_pos_target=held if past is None else past.joint_pos_target,
             palm_pos=palm_pos,
             palm_quat=palm_quat,
             action=torch.zeros_like(joint_pos) if past is None else past.action,
@@ -168,19 +133,11 @@ def _refuse_trackers(method: Method, columns: tuple[int, ...], measurement: Meas
             )
 
 
-def _refuse_non_finite(reading: Reading) -> None:
-    bad = [
-        joint.name
-        for joint, is_good in zip(JOINTS, reading.joint_pos.isfinite()[0], strict=True)
-        if not is_good
-    ]
-    bad += [] if reading.box.isfinite().all() else ["the object's box"]
+def _refuse_non_finite(joint_pos: Float[Tensor, "1 num_joints"], box: Float[Tensor, "1 4"]) -> None:
+    is_good = joint_pos.isfinite()[0].tolist()
+    bad = [joint.name for joint, good in zip(JOINTS, is_good, strict=True) if not good]
+    bad += [] if box.isfinite().all() else ["the object's box"]
     if bad:
         raise NonFiniteError(
-            f"the reading at {reading.stamp:.3f} s has a NaN or an infinity for {', '.join(bad)}; "
-            "stop, and look at the driver that sent it."
+            f"a reading has a NaN or an infinity for {', '.join(bad)}; stop, and look at what sent it."
         )
-
-
-def _num_skipped(period: float) -> int:
-    return max(round(period / CONTROL_DT) - 1, 0)
