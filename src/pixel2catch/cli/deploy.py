@@ -55,6 +55,8 @@ class Deploy:
         with needs_extra("deployment"):
             from pixel2catch.deployment.deploying import Deployment
             from pixel2catch.deployment.eyes import Eyes
+            from pixel2catch.deployment.priority import BRAIN, set_niceness
+        set_niceness(BRAIN)
         self.sight.prepare()
         notes: list[str] = []
         camera, profile = self.sight.camera_spec(notes), self.link.load()

@@ -10,16 +10,20 @@ import tyro
 from pixel2catch.cli.bench import Bench
 from pixel2catch.cli.calibrate import Calibrate
 from pixel2catch.cli.catch import Catch
+from pixel2catch.cli.deploy import Deploy
 from pixel2catch.cli.doctor import Doctor
 from pixel2catch.cli.evaluate import Evaluate
 from pixel2catch.cli.excite import Excite
 from pixel2catch.cli.identify import Identify
 from pixel2catch.cli.play import Play
+from pixel2catch.cli.record import Record
+from pixel2catch.cli.rehearse import Rehearse
 from pixel2catch.cli.reproduce import Reproduce
 from pixel2catch.cli.scene import Scene
 from pixel2catch.cli.stress import Stress
 from pixel2catch.cli.track import Track
 from pixel2catch.cli.train import Train
+from pixel2catch.cli.twin import Twin
 from pixel2catch.errors import Pixel2CatchError
 
 COMMANDS = (
@@ -30,9 +34,13 @@ COMMANDS = (
     Play,
     Catch,
     Excite,
+    Record,
     Identify,
     Calibrate,
     Track,
+    Deploy,
+    Twin,
+    Rehearse,
     Scene,
     Bench,
     Doctor,

@@ -5,10 +5,9 @@ It ends on SIGTERM, or when the brain is gone, whatever ended it: first it stops
 
 import gc
 import multiprocessing
-import os
 import signal
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from math import ceil
 from multiprocessing.context import SpawnProcess
@@ -18,6 +17,7 @@ import numpy as np
 
 from pixel2catch.deployment.clock import Clock
 from pixel2catch.deployment.limits import STOP_TIME, ServoLimits
+from pixel2catch.deployment.priority import SERVO, be_real_time, set_niceness
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.deployment.servo_core import ServoCore
 from pixel2catch.deployment.servo_link import BrainEnd, Decision, Orders, ServoEnd, link
@@ -25,9 +25,6 @@ from pixel2catch.deployment.servo_senses import Senses
 from pixel2catch.deployment.servo_state import ServoState
 from pixel2catch.deployment.transport import Transport
 from pixel2catch.robot.constants import JOINTS
-
-PRIORITY = 10
-"""Priority among the processes of the machine, where it may be chosen. Source: ours."""
 
 PATIENCE = 10.0
 """Time in which a servo process ends after its link is closed [s], in real time. Source: ours."""
@@ -201,7 +198,8 @@ def start_servo(setup: ServoSetup) -> RunningServo:
 def run_servo(end: ServoEnd, setup: ServoSetup) -> None:
     """Be the servo process, until the link is closed or on SIGTERM or SIGHUP."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _be_punctual()
+    set_niceness(SERVO)
+    be_real_time()
     clock = Clock(setup.clock_rate)
     with setup.make_transport(clock) as transport:
         servo = Servo(end, transport, setup, clock)
@@ -211,11 +209,3 @@ def run_servo(end: ServoEnd, setup: ServoSetup) -> None:
         gc.freeze()
         gc.disable()
         servo.run()
-
-
-def _be_punctual() -> None:
-    """Come before other processes, if that is allowed here."""
-    with suppress(OSError):
-        os.nice(-PRIORITY)
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

@@ -142,17 +142,20 @@ class CatchWorld:
     def run(
         self,
         joint_pos_target: Float[Tensor, "num_envs num_joints"],
-        base_acceleration: Float[Tensor, "decimation num_envs 3"] | None = None,
+        base_acceleration: Float[Tensor, "num_steps num_envs 3"] | None = None,
+        num_steps: int | None = None,
     ) -> PhysicsLog:
         """Simulate one control step; the commands ramp linearly to the target (a first-order hold).
 
         Args:
             joint_pos_target: Where the joints shall be at its end [rad].
             base_acceleration: Acceleration of a base that shakes in the middle of each physics step [m/s²].
+            num_steps: Physics steps, if not those of a control step.
         """
-        increment = self._drives.increment(joint_pos_target, self._decimation)
+        num_steps = num_steps or self._decimation
+        increment = self._drives.increment(joint_pos_target, num_steps)
         log = None
-        for i in range(self._decimation):
+        for i in range(num_steps):
             if base_acceleration is not None:
                 self._push_object(-base_acceleration[i])
             self._drives.advance(increment)

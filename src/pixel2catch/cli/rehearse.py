@@ -1,0 +1,114 @@
+"""`pixel2catch rehearse`: the whole deployment against its digital twin, throw after throw."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from pixel2catch.twin.rehearsal import Outcome, RehearsalCfg
+
+REPORT, TWIN_LOG, DEPLOY_LOG = "report.json", "twin.txt", "deploy.txt"
+"""Files in the folder that it writes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rehearse:
+    """Start the twin and `deploy`, arm, throw, and report how often it was caught and how fast it was.
+
+    Both are processes of their own, which know of each other what is on the network (DDS, on this machine
+    only). Images are rendered; on two cores that takes a slower clock, such as --clock 0.5, for both.
+
+    Attributes:
+        policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
+        throws: How many throws.
+        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
+        seed: Of the first throw; the next has the next.
+        clock: Seconds of twin and deployment in a real second, at most 1.
+        dynamics: Dynamics file of the robot that the twin is. Default: the nominal robot.
+        domain: DDS domain (ROS_DOMAIN_ID), one that nobody else uses.
+        record: New folder for a rosbag2 (MCAP) of all that `deploy` saw, decided and commanded.
+        out: New or empty folder for report.json and what both processes print.
+        json: Print the report as one JSON object.
+    """
+
+    policy: Positional[str | None] = None
+    throws: int = 10
+    objects: tuple[str, ...] = ("seen",)
+    seed: int = 0
+    clock: float = 1.0
+    dynamics: Path | None = None
+    domain: int = 77
+    record: Path | None = None
+    out: Path = Path("rehearsal")
+    json: bool = False
+
+    def run(self) -> None:
+        """Rehearse, write the report and print it."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.errors import InvalidValueError
+        from pixel2catch.evaluation.rendering import find_gl_backend
+        from pixel2catch.files import require_free_folder, write_atomically
+
+        with needs_extra("deployment"):
+            from pixel2catch.deployment.clock import Clock
+            from pixel2catch.twin.rehearsal import rehearse
+        Clock(self.clock)  # refuses what is no rate
+        if self.throws < 1:
+            raise InvalidValueError(f"throws is {self.throws}; it must be 1 or more")
+        find_gl_backend()
+        require_free_folder(self.out)
+        self.out.mkdir(parents=True, exist_ok=True)
+        say(f"starting twin and deployment; clock {self.clock:g}")
+
+        def show(outcome: "Outcome") -> None:
+            say(f"throw {outcome.seed}: {in_words(outcome)}")
+
+        report = rehearse(self._cfg(), show)
+        write_atomically({self.out / REPORT: f"{json.dumps(report, indent=2)}\n".encode()})
+        print(json.dumps(report) if self.json else "\n".join(_lines(report)))
+        say(f"wrote {self.out}: {REPORT}, {TWIN_LOG}, {DEPLOY_LOG}")
+
+    def _cfg(self) -> "RehearsalCfg":
+        """What is rehearsed."""
+        from pixel2catch.twin.rehearsal import RehearsalCfg
+
+        twin = ["--objects", *self.objects]
+        twin += ["--policy", self.policy] if self.policy else []
+        twin += ["--dynamics", str(self.dynamics)] if self.dynamics else []
+        deploy = [self.policy] if self.policy else []
+        deploy += ["--record", str(self.record)] if self.record else []
+        return RehearsalCfg(
+            throws=self.throws,
+            seed=self.seed,
+            clock=self.clock,
+            domain=self.domain,
+            twin=tuple(twin),
+            deploy=tuple(deploy),
+            logs=self.out,
+        )
+
+
+def in_words(outcome: "Outcome") -> str:
+    """How a throw ended."""
+    ended = "caught" if outcome.is_success else "reached, not caught" if outcome.is_tracked else "missed"
+    words = [f"{outcome.object} {ended}" if outcome.object else "not thrown"]
+    words += [f"the robot stopped: {stop}" for stop in outcome.stops]
+    return "; ".join([*words, outcome.problem] if outcome.problem else words)
+
+
+def _lines(report: dict[str, Any]) -> Iterator[str]:
+    """The report in words."""
+    from pixel2catch.cli.deploy import lines
+
+    for name, short in (("tracking_rate", "T.R."), ("success_rate", "S.R.")):
+        low, high = report[f"{name}_interval"]
+        yield f"{short} {100 * report[name]:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+    yield f"{report['num_throws']} throws in {report['seconds']:.0f} s at clock {report['clock']:g}"
+    yield from (f"stopped by itself: {reason}: {count}" for reason, count in report["stops"].items())
+    yield from lines(report["deploy"])
+    yield "twin: " + ", ".join(f"{name} {value}" for name, value in report["twin"].items())

@@ -1,0 +1,70 @@
+"""`pixel2catch twin`: the lab on the wire, without a lab."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pixel2catch.twin.running import Pace
+    from pixel2catch.twin.wires import Wires
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twin:
+    """Be robot, hand, camera and thrower on this machine's DDS network, until interrupted.
+
+    `deploy` cannot tell it from the lab; topics are those of the profile ur5e_allegro_v4. An operator asks
+    for throws on /twin/command, and /twin/state says what is true. See docs/deployment.md.
+
+    Attributes:
+        policy: Policy whose hand and camera the twin has. Default: proposed.
+        dynamics: Dynamics file of the robot that is simulated. Default: the nominal robot.
+        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
+        clock: Seconds of the twin in a real second, at most 1; `deploy` must be given the same.
+        seed: Seed of the room and of all noise; a throw has a seed of its own.
+        web: Port of a page that shows the twin and has buttons to throw. Default: no page.
+        domain: DDS domain. Default: ROS_DOMAIN_ID, or 0.
+    """
+
+    policy: Path | None = None
+    dynamics: Path | None = None
+    objects: tuple[str, ...] = ("seen",)
+    clock: float = 1.0
+    seed: int = 0
+    web: int | None = None
+    domain: int | None = None
+
+    def run(self) -> None:
+        """Serve, and say what happens."""
+        import os
+        from dataclasses import replace
+
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.rl.interruption import StopRequest
+        from pixel2catch.robot.objects import select_objects
+
+        with needs_extra("twin"):
+            from pixel2catch.twin.running import TwinCfg, serve
+        prepare("cpu")
+        if self.domain is not None:
+            os.environ["ROS_DOMAIN_ID"] = str(self.domain)
+        policy, _ = load_policy(self.policy)
+        task = replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
+        cfg = TwinCfg(task=task, seed=self.seed, clock=self.clock, web=self.web)
+        last = ""
+
+        def report(wires: "Wires", pace: "Pace") -> bool:
+            nonlocal last
+            if (now := wires.summary()) != last:
+                say(f"{wires.time:7.1f} s  {now}")
+                last = now
+            return not stop.is_set
+
+        say(f"opening the lab; clock {self.clock:g}; Ctrl-C ends it")
+        with StopRequest() as stop:
+            pace = serve(cfg, report)
+        late = f"{pace.num_late:,} of them late, the worst by {1000 * pace.worst:.0f} ms"
+        say(f"{pace.num_cycles:,} cycles, {late}")

@@ -1,0 +1,158 @@
+"""What the drivers of arm and hand make of the commands that reach them.
+
+Not modelled: the UR's look-ahead between two commands (identified dynamics may have it as a filter), and the
+rest of its safety functions.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+CYCLE = 0.002
+"""Time in which both drivers read a command and publish the joints [s]. Source: UR driver, 500 Hz."""
+
+MAX_STEP = 20.0 * CYCLE
+"""Change of a joint's target in a cycle from which the UR ignores a command [rad]. Source: UR driver."""
+
+SILENCE = 0.04
+"""Time without a command after which the UR's program halts [s]. Source: UR driver (Jazzy).
+
+Differs: there it is the silence of the driver, whose forward position controller repeats the last command for
+ever. The twin takes the sender's silence in the middle of a motion for it, so that a gap in the commands is
+seen; a sender whose commands stand still may go.
+"""
+
+DECELERATION = 4.0
+"""Deceleration of a halt, and here of every stop [rad/s²]. Source: UR driver, its `stopj`."""
+
+NORMAL, PROTECTIVE_STOP = 1, 3
+"""Safety modes. Source: `ur_dashboard_msgs`."""
+
+RUNNING = 7
+"""Robot mode with the brakes released. Source: `ur_dashboard_msgs`."""
+
+Joints = Float[np.ndarray, " num_part_joints"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Joints of one part.
+
+    Attributes:
+        position: Where they are [rad].
+        velocity: How fast they are [rad/s].
+    """
+
+    position: Joints
+    velocity: Joints
+
+
+class Driver(ABC):
+    """The driver of one part of the robot.
+
+    Attributes:
+        num_ignored: Commands that it did not take.
+    """
+
+    num_ignored: int
+
+    @abstractmethod
+    def reset(self, position: Joints) -> None:
+        """Hold the joints where they have just been put [rad]."""
+
+    @abstractmethod
+    def cycle(self, command: Joints | None, joints: Motion) -> Joints:
+        """Return what the servos aim at until the next cycle [rad].
+
+        Args:
+            command: The newest command [rad], if one came since the last cycle.
+            joints: The joints now.
+        """
+
+
+class HandDriver(Driver):
+    """Takes every command that is numbers, and holds the last for ever."""
+
+    def __init__(self, position: Joints) -> None:
+        """Begin by holding the joints [rad]."""
+        self._target = position
+        self.num_ignored = 0
+
+    def reset(self, position: Joints) -> None:
+        """See `Driver.reset`."""
+        self._target = position
+
+    def cycle(self, command: Joints | None, joints: Motion) -> Joints:
+        """See `Driver.cycle`."""
+        if command is not None and np.isfinite(command).all():
+            self._target = command
+        elif command is not None:
+            self.num_ignored += 1
+        return self._target
+
+
+class ArmDriver(Driver):
+    """The UR's driver and its program on the robot, which ignores commands that ask for too large a step.
+
+    Attributes:
+        safety_mode: `NORMAL` or `PROTECTIVE_STOP`.
+        num_halts: How often the program halted.
+    """
+
+    def __init__(self, position: Joints, lag: Joints) -> None:
+        """Begin with a running program that has no command yet.
+
+        Args:
+            position: Where the joints are [rad].
+            lag: How far the joints are behind their target in a steady motion, per speed [s].
+        """
+        self._target, self._lag = position, lag
+        self._silence = 0.0
+        self._is_moving = False
+        self._braking: Motion | None = None
+        self.safety_mode, self.num_ignored, self.num_halts = NORMAL, 0, 0
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the program runs."""
+        return self._braking is None
+
+    def reset(self, position: Joints) -> None:
+        """See `Driver.reset`; the program runs again."""
+        self._target, self._braking, self.safety_mode = position, None, NORMAL
+        self._is_moving = False
+
+    def protective_stop(self) -> None:
+        """Stop as after a collision."""
+        self.safety_mode = PROTECTIVE_STOP
+
+    def cycle(self, command: Joints | None, joints: Motion) -> Joints:
+        """See `Driver.cycle`."""
+        self._silence = self._silence + CYCLE if command is None else 0.0
+        is_silent = self._is_moving and self._silence > SILENCE + 0.5 * CYCLE
+        if self.is_running and (is_silent or self.safety_mode != NORMAL):
+            self._braking = joints
+            self.num_halts += 1
+        if self._braking is not None:
+            self._braking = _braked(self._braking)
+            return self._braking.position + self._lag * self._braking.velocity
+        if command is not None:
+            self._follow(command)
+        return self._target
+
+    def _follow(self, command: Joints) -> None:
+        """Take a command for the target, if it is near enough."""
+        step = np.abs(command - self._target).max()
+        if step <= MAX_STEP:  # false for what is no number
+            self._target, self._is_moving = command, bool(step > 0.0)
+        else:
+            self.num_ignored += 1
+
+
+def _braked(motion: Motion) -> Motion:
+    """The motion a cycle later, at constant deceleration."""
+    speed = np.maximum(np.abs(motion.velocity) - DECELERATION * CYCLE, 0.0)
+    velocity = np.copysign(speed, motion.velocity)
+    return Motion(position=motion.position + 0.5 * CYCLE * (motion.velocity + velocity), velocity=velocity)

@@ -1,0 +1,91 @@
+"""What the drivers make of commands, by hand-worked numbers."""
+
+import numpy as np
+import pytest
+
+from pixel2catch.twin.drivers import NORMAL, PROTECTIVE_STOP, ArmDriver, HandDriver, Motion
+
+HOME = np.array((0.5, -1.0))
+AHEAD = np.array((0.039, -0.039))
+LAG = np.array((0.1, 0.2))
+REST = Motion(position=HOME, velocity=np.zeros(2))
+
+
+@pytest.fixture
+def arm() -> ArmDriver:
+    return ArmDriver(HOME, LAG)
+
+
+def test_the_last_command_is_held(arm: ArmDriver):
+    assert np.array_equal(arm.cycle(None, REST), HOME)
+    arm.cycle(HOME + 0.01, REST)
+    assert np.array_equal(arm.cycle(None, REST), HOME + 0.01)
+
+
+def test_a_step_beyond_20_rad_per_second_is_ignored_as_a_whole(arm: ArmDriver):
+    # 20 rad/s in 2 ms are 0.04 rad.
+    before = HOME + AHEAD
+    assert np.array_equal(arm.cycle(before, REST), before)
+    assert np.array_equal(arm.cycle(before + np.array((0.0, 0.041)), REST), before)
+    assert arm.num_ignored == 1
+    assert np.array_equal(arm.cycle(before - 0.01, REST), before - 0.01)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_no_number_moves_nothing(arm: ArmDriver, bad: float):
+    hand = HandDriver(HOME)
+    for driver in (arm, hand):
+        assert np.array_equal(driver.cycle(np.array((bad, -1.0)), REST), HOME)
+        assert driver.num_ignored == 1
+
+
+def test_a_sender_may_go_when_its_commands_stand_still(arm: ArmDriver):
+    for command in (None, HOME + 0.01, HOME + 0.01, HOME + 1.0):  # the last one is ignored
+        for _ in range(15 if command is None else 1):
+            arm.cycle(command, REST)
+    for _ in range(100):
+        arm.cycle(None, REST)
+    assert arm.is_running
+
+
+def test_a_silence_of_40_ms_in_a_motion_halts_the_program(arm: ArmDriver):
+    arm.cycle(HOME + 0.01, REST)
+    for _ in range(20):  # 40 ms
+        arm.cycle(None, REST)
+    assert arm.is_running
+    arm.cycle(None, REST)
+    assert not arm.is_running
+    assert (arm.num_halts, arm.safety_mode) == (1, NORMAL)
+    assert np.array_equal(arm.cycle(HOME + 0.01, REST), HOME)  # where it is
+    assert not arm.is_running
+
+
+def test_a_halted_arm_slows_down_by_4_rad_per_second_squared(arm: ArmDriver):
+    arm.protective_stop()
+    moving = Motion(position=HOME, velocity=np.array((2.0, -0.4)))
+    aims = np.array([arm.cycle(None, moving) for _ in range(260)])
+    assert arm.safety_mode == PROTECTIVE_STOP
+    # 2 rad/s end after 0.5 s and 0.5 rad, 0.4 rad/s after 0.1 s and 0.02 rad.
+    assert aims[-1] == pytest.approx(HOME + np.array((0.5, -0.02)))
+    # After 0.1 s: 0.2 - 0.02 rad at 1.6 rad/s, which need 0.16 rad of lead.
+    assert aims[49, 0] == pytest.approx(HOME[0] + 0.18 + 0.16)
+    assert np.array_equal(aims[249], aims[-1])
+    assert aims[248, 0] != aims[-1, 0]
+
+
+def test_a_reset_lets_the_program_run_again(arm: ArmDriver):
+    arm.protective_stop()
+    arm.cycle(None, REST)
+    arm.reset(HOME + 1.0)
+    assert arm.is_running
+    assert arm.safety_mode == NORMAL
+    aims = [arm.cycle(None, REST) for _ in range(50)]  # nobody has commanded since
+    assert np.array_equal(aims[-1], HOME + 1.0)
+    assert arm.num_halts == 1
+
+
+def test_the_hand_takes_any_step_and_holds_for_ever():
+    hand = HandDriver(HOME)
+    hand.cycle(HOME + 1.5, REST)
+    aims = [hand.cycle(None, REST) for _ in range(1000)]
+    assert np.array_equal(aims[-1], HOME + 1.5)

@@ -1,0 +1,100 @@
+"""The web page: what it shows is what is on the wire, and its buttons ask the twin."""
+
+import json
+import urllib.request
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from pilot import PROFILE, Bench
+
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.envs.catch_env import CatchEnvCfg
+from pixel2catch.robot.constants import PALM_POS
+from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.twin.lab import Phase
+from pixel2catch.twin.page import BOX_COLOR, Page, with_box
+
+PORT = 18080
+
+
+PORT = 18080
+
+
+class Shown:
+    """A page on a bench."""
+
+    def __init__(self) -> None:
+        task = CatchEnvCfg()
+        self.bench = Bench(task)
+        self.page = Page(PORT, task.scene, PROFILE, self.bench.broker.node(Clock()))
+        self._status = self.bench.node.publisher(PROFILE.operator.status)
+
+    def tell(self, **status: Any) -> None:
+        self._status.publish(messages.text(json.dumps(status)))
+
+    def go_on(self, num_cycles: int = 20) -> None:
+        self.bench.cycle(num_cycles)
+        self.page.update()
+
+
+@pytest.fixture
+def shown() -> Iterator[Shown]:
+    shown = Shown()
+    yield shown
+    shown.page.close()
+    shown.bench.lab.close()
+
+
+def test_the_page_is_there_for_this_machine(shown: Shown):
+    assert shown.page.address.startswith("http://127.0.0.1:")
+    with urllib.request.urlopen(shown.page.address, timeout=10) as answer:
+        assert b"<html" in answer.read()
+
+
+def test_the_robot_is_shown_where_the_joint_states_have_it(shown: Shown):
+    shown.go_on()
+    palm, joints = shown.page.bodies["palm"], shown.bench.lab.joints.position
+    turned = np.zeros(3)
+    mujoco.mju_rotVecQuat(turned, np.array(PALM_POS), np.array(palm.wxyz))
+    expected, _ = palm_pose(torch.from_numpy(joints)[None, :6])
+    assert palm.position + turned == pytest.approx(expected[0].numpy(), abs=0.02)  # noisy encoders
+
+
+def test_buttons_prepare_and_throw(shown: Shown):
+    shown.go_on()
+    assert not shown.page.thrown.visible
+    shown.page.ask("prepare")
+    shown.page.update()
+    shown.go_on(300)
+    assert shown.bench.lab.phase is Phase.HELD
+    assert shown.page.thrown.visible
+    assert shown.page.thrown.position == pytest.approx(shown.bench.lab.episode.throw.pos[0].numpy(), abs=1e-3)
+    shown.page.ask("throw")
+    shown.page.update()
+    shown.go_on(30)
+    assert "| twin: phase | flying |" in shown.page.text.content
+
+
+def test_what_the_deployment_sees_is_in_the_picture_and_its_state_in_the_table(shown: Shown):
+    for box in ([100, 50, 120, 80], [110, 50, 130, 80]):
+        shown.tell(mode="run", box=box)
+        shown.go_on(30)
+    assert "| deploy: mode | run |" in shown.page.text.content
+    assert "| dcx | 10.00 |" in shown.page.text.content
+    assert "| cx | 0.19 |" in shown.page.text.content  # 120 of 640
+    green = np.argwhere((shown.page.picture.image == BOX_COLOR).all(axis=-1))
+    assert (green.min(axis=0).tolist(), green.max(axis=0).tolist()) == ([50, 110], [79, 129])
+
+
+def test_a_box_is_an_outline_and_the_image_is_left_alone():
+    image = np.zeros((480, 640, 3), dtype=np.uint8)
+    marked = with_box(image, [10.0, 20.0, 30.0, 32.0])
+    # 20 by 12 pixels, less the inside of 16 by 8.
+    assert (marked == BOX_COLOR).all(axis=-1).sum() == 20 * 12 - 16 * 8
+    assert not image.any()
+    assert with_box(image, None) is image

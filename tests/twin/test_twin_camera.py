@@ -1,0 +1,78 @@
+"""Images on their way from exposure to wire."""
+
+from concurrent.futures import Future
+
+import numpy as np
+import pytest
+
+from pixel2catch.evaluation.rendered.camera import Moment
+from pixel2catch.twin.camera import Camera
+from pixel2catch.twin.view import Exposure, Image
+
+
+class SlowDrawing:
+    """Draws when it is told to."""
+
+    def __init__(self) -> None:
+        self.begun: list[Future[Image]] = []
+
+    def __call__(self, exposure: Exposure) -> "Future[Image]":
+        self.begun.append(Future())
+        return self.begun[-1]
+
+    def finish(self, number: int) -> None:
+        self.begun[number].set_result(np.full((480, 640, 3), number, dtype=np.uint8))
+
+
+def exposure(time: float) -> Exposure:
+    moment = Moment(qpos=np.zeros(26), qvel=np.zeros(25), time=time)
+    return Exposure(moment=moment, object_name=None, thrower=lambda _: np.zeros(6))
+
+
+def developed(camera: Camera, now: float) -> list[tuple[float, int]]:
+    return [(time, int(image[0, 0, 0])) for time, image in camera.developed(now)]
+
+
+def test_an_image_comes_when_it_is_due_and_not_before():
+    drawing = SlowDrawing()
+    camera = Camera(drawing, latency=0.015)
+    camera.expose(exposure(0.1))
+    drawing.finish(0)
+    assert developed(camera, 0.114) == []
+    assert developed(camera, 0.116) == [(0.1, 0)]
+    assert developed(camera, 0.2) == []
+    assert (camera.num_images, camera.num_late, camera.num_lost) == (1, 0, 0)
+
+
+def test_a_late_image_keeps_its_time_and_is_counted():
+    drawing = SlowDrawing()
+    camera = Camera(drawing, latency=0.015)
+    camera.expose(exposure(0.1))
+    camera.expose(exposure(0.2))
+    assert developed(camera, 0.13) == []
+    drawing.finish(1)
+    assert developed(camera, 0.22) == []  # images keep their order
+    drawing.finish(0)
+    assert developed(camera, 0.23) == [(0.1, 0), (0.2, 1)]
+    assert (camera.num_images, camera.num_late, camera.num_lost) == (2, 1, 0)
+
+
+def test_an_image_is_lost_while_two_are_in_work():
+    drawing = SlowDrawing()
+    camera = Camera(drawing)
+    for i in range(4):
+        camera.expose(exposure(0.1 * i))
+    assert (len(drawing.begun), camera.num_lost) == (2, 2)
+    drawing.finish(0)
+    assert developed(camera, 1.0) == [(0.0, 0)]
+    camera.expose(exposure(0.5))
+    assert (len(drawing.begun), camera.num_lost) == (3, 2)
+
+
+def test_what_goes_wrong_in_drawing_is_not_swallowed():
+    drawing = SlowDrawing()
+    camera = Camera(drawing)
+    camera.expose(exposure(0.1))
+    drawing.begun[0].set_exception(OSError("no drawing"))
+    with pytest.raises(OSError, match="no drawing"):
+        list(camera.developed(1.0))
