@@ -110,7 +110,8 @@ class Deployment:
         if thought.orders and self._mode in ACTIVE:
             self._servo.send(thought.orders)
         end = self._clock.now()
-        self.diary.think(took=end - begin, is_missed=is_missed)
+        if self._mode in ACTIVE:
+            self.diary.think(took=end - begin, is_missed=is_missed)
         self._due = self._due + CONTROL_DT if is_missed else begin + PATIENCE
         status = self.diary.status(thought, self._message or self._eyes.message or thought.message)
         self._status.publish(messages.text(json.dumps(status)))

@@ -31,7 +31,7 @@ class Diary:
     """Counts what happens, from control step to control step.
 
     Attributes:
-        num_steps: Control steps.
+        num_steps: Control steps in which the robot was armed or moved; only these count.
         num_missed: Control steps for which no new image had come in time.
         num_overruns: Control steps that took longer than one.
         stops: How often the robot was stopped, by the reasons.
@@ -57,7 +57,7 @@ class Diary:
     _clamped: int = 0
 
     def think(self, *, took: float, is_missed: bool) -> None:
-        """Note a control step.
+        """Note a control step of an armed robot.
 
         Args:
             took: From the arrival of the image to the orders [s].
