@@ -4,8 +4,10 @@ import dataclasses
 
 import numpy as np
 
+from pixel2catch.identification.excitation_limits import Envelope
+from pixel2catch.identification.excitation_signals import RATE, multisine, steps
 from pixel2catch.identification.fit_simulation import SETTLING, RecordedMotion
-from pixel2catch.identification.recording import JOINT_SPECS, Recording
+from pixel2catch.identification.recording import Recording
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 NOISE = 2e-4
@@ -21,14 +23,12 @@ def stalled_clock(rng: np.random.Generator, seconds: float, period: float) -> np
 def excitation(
     rng: np.random.Generator, joints: tuple[str, ...], seconds: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sines of four frequencies and steps every half a second, sent at 50 Hz: times and positions [rad]."""
-    t_cmd = stalled_clock(rng, seconds, 0.02)
-    motion = np.zeros((len(t_cmd), len(joints)))
-    for frequency in (0.3, 0.7, 1.3, 2.1):
-        phase = rng.uniform(0.0, 2 * np.pi, len(joints))
-        motion += 0.1 / frequency**0.5 * np.sin(2 * np.pi * frequency * t_cmd[:, None] + phase)
-    motion += rng.uniform(-0.15, 0.15, (int(2 * seconds) + 1, len(joints)))[(2 * t_cmd).astype(int)]
-    return t_cmd, np.array([JOINT_SPECS[name].home for name in joints]) + motion
+    """Half sines and half steps of `excite` at full speed, sent at 125 Hz: times and positions [rad]."""
+    t_cmd = stalled_clock(rng, seconds, 1 / RATE)
+    envelope = Envelope.of(joints, 1.0, {})
+    num = int(seconds * RATE) // 2 + 1
+    targets = envelope.center + np.concatenate([signal(rng, envelope, num) for signal in (multisine, steps)])
+    return t_cmd, targets[(t_cmd * RATE).astype(int)]
 
 
 def record(rng: np.random.Generator, truth: JointDynamics, seconds: float, physics_dt: float) -> Recording:

@@ -34,7 +34,7 @@ def pose(**angles: float) -> tuple[np.ndarray, np.ndarray]:
 def test_a_jump_takes_stiffness_times_its_size():
     step = moved("index_joint_3", np.full(60, 0.05))
     share = assess(step, JointDynamics.nominal(step.joints)).torque_share[0]
-    # 3 N·m/rad times 0.05 rad of 0.5 N·m, less what damping takes in the first 3 ms of a time constant of 11
+    # 3 N·m/rad times 0.05 rad of 0.5 N·m, less what damping takes in the first 2 ms of a time constant of 11
     assert 0.8 * 0.3 < share <= 0.3
 
 
@@ -47,7 +47,7 @@ def test_slow_motion_takes_friction_only():
     # at 0.1 rad/s tanh(1) of 0.01 N·m, of 0.5; a target 0.8 mrad from the last adds up to 3 N·m/rad of that
     ramp = np.minimum(np.arange(250), np.arange(250)[::-1]) * 0.1 / 125.0
     slow = moved("index_joint_3", ramp)
-    share = assess(slow, JointDynamics.nominal(slow.joints).with_values(armature=1e-6)).torque_share[0]
+    share = assess(slow, JointDynamics.nominal(slow.joints)).torque_share[0]
     friction = np.tanh(1.0) * 0.01
     assert friction / 0.5 < share < (friction + 3.0 * 0.0008) / 0.5
 

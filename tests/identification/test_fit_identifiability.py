@@ -5,7 +5,7 @@ import pytest
 
 from pixel2catch.identification.fit import Fit
 from pixel2catch.identification.fit_problem import SERVO_PARAMETERS
-from pixel2catch.identification.identifiability import describe, half_widths, ratios, weak_directions
+from pixel2catch.identification.identifiability import half_widths, ratios, weak_directions
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")
@@ -31,7 +31,6 @@ def test_well_known_joints_have_no_weak_direction():
     fit = fit_with(0.0 * SCALE, 0.0 * SCALE)
     assert weak_directions(fit) == ()
     np.testing.assert_allclose(half_widths(fit), 0.0196)
-    assert "Every direction is identified" in describe(fit)
 
 
 def test_common_scale_is_named_and_its_ratios_are_known():
@@ -47,7 +46,6 @@ def test_common_scale_is_named_and_its_ratios_are_known():
     assert lag.name == "damping / stiffness"
     assert lag.value[1] == pytest.approx(202.0 / 2066.0)
     np.testing.assert_allclose(lag.half_width, 1.96 * 0.01 * np.sqrt(2))
-    assert "only their ratios are known: fix stiffness" in describe(fit)
 
 
 def test_lone_and_opposed_parameters_are_named():

@@ -5,30 +5,34 @@ import pytest
 from known_truth import NOISE, perturbed, record
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.fit import correlation_time, fit_dynamics, tracking_error
+from pixel2catch.identification.fit import fit_dynamics, tracking_error
 from pixel2catch.identification.fit_problem import FILTER_PARAMETERS, FitCfg
+from pixel2catch.identification.fit_squares import correlation_time
 from pixel2catch.identification.identifiability import half_widths, ratios
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
-DT = 1.0 / 120.0
-JOINTS = ("elbow_joint", "wrist_3_joint")
+DT = 1.0 / 240.0
+JOINTS = ("elbow_joint", "index_joint_1")
 
 
-def test_servo_is_recovered():
+@pytest.mark.parametrize("truth_dt", [DT, DT / 4])
+def test_servo_is_recovered(truth_dt: float):
+    """At whatever time step the truth moves: a real robot has none. Errors are below 60 % of the goals."""
     rng = np.random.default_rng(0)
     nominal = JointDynamics.nominal(JOINTS)
     truth = perturbed(rng, nominal, latency=0.012)
-    fitted, held_out = record(rng, truth, 2.5, DT), record(rng, truth, 1.5, DT)
-    fit = fit_dynamics([fitted], nominal, FitCfg(physics_dt=DT, max_iterations=10))
+    fitted, held_out = (record(rng, truth, seconds, truth_dt) for seconds in (6.0, 2.0))
+    fit = fit_dynamics([fitted], nominal, FitCfg(physics_dt=DT, max_rounds=2))
     found = fit.dynamics
-    np.testing.assert_allclose(found.damping / found.stiffness, truth.damping / truth.stiffness, rtol=0.02)
-    np.testing.assert_allclose(found.latency, truth.latency, atol=0.001)
+    np.testing.assert_allclose(found.damping / found.stiffness, truth.damping / truth.stiffness, rtol=0.012)
+    np.testing.assert_allclose(found.armature[1], truth.armature[1], rtol=0.03)
+    np.testing.assert_allclose(found.latency, truth.latency, atol=6e-4)
     assert (tracking_error([held_out], nominal, DT) > 10 * NOISE).all()
     np.testing.assert_allclose(tracking_error([held_out], found, DT), NOISE, rtol=0.15)
     widths = dict(zip(fit.free, half_widths(fit).T, strict=True))
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         error = np.abs(np.log(getattr(found, name) / getattr(truth, name)))
-        assert (error < 2.0 * widths[name]).all(), name
+        assert (error < 2.0 * widths[name] + 0.02).all(), name
     lag, *_ = ratios(fit)
     assert (lag.half_width < 0.02).all()
 
@@ -44,6 +48,14 @@ def test_command_filter_is_recovered():
     np.testing.assert_allclose(found.filter_lookahead, 0.1, rtol=0.02)
     np.testing.assert_allclose(found.latency, 0.004, atol=0.001)
     np.testing.assert_allclose(tracking_error([held_out], found, DT), NOISE, rtol=0.15)
+
+
+def test_the_armature_alone_is_recovered():
+    rng = np.random.default_rng(3)
+    nominal = JointDynamics.nominal(JOINTS[1:])
+    truth = nominal.with_values(armature=1.3 * nominal.armature)
+    found = fit_dynamics([record(rng, truth, 2.0, DT)], nominal, FitCfg(free=("armature",), physics_dt=DT))
+    np.testing.assert_allclose(found.dynamics.armature, truth.armature, rtol=0.03)
 
 
 def test_impossible_fits_are_refused():

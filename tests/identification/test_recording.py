@@ -128,11 +128,13 @@ def test_broken_canonical_file_is_refused(write, message: str, tmp_path: Path):
         ("none.npz", "ur5e", "there is no such file"),
         ("notes.txt", "ur5e", "unknown format; a recording is an .npz file .* rosbag2"),
         (".", "ur5e", "unknown format"),
+        ("log.parquet", "ur5e", "parquet is not read; save its columns with numpy.savez"),
         ("notes.txt", "ur5", "unknown robot 'ur5'. Did you mean 'ur5e'"),
     ],
 )
 def test_unknown_input_is_refused(name: str, robot: str, message: str, tmp_path: Path):
-    (tmp_path / "notes.txt").write_text("hello")
+    for file in ("notes.txt", "log.parquet"):
+        (tmp_path / file).write_text("hello")
     with pytest.raises(Pixel2CatchError, match=message) as caught:
         read_recording(tmp_path / name, robot)
     assert robot == "ur5" or re.escape(str(tmp_path)) in re.escape(str(caught.value))

@@ -33,7 +33,7 @@ class Excite:
         truth: Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
         noise: Standard deviation of a measured position in a rehearsal [rad].
         stall: Share of turns of the sending and of the reading loop that take 40 ms in a rehearsal.
-        physics_hz: Physics steps in a second of a rehearsal; identify with as many.
+        physics_hz: Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
     """
 
     robot: Literal["ur5e", "allegro", "ur5e_allegro"] = "ur5e_allegro"

@@ -36,7 +36,7 @@ class Identify:
             filter_gain filter_lookahead latency.
         filter: Fit the UR's servoJ filter in front of a stiff servo, or of that of --start.
         start: Dynamics file to start from: what is not fitted stays as it says.
-        physics_hz: Physics steps in a second; that at which the result will be used is best.
+        physics_hz: Physics steps in a second of the fit; more are more exact, and take longer.
         json: Print the numbers of the report as one JSON object.
     """
 
@@ -119,7 +119,7 @@ def _circumstances() -> dict[str, Any]:
     """When, how and where this process works."""
     import shlex
 
-    from pixel2catch.rl.run_folder import circumstances
+    from pixel2catch.circumstances import circumstances
 
     now = circumstances()
     return now | {"command": shlex.join(["pixel2catch", *now["command"][1:]])}

@@ -243,7 +243,7 @@ class Reproduce:
 
 def _session() -> dict[str, Any]:
     """When, how and where this process works."""
-    from pixel2catch.rl.run_folder import circumstances
+    from pixel2catch.circumstances import circumstances
 
     session = circumstances()
     return session | {"command": " ".join(["pixel2catch", *session["command"][1:]])}

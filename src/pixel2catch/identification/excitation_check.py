@@ -114,10 +114,7 @@ def _clearance_faults(joints: Sequence[str], near: Sequence[Clearance]) -> list[
 def _torque_share(
     recording: Recording, speed: np.ndarray, dynamics: JointDynamics
 ) -> Float64[np.ndarray, " num_joints"]:
-    """Top torque of the servos, found backwards from the motion: what moves masses and overcomes friction.
-
-    A physics step takes the servo's damping at its end; the torque is the one at its beginning.
-    """
+    """Top torque of the servos, found backwards from the motion: what moves masses and overcomes friction."""
     model = recorded_model(recording.joints, FIT_DT)
     model.dof_armature[:] = dynamics.armature
     data = mujoco.MjData(model)
@@ -127,5 +124,5 @@ def _torque_share(
         data.qpos[:], data.qvel[:], data.qacc[:] = q, before, jump / FIT_DT
         mujoco.mj_inverse(model, data)
         friction = dynamics.frictionloss * np.tanh(before / FRICTION_SPEED)
-        top = np.maximum(top, np.abs(data.qfrc_inverse + friction + dynamics.damping * jump))
+        top = np.maximum(top, np.abs(data.qfrc_inverse + friction))
     return top / np.array([JOINT_SPECS[joint].effort_limit for joint in recording.joints])

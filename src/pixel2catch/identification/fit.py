@@ -6,19 +6,46 @@ recordings do not tell. Not `mujoco.sysid`: it compiles a model for every column
 commands open-loop, without the servos' torque limit and friction.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from pixel2catch.identification.fit_problem import FitCfg, Point, Problem
+from pixel2catch.identification.fit_problem import Directions, FitCfg, Point
 from pixel2catch.identification.fit_simulation import FIT_DT, RecordedMotion
+from pixel2catch.identification.fit_squares import (
+    Errors,
+    Problem,
+    Slopes,
+    correlation_time,
+    information,
+)
 from pixel2catch.identification.recording import Recording
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 LAG_PARAMETERS = ("damping", "filter_lookahead", "latency")
 """What is fitted first, alone: else an unexplained lag drives the armature into a far, wrong minimum."""
+
+COARSENESS = 2.0
+"""Length of the time steps with which a fit begins, in those with which it ends. Source: ours."""
+
+COARSE_ROUNDS = 2
+"""Evaluations of slopes with these. Source: ours."""
+
+ROUGH = 0.03
+"""Share of the squares that is worth a step while only the lag moves. Source: ours."""
+
+FINE = 0.2
+"""Step that is worth to be taken, in standard errors of what is fitted. Source: ours."""
+
+MAX_STEPS = 6
+"""Steps under the same slopes. Source: ours; each is about a fifth of the one before, or of no use."""
+
+CAUTIONS = (0.0, 0.1, 10.0)
+"""Marquardt's factors; of their steps, all tried at once, the best is taken. Source: ours."""
+
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,46 +67,76 @@ class Fit:
     residual: Float[np.ndarray, "num_settled num_joints"]
 
 
-def fit_dynamics(recordings: Sequence[Recording], start: JointDynamics, cfg: FitCfg) -> Fit:
+def fit_dynamics(
+    recordings: Sequence[Recording], start: JointDynamics, cfg: FitCfg, report: Report = lambda _: None
+) -> Fit:
     """Fit the free parameters of every joint to the recordings.
 
     Args:
         recordings: What to fit; hold whole recordings out to judge the result with `tracking_error`.
         start: Start values, and the values of what is not free.
         cfg: How to fit.
+        report: Told how far it is.
 
     Raises:
         RecordingError: There is no recording, one is too short, or they are of different joints.
         InvalidValueError: The start is of other joints, or has no filter where one is to be fitted.
     """
-    problem = Problem(recordings, start, cfg)
-    lag = problem.solve(problem.start, LAG_PARAMETERS)
-    point = problem.solve(lag, cfg.free)
-    residual = problem.errors(point)
+    coarse = Problem(recordings, start, replace(cfg, physics_dt=COARSENESS * cfg.physics_dt), report)
+    point = coarse.start
+    if set(LAG_PARAMETERS) & set(cfg.free):
+        lag = coarse.coordinates.directions(LAG_PARAMETERS, is_coupled=False)
+        point, _ = _followed(coarse, point, coarse.slopes(point, lag), ROUGH)
+    directions = coarse.coordinates.directions(cfg.free, is_coupled=True)
+    point, _ = _solved(coarse, point, directions, COARSE_ROUNDS)
+    fine = Problem(recordings, start, cfg, report)
+    point, slopes = _solved(fine, point, directions, cfg.max_rounds)
+    weight = information(slopes.errors) / correlation_time(slopes.errors)
     return Fit(
-        dynamics=problem.coordinates.dynamics(point),
+        dynamics=fine.coordinates.dynamics(point),
         free=cfg.free,
-        covariance=_covariance(problem, point, residual, cfg.prior),
+        covariance=fine.quadratic(point, slopes, weight).covariance,
         prior=cfg.prior,
-        residual=residual,
+        residual=slopes.errors,
     )
 
 
-def _covariance(
-    problem: Problem, point: Point, residual: Float[np.ndarray, "num_settled num_joints"], prior: float
-) -> Float[np.ndarray, "num_joints num_free num_free"]:
-    """Covariance of each joint's parameters, with those of the other joints unknown as well.
+def _solved(problem: Problem, point: Point, directions: Directions, max_rounds: int) -> tuple[Point, Slopes]:
+    """Move along some directions to where the squares are least; the point, errors and slopes there.
 
-    Each joint's errors weigh as their own size tells, and count as often as they are independent.
+    Slopes take many simulations, so that they are followed as far as they lead.
     """
-    shifts = np.eye(point.size).reshape(point.size, *point.shape)
-    columns = problem.derivatives(point, shifts)
-    variance = np.mean(residual**2, axis=0) * correlation_time(residual)
-    scaled = (columns / np.sqrt(variance)).reshape(point.size, -1)
-    full = np.linalg.inv(scaled @ scaled.T + np.eye(point.size) / prior**2)
-    num_joints, num_free = point.shape
-    blocks = full.reshape(num_joints, num_free, num_joints, num_free)
-    return np.stack([blocks[j, :, j, :] for j in range(num_joints)])
+    slopes = problem.slopes(point, directions)
+    for _ in range(max_rounds - 1):
+        followed, _ = _followed(problem, point, slopes)
+        if (followed == point).all():
+            return point, slopes
+        point, slopes = followed, problem.slopes(followed, directions)
+    point, errors = _followed(problem, point, slopes)
+    return point, replace(slopes, errors=errors)
+
+
+def _followed(
+    problem: Problem, point: Point, slopes: Slopes, least_share: float = 0.0
+) -> tuple[Point, Errors]:
+    """Take steps under the same slopes while they are worth it and lessen the squares."""
+    errors = slopes.errors
+    for _ in range(MAX_STEPS):
+        weight = information(errors)
+        squares = problem.squares(point, errors, weight)
+        quadratic = problem.quadratic(point, replace(slopes, errors=errors), weight)
+        noise = correlation_time(errors).mean() * len(quadratic.gradient)
+        if quadratic.decrease < max(FINE**2 * noise, least_share * squares):
+            break
+        points = [problem.coordinates.bounded(point + quadratic.step(caution)) for caution in CAUTIONS]
+        tried = problem.errors(points)
+        results = [problem.squares(*pair, weight) for pair in zip(points, tried, strict=True)]
+        best = int(np.argmin(results))
+        if results[best] >= squares:
+            break
+        point, errors = points[best], tried[best]
+        problem.report(errors)
+    return point, errors
 
 
 def tracking_error(
@@ -98,18 +155,3 @@ def tracking_error(
     motion = RecordedMotion([recording.select(dynamics.joints) for recording in recordings], physics_dt)
     (simulated,) = motion.simulate([dynamics])
     return np.sqrt(np.mean((simulated - motion.measured) ** 2, axis=0))
-
-
-def correlation_time(
-    residual: Float[np.ndarray, "num_samples num_joints"],
-) -> Float[np.ndarray, " num_joints"]:
-    """How many consecutive samples tell one independent thing: 1 for white noise, more for model errors.
-
-    It is 1 plus twice the sum of the autocorrelations up to the first that is not positive.
-    """
-    centered = residual - residual.mean(axis=0)
-    spectrum = np.abs(np.fft.rfft(centered, n=2 * len(residual), axis=0)) ** 2
-    correlation = np.fft.irfft(spectrum, axis=0)[: len(residual)]
-    correlation = correlation / np.maximum(correlation[0], np.finfo(float).tiny)
-    is_before = np.cumprod(correlation > 0.0, axis=0)
-    return np.maximum(2.0 * (correlation * is_before).sum(axis=0) - 1.0, 1.0)

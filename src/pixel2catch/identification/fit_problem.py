@@ -1,16 +1,14 @@
-"""The least squares problem of the fit: its coordinates, residuals and derivatives."""
+"""What is fitted, and the coordinates in which it is."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
-from scipy.linalg import block_diag
-from scipy.optimize import least_squares
+from jaxtyping import Bool, Float
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.fit_simulation import FIT_DT, RecordedMotion
-from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.fit_simulation import FIT_DT
+from pixel2catch.robot.constants import FINGERS
 from pixel2catch.robot.joint_dynamics import PARAMETERS, JointDynamics
 
 SERVO_PARAMETERS = ("stiffness", "damping", "frictionloss", "armature", "latency")
@@ -18,6 +16,9 @@ SERVO_PARAMETERS = ("stiffness", "damping", "frictionloss", "armature", "latency
 
 FILTER_PARAMETERS = ("filter_gain", "filter_lookahead", "latency")
 """What is fitted of the command path in front of a servo that is known."""
+
+SCALE = ("stiffness", "damping", "frictionloss", "armature")
+"""Parameters that are all torques over motion: positions alone leave their common scale open."""
 
 LATENCY_UNIT = 0.01
 """Latency that counts as much as a factor e of another parameter [s]. Source: ours."""
@@ -31,13 +32,6 @@ MAX_FACTOR = 1e3
 LEAST_VALUE = 1e-9
 """What a fit takes for 0 where it needs a logarithm."""
 
-DIFFERENCE = 1e-3
-"""Step of the finite differences, in the coordinates of the fit. Source: ours."""
-
-
-TOLERANCE = 1e-4
-"""Relative change of the squared errors, and of the coordinates, at which a fit ends. Source: ours."""
-
 Point = Float[np.ndarray, "num_joints num_free"]
 
 
@@ -47,17 +41,15 @@ class FitCfg:
 
     Attributes:
         free: Parameters that are fitted; the others keep their start values.
-        noise: Standard deviation of the encoders [rad]; what it weighs is the prior, so its size suffices.
         prior: Standard deviation of what is known before, in the coordinates of the fit: 2 is a factor 7.
         physics_dt: Time step of the simulation [s].
-        max_iterations: Most iterations.
+        max_rounds: Most evaluations of the slopes with this time step.
     """
 
     free: tuple[str, ...] = SERVO_PARAMETERS
-    noise: float = 2e-4
     prior: float = 2.0
     physics_dt: float = FIT_DT
-    max_iterations: int = 30
+    max_rounds: int = 4
 
     def __post_init__(self) -> None:
         """Refuse unknown parameters, none at all, and sizes that are not positive."""
@@ -66,7 +58,7 @@ class FitCfg:
                 raise UnknownNameError("parameter", name, PARAMETERS)
         if not self.free:
             raise InvalidValueError(f"nothing is free to be fitted; name some of {', '.join(PARAMETERS)}")
-        for name in ("noise", "prior", "physics_dt", "max_iterations"):
+        for name in ("prior", "physics_dt", "max_rounds"):
             if not getattr(self, name) > 0:
                 raise InvalidValueError(f"{name} is {getattr(self, name):g}; it must be more than 0")
 
@@ -102,85 +94,64 @@ class Coordinates:
         columns = {name: values[:, i].copy() for i, name in enumerate(self._free)}
         return self._start.with_values(**columns)
 
-    def bounds(self) -> tuple[Point, Point]:
-        """Lowest and highest points."""
+    def bounded(self, point: Point) -> Point:
+        """The nearest point that a fit may try."""
         center, width = self.of(self._start), np.log(MAX_FACTOR)
         lower = np.where(self._is_latency, 0.0, center - width)
         upper = np.where(self._is_latency, MAX_LATENCY / LATENCY_UNIT, center + width)
-        return lower, upper
+        return point.clip(lower, upper)
 
+    def directions(self, names: Sequence[str], is_coupled: bool) -> "Directions":
+        """How some of the parameters can move.
 
-class Problem:
-    """How far simulation is from some recordings, at points in the coordinates of a fit."""
+        Commands reach all joints of the arm together, and all of the hand, so that they share the change of
+        latency; every other parameter is a joint's own. What is a torque over motion moves with the
+        stiffness: their common scale shows weakly, and differences of large slopes would not tell it.
 
-    def __init__(self, recordings: Sequence[Recording], start: JointDynamics, cfg: FitCfg) -> None:
-        """Prepare the simulation.
-
-        Raises:
-            RecordingError: There is no recording, one is too short, or they are of different joints.
-            InvalidValueError: The start is of other joints, or has no filter where one is to be fitted.
+        Args:
+            names: The parameters: one that is free at least.
+            is_coupled: Whether to see that the motion of a joint moves others: that of the arm all, that of a
+                finger the rest of it.
         """
-        self._motion = RecordedMotion(recordings, cfg.physics_dt)
-        if self._motion.joints != start.joints:
-            raise InvalidValueError(
-                f"the recordings are of {self._motion.joints}, the start is of {start.joints}; "
-                "select the same joints in both."
-            )
-        self.coordinates = Coordinates(start, cfg.free)
-        self.start = self.coordinates.of(start)
-        self._measured = self._motion.measured
-        self._cfg = cfg
+        owners = np.array([_owner(joint) for joint in self._start.joints])
+        is_arm = owners == "arm"
+        chain = np.where(is_arm[:, None], True, owners[:, None] == owners)
+        steps, felt_by = [], []
+        for name in self._free:
+            is_shared = name == "latency"
+            along = np.isin(self._free, SCALE if name == "stiffness" else name) & np.isin(self._free, names)
+            moved = np.stack((is_arm, ~is_arm)) if is_shared else np.eye(len(owners), dtype=bool)
+            for group in moved[moved.any(axis=1)] if name in names else ():
+                steps.append(np.outer(group, along).astype(float))
+                felt_by.append(chain[group].any(axis=0) if is_coupled else group)
+        return Directions(steps=np.array(steps), felt_by=np.array(felt_by))
 
-    def solve(self, start: Point, names: Sequence[str]) -> Point:
-        """Move those of the free parameters that are named until the squares are least."""
-        active = [i for i, name in enumerate(self._cfg.free) if name in names]
-        if not active:
-            return start
 
-        def point(flat: np.ndarray) -> Point:
-            moved = start.copy()
-            moved[:, active] = flat.reshape(-1, len(active))
-            return moved
+@dataclass(frozen=True, kw_only=True)
+class Directions:
+    """Ways in which a point can move.
 
-        lower, upper = (bound[:, active].ravel() for bound in self.coordinates.bounds())
-        result = least_squares(
-            lambda flat: self._residuals(point(flat), active),
-            start[:, active].ravel().clip(lower, upper),
-            jac=lambda flat: self._jacobian(point(flat), active),  # pyright: ignore[reportArgumentType]
-            bounds=(lower, upper),
-            max_nfev=self._cfg.max_iterations,
-            xtol=TOLERANCE,
-            ftol=TOLERANCE,
-        )
-        return point(result.x)
+    Attributes:
+        steps: A unit step of each.
+        felt_by: Which joints move otherwise then.
+    """
 
-    def errors(self, point: Point) -> Float[np.ndarray, "num_settled num_joints"]:
-        """Simulated minus measured positions [rad]."""
-        (simulated,) = self._motion.simulate([self.coordinates.dynamics(point)])
-        return simulated - self._measured
+    steps: Float[np.ndarray, "num_directions num_joints num_free"]
+    felt_by: Bool[np.ndarray, "num_directions num_joints"]
 
-    def derivatives(
-        self, point: Point, shifts: Float[np.ndarray, "num_shifts num_joints num_free"]
-    ) -> Float[np.ndarray, "num_shifts num_settled num_joints"]:
-        """Derivatives of the simulated positions along each shift [rad]."""
-        points = [point, *(point + DIFFERENCE * shift for shift in shifts)]
-        base, *shifted = self._motion.simulate([self.coordinates.dynamics(each) for each in points])
-        return (np.stack(shifted) - base) / DIFFERENCE
+    def together(self) -> list[list[int]]:
+        """Directions by number, in batches that no joint feels more than one of."""
+        batches: list[list[int]] = []
+        for number, joints in enumerate(self.felt_by):
+            fitting = (batch for batch in batches if not (self.felt_by[batch] & joints).any())
+            batch = next(fitting, None)
+            if batch is None:
+                batches.append([number])
+            else:
+                batch.append(number)
+        return batches
 
-    def _residuals(self, point: Point, active: Sequence[int]) -> np.ndarray:
-        """Errors over the noise, joint after joint, then distances from the start over the prior."""
-        distance = (point - self.start)[:, active] / self._cfg.prior
-        return np.concatenate((self.errors(point).T.ravel() / self._cfg.noise, distance.ravel()))
 
-    def _jacobian(self, point: Point, active: Sequence[int]) -> np.ndarray:
-        """Derivatives of each joint's residuals by its own parameters; those by the others' are left out.
-
-        All joints move their parameter at once, so that one column for each kind of parameter is simulated: a
-        joint hardly feels what changes in another's servo. What is left out costs iterations, not accuracy.
-        """
-        num_joints, num_free = point.shape
-        shifts = np.repeat(np.eye(num_free)[active][:, None, :], num_joints, axis=1)
-        columns = self.derivatives(point, shifts)
-        blocks = [columns[:, :, j].T for j in range(num_joints)]
-        data = np.asarray(block_diag(*blocks)) / self._cfg.noise
-        return np.concatenate((data, np.eye(num_joints * len(active)) / self._cfg.prior))
+def _owner(joint: str) -> str:
+    """The finger of a joint, or the arm."""
+    return next((finger for finger in FINGERS if joint.startswith(finger)), "arm")

@@ -59,11 +59,12 @@ def start_of_fit(robot: str, path: Path | None, fits_filter: bool) -> Start:
     file = DynamicsFile.load(path) if path else None
     nominal = JointDynamics.nominal()
     before = (file.dynamics.over(nominal) if file else nominal).select(ROBOTS[robot])
-    first = before if file or not fits_filter else _stiff(before)
+    first = before if file or not fits_filter else stiff(before)
     return Start(robot=robot, file=file, before=before, first=_filtered(first) if fits_filter else first)
 
 
-def _stiff(nominal: JointDynamics) -> JointDynamics:
+def stiff(nominal: JointDynamics) -> JointDynamics:
+    """The servos of a controller whose feed-forward makes them look stiffer than positions can tell."""
     stiffness = STIFF_FACTOR * nominal.stiffness
     return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
 

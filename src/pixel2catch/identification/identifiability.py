@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pixel2catch.identification.fit import Fit
-from pixel2catch.identification.fit_problem import LATENCY_UNIT
+from pixel2catch.identification.fit_problem import LATENCY_UNIT, SCALE
 
 CONFIDENCE = 1.96
 """Standard deviations in half a 95 % interval."""
@@ -17,9 +17,6 @@ WELL_KNOWN = 0.1
 
 NOTABLE = 0.3
 """Share of a weak direction's largest component from which a parameter is named. Source: ours."""
-
-SCALE = ("stiffness", "damping", "frictionloss", "armature")
-"""Parameters that are all torques over motion: positions alone leave their common scale open."""
 
 UNITS = {
     "stiffness": "N·m/rad",
@@ -109,7 +106,8 @@ def half_widths(fit: Fit) -> Float[np.ndarray, "num_joints num_free"]:
     """Half of each parameter's 95 % interval, in the coordinates of the fit.
 
     That is of the logarithm, so that 0.1 is ±10 %, and for the latency of 10 ms. Where it is
-    `CONFIDENCE * fit.prior`, the recordings tell nothing.
+    `CONFIDENCE * fit.prior`, the recordings tell nothing. It is by how much noise may move the result; what
+    a robot does and no simulation of its joints is not in it.
     """
     return CONFIDENCE * np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
 
@@ -155,30 +153,3 @@ def ratios(fit: Fit) -> tuple[Ratio, ...]:
             width = CONFIDENCE * np.sqrt(variance)
             found.append(Ratio(name=f"{above} / {below}", unit=unit, value=value, half_width=width))
     return tuple(found)
-
-
-def describe(fit: Fit) -> str:
-    """Parameters and ratios of every joint with their intervals, then what is not identified."""
-    widths = half_widths(fit)
-    lines = [f"{'':<26}" + "".join(f"{joint.removesuffix('_joint'):>32}" for joint in fit.dynamics.joints)]
-    for i, name in enumerate(fit.free):
-        cells = [
-            _interval(name, *pair) for pair in zip(getattr(fit.dynamics, name), widths[:, i], strict=True)
-        ]
-        lines.append(f"{f'{name} [{UNITS[name]}]':<26}" + "".join(f"{cell:>32}" for cell in cells))
-    for ratio in ratios(fit):
-        cells = [_interval(ratio.name, *pair) for pair in zip(ratio.value, ratio.half_width, strict=True)]
-        lines.append(
-            f"{f'{ratio.name} [{ratio.unit}]':<30}"[:30].ljust(26) + "".join(f"{c:>32}" for c in cells)
-        )
-    weak = [f"- {each.meaning}: {each.proposal}." for each in weak_directions(fit)]
-    return "\n".join([*lines, "", *(weak or ["Every direction is identified."])])
-
-
-def _interval(name: str, value: float, half_width: float) -> str:
-    """A value with its interval; as a factor where it is wide."""
-    if name == "latency":
-        return f"{value:.4f} ± {half_width * LATENCY_UNIT:.4f}"
-    if half_width < 0.3:
-        return f"{value:.4g} ± {100 * half_width:.1f} %"
-    return f"{value:.4g} within a factor of {np.exp(min(half_width, 9.0)):.3g}"

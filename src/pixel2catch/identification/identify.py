@@ -175,7 +175,8 @@ def identify(
     recordings = [source.recording for source in sources]
     motion = RecordedMotion(recordings, cfg.physics_dt)
     report(f"fitting {', '.join(cfg.free)} of {len(start.first.joints)} joints")
-    fit = fit_dynamics([source.recording for source in sources if not source.is_held_out], start.first, cfg)
+    fitted = [source.recording for source in sources if not source.is_held_out]
+    fit = fit_dynamics(fitted, start.first, cfg, report)
     report("simulating all recordings before and after")
     lengths = [np.count_nonzero(each.t_meas - each.t_meas[0] > SETTLING) for each in recordings]
     paths = [

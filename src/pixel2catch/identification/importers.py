@@ -37,6 +37,11 @@ def read_recording(path: Path, robot: str = "ur5e_allegro", names: Names | None 
         return read_rtde(path).select(ROBOTS[robot])
     if path.suffix == ".npz":
         return Recording.load(path, names.ours).select(ROBOTS[robot])
+    if path.suffix == ".parquet":
+        raise RecordingError(
+            f"{path}: parquet is not read; save its columns with numpy.savez as an .npz file of the arrays "
+            "joints, t_cmd, q_cmd, t_meas and q."
+        )
     raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")
 
 

@@ -35,7 +35,7 @@ class RecorderCfg:
         read_period: Turn of the loop that reads positions [s].
         clock_offset: By how much the clock of the measurements is ahead of that of the commands [s].
             Positions cannot tell it from latency.
-        physics_hz: Physics steps in a second; a fit with as many finds the truth.
+        physics_hz: Physics steps in a second; a fit with as many finds the truth best.
     """
 
     noise: float = 2e-4

@@ -1,24 +1,15 @@
-"""The folder of a training run: where its files are, and under which circumstances they came about."""
+"""The folder of a training run: where its files are, and how they are written."""
 
 import contextlib
 import dataclasses
-import datetime
-import importlib.metadata
 import json
-import os
-import platform
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-
+from pixel2catch.circumstances import circumstances
 from pixel2catch.errors import CheckpointError
 from pixel2catch.files import plain, write_atomically
-
-_PACKAGES = ("pixel2catch", "torch", "skrl", "mujoco", "mujoco-warp", "warp-lang", "numpy")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,39 +98,3 @@ class RunFolder:
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, all or nothing."""
         write_atomically({self.path / name: (json.dumps(content, indent=2, default=plain) + "\n").encode()})
-
-
-def circumstances() -> dict[str, Any]:
-    """Return when, with which versions and on which machine this process runs."""
-    return {
-        "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "command": sys.argv,
-        "git_revision": _git_revision(),
-        "python": platform.python_version(),
-        "versions": {name: _version(name) for name in _PACKAGES},
-        "platform": platform.platform(),
-        "cpu_cores": os.cpu_count(),
-        "gpus": [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())],
-    }
-
-
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
-def _git_revision() -> str | None:
-    """Return the revision that this package's source is at, with "+" if it was changed since."""
-    git = ["git", "-C", str(Path(__file__).parent)]
-    try:
-        revision = subprocess.run(
-            [*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True
-        ).stdout
-        changes = subprocess.run(
-            [*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True
-        ).stdout
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return revision.strip() + ("+" if changes.strip() else "")
