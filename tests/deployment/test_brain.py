@@ -32,7 +32,9 @@ def test_nothing_is_ordered_before_the_object_is_pointed_out():
     assert thought.orders is None
 
 
-def test_orders_are_the_controllers_for_what_was_seen():
+@pytest.mark.parametrize(("age", "num_late"), [(0.01, 1), (0.03, 1), (0.035, 0), (0.06, 0)])
+def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, num_late: int):
+    """One to two control steps: where images are younger, the policy gets the box before."""
     thinking = brain()
     policy, _ = load_policy(None)
     controller = Controller(policy, PROFILE.handedness)
@@ -40,11 +42,12 @@ def test_orders_are_the_controllers_for_what_was_seen():
     joint_pos = torch.from_numpy(HOME[None]).float()
     for step in range(4):
         now = 1.0 + step * CONTROL_DT
-        orders = thinking.think(frame(now - 0.01, 4.0 * step), HOME, now).orders
+        orders = thinking.think(frame(now - age, 4.0 * step), HOME, now).orders
         assert orders is not None
-        expected = controller.step(joint_pos, torch.tensor([moved(4.0 * step)]))[0].numpy()
+        box = torch.tensor([moved(4.0 * max(step - num_late, 0))])
+        expected = controller.step(joint_pos, box)[0].numpy()
         assert orders.joint_pos_target == pytest.approx(expected, abs=1e-6)
-        assert (orders.target_stamp, orders.image_stamp) == (now, now - 0.01)
+        assert (orders.target_stamp, orders.image_stamp) == (now, now - age)
 
 
 def test_a_missing_image_repeats_the_box_and_keeps_its_stamp():
