@@ -19,7 +19,7 @@ from tiny_sam2 import save_tiny_sam2
 
 from pixel2catch.cli.main import main
 from pixel2catch.cli.sight import Sight
-from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO, Track
+from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO
 from pixel2catch.perception.annotate import HEADER, PLOT_HEIGHT, PLOT_ROWS
 from pixel2catch.perception.choice import SEGMENTERS
 from pixel2catch.perception.tracking import COLUMNS
