@@ -157,7 +157,7 @@ def _extended(mask: Mask, more: Mask) -> Mask:
     own = np.bincount(labels[mask], minlength=labels.max() + 1)
     is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())
     is_own[0] = False
-    return is_own[np.asarray(labels)]
+    return is_own[labels.astype(np.intp)]
 
 
 def _prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask, Mask]:
