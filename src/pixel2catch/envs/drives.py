@@ -19,7 +19,9 @@ class Drives:
     """Command path, limits, friction and gains of every joint in every environment.
 
     Nominal joints have no command path: in a physics step their servos aim at the command of its end, as in
-    the training of the shipped policies. That is a step earlier than behind a path without latency.
+    the training of the shipped policies. That is a step earlier than behind a path without latency. Their
+    damping is MuJoCo's, which acts on the speed at the end of a step. Of identified joints half of it does: so
+    they move as in the simulation that they were identified with, and hardly otherwise with another time step.
 
     Attributes:
         effort_limit: Largest torque of each joint [N·m].
@@ -41,9 +43,10 @@ class Drives:
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
         self._command = torch.zeros_like(self._ctrl)
-        self._path = None
+        self._path, self._implicit = None, 1.0
         if dynamics != JointDynamics.nominal():
             self._path = CommandPath(dynamics, simulation.model.opt.timestep, self._command)
+            self._implicit = 0.5
         self.effort_limit: Float[Tensor, " num_joints"] = self._servos.effort_limit
 
     def reset(
@@ -63,7 +66,7 @@ class Drives:
         for target, value in (
             (gainprm[..., 0], stiffness),
             (biasprm[..., 1], -stiffness),
-            (biasprm[..., 2], -damping),
+            (biasprm[..., 2], -self._implicit * damping),
         ):
             target.copy_(select(mask, value.to(target), target))
 
@@ -81,7 +84,8 @@ class Drives:
             joint_pos=self._qpos,
             joint_vel=self._qvel,
             stiffness=self._simulation.expand("actuator_gainprm")[..., 0],
-            damping=-self._simulation.expand("actuator_biasprm")[..., 2],
+            damping=-self._simulation.expand("actuator_biasprm")[..., 2] / self._implicit,
         )
-        self._ctrl.copy_(self._servos.limited(aim, state))
+        explicit = (1.0 - self._implicit) * state.damping / state.stiffness
+        self._ctrl.copy_(self._servos.limited(aim, state) - explicit * self._qvel)
         self._friction.copy_(self._servos.friction(self._qvel))
