@@ -20,8 +20,8 @@ class Drives:
 
     Nominal joints have no command path: in a physics step their servos aim at the command of its end, as in
     the training of the shipped policies. That is a step earlier than behind a path without latency. Their
-    damping is MuJoCo's, which acts on the speed at the end of a step. Of identified joints half of it does: so
-    they move as in the simulation that they were identified with, and hardly otherwise with another time step.
+    damping is MuJoCo's, which acts on the speed at the end of a step. Of identified joints half of it does:
+    so they move as in the simulation that they were identified with, at any time step nearly alike.
 
     Attributes:
         effort_limit: Largest torque of each joint [N·m].
