@@ -11,7 +11,11 @@ from pixel2catch.cli.link import Link
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.following import Follower
+    from pixel2catch.deployment.robot_part import RobotPart
     from pixel2catch.identification.trajectory import Trajectory
+
+ROBOTS = {"arm": "ur5e", "hand": "allegro"}
+"""What `identify` calls the parts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +55,10 @@ class Record:
             say(f"{trajectory.duration:.0f} s of motion; waiting to be armed")
             self._follow(follower)
         done = "followed to its end" if follower.is_done else "not followed to its end"
-        print(f"{self.trajectory}: {done}; wrote {self.out}")
+        print(f"{self.trajectory}: {done}; wrote {self.out}; several of them are identified with")
+        for part in profile.robots:
+            options = " ".join(identify_options(part))
+            print(f"pixel2catch identify {self.out} ... --out identified-{part.name} {options}")
 
     def _follow(self, follower: "Follower") -> None:
         """Follow until the end or Ctrl-C, and say when something changes."""
@@ -69,6 +76,19 @@ class Record:
 
         with StopRequest() as stop:
             follower.run(lambda: stop.is_set, report)
+
+
+def identify_options(part: "RobotPart") -> list[str]:
+    """What `identify` must be told of the topics and names of a part of a robot."""
+    names = {place: f"{part.name}_{place}" for place in part.held}
+    names |= {wire.index_in_command: wire.name_in_state for wire in part.joints.values()}
+    order = ",".join(names[place] for place in sorted(names))
+    renames = [
+        f"{ours}={wire.name_in_state}" for ours, wire in part.joints.items() if ours != wire.name_in_state
+    ]
+    topics = ["--joint-states-topic", part.state_topic.name]
+    topics += ["--command-topic", f"{part.command_topic.name}={order}"]
+    return ["--robot", ROBOTS[part.name], *topics, *(["--rename", *renames] if renames else [])]
 
 
 def whole_robot(trajectory: "Trajectory"):

@@ -19,6 +19,9 @@ ORDERS = Topic(name="/pixel2catch/orders", type=messages.FLOAT_ARRAY)
 DEPTH = 512
 """Messages that are kept between two control steps."""
 
+RESOLUTION = 1e-6
+"""Least time between two messages of a topic [s]: readers of bags sort by it."""
+
 Images = Literal["jpeg", "raw", "none"]
 """How images are recorded; raw ones are 27 MB a second."""
 
@@ -32,6 +35,7 @@ class Tape:
         """Begin to listen to joint states, commands and operator."""
         self._recorder, self._clock = recorder, clock
         self._profile, self._images = profile, images
+        self._last: dict[Topic, float] = {}
         operator = profile.operator
         topics = {topic for part in profile.robots for topic in (part.state_topic, part.command_topic)} | {
             operator.arm,
@@ -47,18 +51,20 @@ class Tape:
         """Record what has arrived since the last call."""
         for topic, subscription in self._subscriptions:
             for packet in subscription.take():
-                self._recorder.record(topic, packet.data, self._stamp(packet.arrival))
+                self._write(topic, packet.data, packet.arrival)
 
     def see(self, packets: list[Packet]) -> None:
         """Record images."""
         topic = self._profile.camera.image
         for packet in packets if self._images != "none" else ():
-            self._recorder.record(topic, packet.data, self._stamp(packet.arrival))
+            self._write(topic, packet.data, packet.arrival)
 
     def note(self, topic: Topic, row: np.ndarray, time: float) -> None:
         """Record numbers of this time, `Clock.now` [s]."""
-        self._recorder.record(topic, messages.float_array(row), self._stamp(time))
+        self._write(topic, messages.float_array(row), time)
 
-    def _stamp(self, time: float) -> float:
-        """Time of day of a moment of `Clock.now` [s]."""
-        return self._clock.stamp() - (self._clock.now() - time)
+    def _write(self, topic: Topic, data: bytes, time: float) -> None:
+        """Record a message of a moment of `Clock.now` [s]; those of one moment keep their order."""
+        stamp = self._clock.stamp() - (self._clock.now() - time)
+        self._last[topic] = max(stamp, self._last.get(topic, stamp) + RESOLUTION)
+        self._recorder.record(topic, data, self._last[topic])
