@@ -1,6 +1,6 @@
 """A brain's surroundings in memory: network, camera, and the servo's end of the link."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
@@ -20,6 +20,7 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import PixelFeatureExtractor
 from pixel2catch.perception.prompt import GivenPrompter
+from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
 from pixel2catch.robot.constants import JOINTS
 
 HOME = np.array([joint.home for joint in JOINTS])
@@ -37,15 +38,33 @@ def picture(box: tuple[float, float, float, float] | None = BOX) -> np.ndarray:
     return image
 
 
-def brain() -> Brain:
-    """The shipped policy, and eyes for red."""
+class SlowEyes(Segmenter):
+    """Eyes for red; while they look, something else happens."""
+
+    def __init__(self, happens: Callable[[], None]) -> None:
+        self._eyes, self._happens = ColorThreshold(RED), happens
+
+    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+        self._happens()
+        return self._eyes.start(image, prompt, ignored)
+
+    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+        self._happens()
+        return self._eyes.track(image, ignored)
+
+    def reset(self) -> None:
+        self._eyes.reset()
+
+
+def brain(segmenter: Segmenter | None = None) -> Brain:
+    """The shipped policy, and eyes for red if nothing is said."""
     policy, _ = load_policy(None)
     person = GivenPrompter()
-    extractor = PixelFeatureExtractor(ColorThreshold(RED), person)
+    extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
     return Brain(Controller(policy, PROFILE.handedness), extractor, person)
 
 
-def decision(mode: Mode, *, time: float, **others: float) -> Decision:
+def decision(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Decision:
     """A tick of the servo, at home, in which nothing happens but what is given."""
     return Decision(
         time=time,
@@ -55,7 +74,7 @@ def decision(mode: Mode, *, time: float, **others: float) -> Decision:
         refused=int(others.get("refused", 0)),
         clamped=0,
         command=HOME,
-        joint_pos=HOME,
+        joint_pos=joint_pos,
         duration=4e-4,
         target_stamp=others.get("target_stamp", -np.inf),
         image_stamp=others.get("image_stamp", -np.inf),

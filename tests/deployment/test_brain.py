@@ -5,7 +5,9 @@ import pytest
 import torch
 from loop_lab import BOX, HOME, PROFILE, brain, picture
 
+from pixel2catch.deployment.brain import Brain
 from pixel2catch.deployment.controller import Controller
+from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.finder import CameraFrame
 from pixel2catch.perception.gate import Verdict
@@ -24,12 +26,16 @@ def frame(stamp: float, by: float = 0.0) -> CameraFrame:
     return CameraFrame(image=picture(moved(by)), stamp=stamp)
 
 
+def think(thinking: Brain, frame: CameraFrame, joint_pos: np.ndarray, now: float) -> Orders | None:
+    thinking.see(frame, now)
+    return thinking.decide(joint_pos, now)
+
+
 def test_nothing_is_ordered_before_the_object_is_pointed_out():
     thinking = brain()
     thinking.begin()
-    thought = thinking.think(frame(1.0), HOME, 1.01)
-    assert thought.extraction.verdict is Verdict.NO_PROMPT
-    assert thought.orders is None
+    assert thinking.see(frame(1.0), 1.01).verdict is Verdict.NO_PROMPT
+    assert thinking.decide(HOME, 1.01) is None
 
 
 @pytest.mark.parametrize(("age", "num_late"), [(0.01, 1), (0.03, 1), (0.035, 0), (0.06, 0)])
@@ -42,7 +48,7 @@ def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, 
     joint_pos = torch.from_numpy(HOME[None]).float()
     for step in range(4):
         now = 1.0 + step * CONTROL_DT
-        orders = thinking.think(frame(now - age, 4.0 * step), HOME, now).orders
+        orders = think(thinking, frame(now - age, 4.0 * step), HOME, now)
         assert orders is not None
         box = torch.tensor([moved(4.0 * max(step - num_late, 0))])
         expected = controller.step(joint_pos, box)[0].numpy()
@@ -54,19 +60,19 @@ def test_a_missing_image_repeats_the_box_and_keeps_its_stamp():
     thinking = brain()
     thinking.begin(PROMPT)
     shown = frame(1.0)
-    thinking.think(shown, HOME, 1.01)
-    again = thinking.think(shown, HOME, 1.01 + CONTROL_DT)
-    assert again.extraction.verdict is Verdict.REPEATED
-    assert again.orders is not None
-    assert again.orders.image_stamp == 1.0
+    think(thinking, shown, HOME, 1.01)
+    assert thinking.see(shown, 1.01 + CONTROL_DT).verdict is Verdict.REPEATED
+    again = thinking.decide(HOME, 1.01 + CONTROL_DT)
+    assert again is not None
+    assert again.image_stamp == 1.0
 
 
 def test_unknown_joints_give_no_orders():
     thinking = brain()
     thinking.begin(PROMPT)
     unknown = np.where(np.arange(len(HOME)) == 3, np.nan, HOME)
-    assert thinking.think(frame(1.0), unknown, 1.01).orders is None
-    assert thinking.think(frame(1.03), HOME, 1.04).orders is not None
+    assert think(thinking, frame(1.0), unknown, 1.01) is None
+    assert think(thinking, frame(1.03), HOME, 1.04) is not None
 
 
 def test_a_new_throw_forgets_the_old_one():
@@ -74,10 +80,11 @@ def test_a_new_throw_forgets_the_old_one():
     used, fresh = brain(), brain()
     used.begin(PROMPT)
     for step in range(3):
-        used.think(frame(step * CONTROL_DT, 9.0 * step), HOME, step * CONTROL_DT)
+        think(used, frame(step * CONTROL_DT, 9.0 * step), HOME, step * CONTROL_DT)
     for thinking in (used, fresh):
         thinking.begin(PROMPT)
-    first, expected = (thinking.think(frame(9.0), HOME, 9.01).orders for thinking in (used, fresh))
+    assert used.decide(HOME, 9.0) is None
+    first, expected = (think(thinking, frame(9.0), HOME, 9.01) for thinking in (used, fresh))
     assert first is not None
     assert expected is not None
     assert np.array_equal(first.joint_pos_target, expected.joint_pos_target)

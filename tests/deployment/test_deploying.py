@@ -4,24 +4,38 @@ import json
 from typing import Any
 
 import pytest
-from loop_lab import BOX, PROFILE, Surroundings, brain, decision, picture, surroundings
+import torch
+from loop_lab import (
+    BOX,
+    HOME,
+    PROFILE,
+    SlowEyes,
+    Surroundings,
+    brain,
+    decision,
+    picture,
+    surroundings,
+)
 
 from pixel2catch.deployment import messages
+from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.deploying import Deployment, read_prompt
 from pixel2catch.deployment.eyes import Eyes
 from pixel2catch.deployment.servo_state import Mode
 from pixel2catch.deployment.watchdog import Fault
 from pixel2catch.errors import DeploymentError
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.robot.constants import RGB_CAMERA
 
 
 class Course:
     """A deployment that is led step by step."""
 
-    def __init__(self, around: Surroundings) -> None:
+    def __init__(self, around: Surroundings, segmenter: Segmenter | None = None) -> None:
         self.around = around
         eyes = Eyes(around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock)
-        self.deployment = Deployment(brain(), eyes, around.connection, PROFILE.operator)
+        self.deployment = Deployment(brain(segmenter), eyes, around.connection, PROFILE.operator)
         self._prompts = around.lab.publisher(PROFILE.operator.prompt)
         self.statuses = around.lab.subscription(PROFILE.operator.status, 100)
 
@@ -84,6 +98,27 @@ def test_arming_begins_a_new_throw():
         course.say(Mode.ARMED)
         around.show(picture())
         assert course.step()["box"] is None
+
+
+def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
+    """A tick of the servo that comes while the image is looked at counts."""
+    policy, _ = load_policy(None)
+    moved = HOME + 0.02
+    expected = Controller(policy, PROFILE.handedness).step(
+        torch.tensor(moved[None], dtype=torch.float32), torch.tensor([BOX])
+    )
+    with surroundings() as around:
+
+        def move() -> None:
+            around.servo.send(decision(Mode.ARMED, time=around.clock.now(), joint_pos=moved))
+
+        course = Course(around, SlowEyes(move))
+        course.say(Mode.ARMED)
+        around.show(picture())
+        course.point(json.dumps({"box": BOX}))
+        course.step()
+        (orders,) = around.servo.receive()
+        assert orders.joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
 
 
 def test_stops_and_refusals_are_told_once_and_counted():

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.brain import Brain, Thought
+from pixel2catch.deployment.brain import Brain
 from pixel2catch.deployment.connection import Connection
 from pixel2catch.deployment.eyes import Eyes
 from pixel2catch.deployment.profile import OperatorTopics
 from pixel2catch.deployment.report import ACTIVE, Diary
+from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.deployment.servo_state import Mode
 from pixel2catch.deployment.tape import ORDERS, SERVO
-from pixel2catch.errors import DeploymentError
+from pixel2catch.errors import DeploymentError, NonFiniteError
 from pixel2catch.perception.finder import CameraFrame
 from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
@@ -106,24 +107,34 @@ class Deployment:
         is_missed = frame is None
         begin = self._clock.now()
         self._frame = frame or self._frame
-        thought = self._brain.think(self._frame, self._joint_pos, begin)
-        if thought.orders and self._mode in ACTIVE:
-            self._servo.send(thought.orders)
+        seen = self._brain.see(self._frame, begin)
+        self._hear()
+        orders, complaint = self._decide()
+        if orders and self._mode in ACTIVE:
+            self._servo.send(orders)
         end = self._clock.now()
         if self._mode in ACTIVE:
             self.diary.think(took=end - begin, is_missed=is_missed)
         self._due = self._due + CONTROL_DT if is_missed else begin + PATIENCE
-        status = self.diary.status(thought, self._message or self._eyes.message or thought.message)
+        message = self._message or self._eyes.message or complaint or seen.message
+        status = self.diary.status(seen, message)
         self._status.publish(messages.text(json.dumps(status)))
-        self._record(thought, end)
+        self._record(orders, end)
         return status
 
-    def _record(self, thought: Thought, now: float) -> None:
+    def _decide(self) -> tuple[Orders | None, str]:
+        """Orders, if there can be any, and what is wrong."""
+        try:
+            return self._brain.decide(self._joint_pos, self._clock.now()), ""
+        except NonFiniteError as error:
+            return None, str(error)
+
+    def _record(self, orders: Orders | None, now: float) -> None:
         if self._tape is None:
             return
         self._tape.see(self._eyes.packets)
-        if thought.orders:
-            self._tape.note(ORDERS, thought.orders.row, now)
+        if orders:
+            self._tape.note(ORDERS, orders.row, now)
         self._tape.roll()
 
 

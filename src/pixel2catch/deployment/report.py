@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.deployment.brain import Thought
 from pixel2catch.deployment.servo_link import Decision
 from pixel2catch.deployment.servo_state import Clamp, Mode
 from pixel2catch.deployment.watchdog import Fault
+from pixel2catch.perception.extractor import Extraction
 from pixel2catch.robot.constants import CONTROL_DT
 
 MEMORY = 40_000
@@ -87,9 +87,9 @@ class Diary:
                 self._latencies.append(decision.time - decision.image_stamp)
         self._last = decision
 
-    def status(self, thought: Thought | None, message: str) -> dict[str, Any]:
+    def status(self, seen: Extraction, message: str) -> dict[str, Any]:
         """What is going on now; requests that were refused are said once."""
-        last, seen = self._last, thought.extraction if thought else None
+        last = self._last
         refused, clamped, self._refused, self._clamped = self._refused, self._clamped, 0, 0
         return {
             "mode": Mode(last.mode).name.lower() if last else "starting",
@@ -97,8 +97,8 @@ class Diary:
             "found": words(Fault, last.found) if last else [],
             "refused": words(Fault, refused),
             "clamped": words(Clamp, clamped),
-            "box": seen.box[0].tolist() if seen and seen.is_valid else None,
-            "verdict": str(seen.verdict) if seen else None,
+            "box": seen.box[0].tolist() if seen.is_valid else None,
+            "verdict": str(seen.verdict),
             "latency_ms": round(1e3 * self._latencies[-1], 2) if self._latencies else None,
             "num_missed": self.num_missed,
             "message": message,
