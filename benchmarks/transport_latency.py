@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.transport import Topic
 from pixel2catch.robot.constants import JOINTS
@@ -30,7 +30,7 @@ NAMES = [joint.name for joint in JOINTS]
 
 def lab(seconds: float, results) -> None:
     """Send on a schedule; measure how long the command to an image takes."""
-    clock, answers = Clock(), []
+    clock, answers = RealClock(), []
     pixels = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
     with make_transport("dds", "lab", loopback=True, clock=clock) as node:
         images, states = node.publisher(IMAGES), node.publisher(STATES)
@@ -53,7 +53,7 @@ def lab(seconds: float, results) -> None:
 
 def brain(seconds: float, results) -> None:
     """Wait for messages; answer images at once."""
-    clock, ages = Clock(), {"image_ms": [], "joint_state_ms": []}
+    clock, ages = RealClock(), {"image_ms": [], "joint_state_ms": []}
     with make_transport("dds", "brain", loopback=True, clock=clock) as node:
         images, states = node.subscription(IMAGES, depth=10), node.subscription(STATES, depth=100)
         commands = node.publisher(COMMANDS)

@@ -10,7 +10,7 @@ from loop_lab import BOX, picture
 from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import Clock, RealClock
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.priority import set_niceness
 from pixel2catch.deployment.profile import Profile
@@ -76,7 +76,7 @@ class CameraLab(WireLab):
 def laboratory(orders: Connection, rate: float) -> None:
     """Be the laboratory until the other end of the pipe is closed; answer each word."""
     set_niceness(-10)
-    clock = Clock(rate)
+    clock = RealClock(rate)
     with make_transport("dds", "laboratory", True, clock) as transport:
         lab, due = CameraLab(transport, Profile.load("ur5e_allegro_v4"), clock), clock.now()
         try:

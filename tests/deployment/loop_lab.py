@@ -8,7 +8,7 @@ import numpy as np
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.brain import Brain
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import Clock, RealClock
 from pixel2catch.deployment.connection import Connection
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.memory import Broker
@@ -98,7 +98,7 @@ class Surroundings:
 @contextmanager
 def surroundings() -> Iterator[Surroundings]:
     """Open all ends."""
-    clock, broker = Clock(), Broker()
+    clock, broker = RealClock(), Broker()
     with ExitStack() as stack:
         node, lab = (stack.enter_context(broker.node(clock)) for _ in range(2))
         end, servo = link()

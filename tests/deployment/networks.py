@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.transport import Transport
@@ -20,8 +20,8 @@ def own_domain() -> str:
 
 def memory_nodes(stack: ExitStack) -> MakeNode:
     broker = Broker()
-    return lambda name: stack.enter_context(broker.node(Clock()))
+    return lambda name: stack.enter_context(broker.node(RealClock()))
 
 
 def dds_nodes(stack: ExitStack) -> MakeNode:
-    return lambda name: stack.enter_context(make_transport("dds", name, loopback=True, clock=Clock()))
+    return lambda name: stack.enter_context(make_transport("dds", name, loopback=True, clock=RealClock()))

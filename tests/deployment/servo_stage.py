@@ -20,7 +20,6 @@ class ClockOfScript(Clock):
     """Time passes only while the servo sleeps; then the laboratory steps, and the script goes on."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.time = 1000.0
         self.script: Iterator[None] = iter(())
         self.sleep: Callable[[], None] = lambda: None
@@ -47,9 +46,7 @@ class Stage:
     def __init__(self, profile: Profile, ends: tuple[BrainEnd, ServoEnd], is_dry_run: bool = False) -> None:
         self.clock, self.broker = ClockOfScript(), Broker()
         brain, end = ends
-        setup = ServoSetup(
-            profile=profile, make_transport=self.broker.node, limits=LIMITS, is_dry_run=is_dry_run
-        )
+        setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
         self.servo = Servo(end, self.broker.node(self.clock), setup, self.clock)
         self.lab = WireLab(self.broker.node(self.clock), brain, profile, self.clock)
 

@@ -9,7 +9,7 @@ import pytest
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.bag import ReplayTransport
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.recorder import Recorder
 from pixel2catch.deployment.transport import Topic
 from pixel2catch.errors import PerceptionError
@@ -46,7 +46,7 @@ def play(node: ReplayTransport, subscription, reader) -> list[tuple[float, float
 @pytest.mark.parametrize("rate", [1.0, 0.5])
 def test_messages_come_in_their_order_at_their_time(folder: Path, rate: float):
     begin = time.perf_counter()
-    with closing(ReplayTransport(folder, Clock(rate))) as node:
+    with closing(ReplayTransport(folder, RealClock(rate))) as node:
         arrivals, values = zip(*play(node, node.subscription(NUMBER, 10), messages.read_number), strict=True)
     assert values == (0.0, 1.0, 2.0)
     np.testing.assert_allclose(np.diff(arrivals), PERIOD, atol=0.5 * PERIOD)
@@ -61,7 +61,7 @@ def test_messages_come_in_their_order_at_their_time(folder: Path, rate: float):
     ],
 )
 def test_stamps_are_as_old_as_they_were(folder: Path, topic: Topic, stamp):
-    clock = Clock()
+    clock = RealClock()
     with closing(ReplayTransport(folder, clock)) as node:
         packets = play(node, node.subscription(topic, 10), stamp)
     ages = [arrival - (stamp - clock.stamp() + clock.now()) for arrival, stamp in packets]
@@ -71,7 +71,7 @@ def test_stamps_are_as_old_as_they_were(folder: Path, topic: Topic, stamp):
 
 
 def test_nothing_comes_before_somebody_looks_and_nothing_is_sent(folder: Path):
-    with closing(ReplayTransport(folder, Clock())) as node:
+    with closing(ReplayTransport(folder, RealClock())) as node:
         subscription = node.subscription(NUMBER, depth=10)
         assert node.num_other_publishers(NUMBER) == 0
         node.publisher(NUMBER).publish(messages.number(9.0))
@@ -81,7 +81,7 @@ def test_nothing_comes_before_somebody_looks_and_nothing_is_sent(folder: Path):
 
 
 def test_a_replay_that_is_closed_ends_at_once(folder: Path):
-    node = ReplayTransport(folder, Clock(0.001))
+    node = ReplayTransport(folder, RealClock(0.001))
     node.subscription(NUMBER).take()
     begin = time.perf_counter()
     node.close()
@@ -90,4 +90,4 @@ def test_a_replay_that_is_closed_ends_at_once(folder: Path):
 
 def test_what_is_no_recording_is_refused(tmp_path: Path):
     with pytest.raises(PerceptionError, match="not a readable rosbag2"):
-        ReplayTransport(tmp_path / "gone", Clock())
+        ReplayTransport(tmp_path / "gone", RealClock())

@@ -20,7 +20,7 @@ from networks import dds_nodes, own_domain
 from rosbags.typesys import Stores, get_typestore
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.dds import LOOPBACK
 from pixel2catch.deployment.dds_node import MESSAGE
 from pixel2catch.deployment.dds_types import dds_type
@@ -94,7 +94,7 @@ def discovery(store) -> bytes:
 
 @pytest.mark.parametrize("hours", [-1.0, 1.0])
 def test_a_sender_with_a_wrong_clock_cannot_make_messages_older_or_newer_than_they_are(make, hours):
-    node, clock = make("node"), Clock()
+    node, clock = make("node"), RealClock()
     subscription = node.subscription(STATES)
     participant = DomainParticipant(int(own_domain()))
     kind = dds_type(STATES.type)
@@ -118,19 +118,19 @@ def test_a_domain_that_does_not_exist_is_refused(make, monkeypatch, text):
 
 def test_an_unknown_transport_is_refused():
     with pytest.raises(UnknownNameError, match="Did you mean 'dds'"):
-        make_transport("dss", "node", loopback=True, clock=Clock())
+        make_transport("dss", "node", loopback=True, clock=RealClock())
 
 
 def test_where_ros_2_is_not_sourced_its_transport_says_what_to_do():
     if find_spec("rclpy"):
         pytest.skip("ROS 2 is sourced")
     with pytest.raises(DeploymentError, match=r"source ROS 2 .* or take the transport dds"):
-        make_transport("ros", "node", loopback=True, clock=Clock())
+        make_transport("ros", "node", loopback=True, clock=RealClock())
 
 
 def echo() -> None:
     """The other process: turn every joint state's positions over, until it gets one without joints."""
-    with make_transport("dds", "echo", loopback=True, clock=Clock()) as node:
+    with make_transport("dds", "echo", loopback=True, clock=RealClock()) as node:
         states, answers = node.subscription(STATES, depth=10), node.publisher(ECHO)
         node.publisher(MODE).publish(messages.safety_mode(1))
         while node.wait(10.0):
@@ -170,7 +170,7 @@ def test_two_processes_talk_over_the_loopback_interface(make):
 
 def shout(is_sent) -> None:
     """Another process, with the configuration of CYCLONEDDS_URI: send a latched message and stay."""
-    with make_transport("dds", "driver", loopback=False, clock=Clock()) as node:
+    with make_transport("dds", "driver", loopback=False, clock=RealClock()) as node:
         node.publisher(MODE).publish(messages.safety_mode(1))
         is_sent.set()
         time.sleep(30.0)

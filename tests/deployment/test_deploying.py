@@ -39,9 +39,9 @@ class Course:
         self._prompts = around.lab.publisher(PROFILE.operator.prompt)
         self.statuses = around.lab.subscription(PROFILE.operator.status, 100)
 
-    def say(self, mode: Mode, **others: float) -> None:
+    def say(self, mode: Mode, **others: Any) -> None:
         """The servo has ticked."""
-        self.around.servo.send(decision(mode, time=self.around.clock.now(), **others))
+        self.around.servo.send(decision(mode, **{"time": self.around.clock.now(), **others}))
 
     def point(self, text: str) -> None:
         self._prompts.publish(messages.text(text))
@@ -140,8 +140,8 @@ def test_the_latency_is_from_the_image_to_the_first_command_with_it():
     with surroundings() as around:
         course, now = Course(around), around.clock.now()
         for tick in range(4):
-            late = {"target_stamp": now + 0.004 * (tick // 2), "image_stamp": now - 0.02}
-            around.servo.send(decision(Mode.RUN, time=now + 0.002 * tick, **late))
+            late = now + 0.004 * (tick // 2)
+            course.say(Mode.RUN, time=now + 0.002 * tick, target_stamp=late, image_stamp=now - 0.02)
         course.step()
         latency = course.deployment.diary.summary()["image_to_command_ms"]
         assert latency["count"] == 1

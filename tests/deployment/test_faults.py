@@ -19,7 +19,7 @@ from networks import own_domain
 from servo_rows import LIMITS
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.limits import STOP_TIME
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.profile import Profile
@@ -35,7 +35,7 @@ ARM = PROFILE.robots[0].command_topic
 class Watcher:
     """Hears what `deploy` says and commands, and tells the laboratory what shall go wrong."""
 
-    def __init__(self, node: Transport, clock: Clock, stack: ExitStack, folder: Path) -> None:
+    def __init__(self, node: Transport, clock: RealClock, stack: ExitStack, folder: Path) -> None:
         self.clock, self._stack = clock, stack
         self._statuses = node.subscription(PROFILE.operator.status, 50)
         self._commands = node.subscription(ARM, 2000)
@@ -124,7 +124,7 @@ class Watcher:
 def watcher(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watcher]:
     before, os.environ["ROS_DOMAIN_ID"] = os.environ.get("ROS_DOMAIN_ID"), own_domain()
     with ExitStack() as stack:
-        clock = Clock(RATE)
+        clock = RealClock(RATE)
         node = stack.enter_context(make_transport("dds", "watcher", True, clock))
         yield Watcher(node, clock, stack, tmp_path_factory.mktemp("deploy"))
     if before is None:

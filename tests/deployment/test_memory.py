@@ -3,7 +3,7 @@
 import threading
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.transport import Topic
 
@@ -12,11 +12,11 @@ NUMBER = Topic(name="/number", type=messages.NUMBER)
 
 def test_nodes_in_several_threads_lose_nothing():
     broker = Broker()
-    receiver = broker.node(Clock())
+    receiver = broker.node(RealClock())
     subscription = receiver.subscription(NUMBER, depth=2000)
 
     def send(start: int) -> None:
-        with broker.node(Clock()) as node:
+        with broker.node(RealClock()) as node:
             publisher = node.publisher(NUMBER)
             for value in range(start, start + 500):
                 publisher.publish(messages.number(value))
@@ -33,7 +33,7 @@ def test_nodes_in_several_threads_lose_nothing():
 
 
 def test_brokers_are_networks_of_their_own():
-    here, there = Broker().node(Clock()), Broker().node(Clock())
+    here, there = Broker().node(RealClock()), Broker().node(RealClock())
     subscription = here.subscription(NUMBER)
     there.publisher(NUMBER).publish(messages.number(1.0))
     assert not subscription.take()

@@ -13,7 +13,7 @@ from servo_rows import HOME, LIMITS
 from wire_lab import WireLab
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.limits import STOP_TIME
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.profile import Profile
@@ -62,13 +62,13 @@ class Theatre:
 @pytest.fixture
 def theatre(monkeypatch: pytest.MonkeyPatch) -> Iterator[Theatre]:
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
-    profile, clock = Profile.load("ur5e_allegro_v4"), Clock(RATE)
-    setup = ServoSetup(profile=profile, make_transport=partial(join, "servo"), limits=LIMITS, clock_rate=RATE)
-    with start_servo(setup) as servo, join("laboratory", clock) as transport:
+    profile, clock = Profile.load("ur5e_allegro_v4"), RealClock(RATE)
+    setup = ServoSetup(profile=profile, limits=LIMITS)
+    with start_servo(setup, partial(join, "servo"), RATE) as servo, join("laboratory", clock) as transport:
         yield Theatre(servo, WireLab(transport, servo.link, profile, clock))
 
 
-def join(name: str, clock: Clock) -> Transport:
+def join(name: str, clock: RealClock) -> Transport:
     return make_transport("dds", name, loopback=True, clock=clock)
 
 

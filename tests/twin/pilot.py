@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.profile import Profile
@@ -37,7 +37,7 @@ class Bench:
     """The twin and a node that listens to all of it, in memory and without real time."""
 
     def __init__(self, task: CatchEnvCfg, draw: Callable[[Exposure], "Future[Image]"] = draw_black) -> None:
-        self.broker, clock = Broker(), Clock()
+        self.broker, clock = Broker(), RealClock()
         self.lab, self.node = Lab(task, seed=0), self.broker.node(clock)
         self.camera = Camera(draw)
         topics = {

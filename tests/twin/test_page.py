@@ -12,7 +12,7 @@ import torch
 from pilot import PROFILE, Bench
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.robot.constants import PALM_POS
 from pixel2catch.robot.kinematics import palm_pose
@@ -31,7 +31,7 @@ class Shown:
     def __init__(self) -> None:
         task = CatchEnvCfg()
         self.bench = Bench(task)
-        self.page = Page(PORT, task.scene, PROFILE, self.bench.broker.node(Clock()))
+        self.page = Page(PORT, task.scene, PROFILE, self.bench.broker.node(RealClock()))
         self._status = self.bench.node.publisher(PROFILE.operator.status)
 
     def tell(self, **status: Any) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.errors import DeviceUnavailableError
@@ -45,7 +45,7 @@ def twin(monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
 
 
 def test_it_throws_when_asked_and_ends_with_ctrl_c(twin: subprocess.Popen[str]):
-    clock, profile = Clock(RATE), Profile.load("ur5e_allegro_v4")
+    clock, profile = RealClock(RATE), Profile.load("ur5e_allegro_v4")
     with make_transport("dds", "operator", loopback=True, clock=clock) as node:
         states, requests = node.subscription(STATE), node.publisher(COMMAND)
         images = node.subscription(profile.camera.image, depth=4)

@@ -8,7 +8,7 @@ import pytest
 from pilot import PROFILE, START, Bench, Pilot
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.profile import Profile
@@ -178,7 +178,7 @@ def test_a_request_that_cannot_be_met_is_refused_with_the_reason(
 
 def test_another_drivers_commands_are_refused_at_the_start(bench: Bench):
     with pytest.raises(DeploymentError, match="ur5e_allegro_v4"):
-        Wires(bench.lab, Profile.load("ur5e_allegro_v5"), Broker().node(Clock()), bench.camera)
+        Wires(bench.lab, Profile.load("ur5e_allegro_v5"), Broker().node(RealClock()), bench.camera)
 
 
 def test_the_shipped_policy_catches_over_the_wires():

@@ -216,11 +216,11 @@ def dds() -> str:
     if importlib.util.find_spec("cyclonedds") is None:
         raise Absent(f"not looked at without cyclonedds: pip install '{PACKAGE}[deployment]'")
     from pixel2catch.deployment import messages
-    from pixel2catch.deployment.clock import Clock
+    from pixel2catch.deployment.clock import RealClock
     from pixel2catch.deployment.network import make_transport
     from pixel2catch.deployment.transport import Topic
 
-    topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), Clock()
+    topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
     with (
         make_transport("dds", "doctor", True, clock) as ear,
         make_transport("dds", "d", True, clock) as mouth,

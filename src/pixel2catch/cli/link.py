@@ -54,34 +54,28 @@ class Link:
             images: How images are recorded.
             stack: Ends it all: first the servo, which stops the robot.
         """
-        from pixel2catch.deployment.clock import Clock
+        from pixel2catch.deployment.clock import RealClock
         from pixel2catch.deployment.connection import Connection
         from pixel2catch.deployment.network import make_transport
         from pixel2catch.deployment.recorder import Recorder
         from pixel2catch.deployment.servo_process import start_servo
         from pixel2catch.deployment.tape import Tape
 
-        clock, setup = Clock(self.clock), self._setup(profile)
+        clock, setup = RealClock(self.clock), self._setup(profile)
+        join = partial(make_transport, self.transport, f"{NODE}_servo", self.loopback)
         recorder = stack.enter_context(Recorder(record)) if record else None
         transport = stack.enter_context(make_transport(self.transport, NODE, self.loopback, clock))
         tape = Tape(recorder, transport, profile, clock, images) if recorder else None
-        servo = stack.enter_context(start_servo(setup))
+        servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(
             transport=transport, servo=servo.link, servo_dt=setup.limits.dt, clock=clock, tape=tape
         )
 
     def _setup(self, profile: "Profile") -> "ServoSetup":
-        """What the servo process is started with."""
+        """What the servo is the servo of."""
         from pixel2catch.deployment.limits import JointLimits, ServoLimits
-        from pixel2catch.deployment.network import make_transport
         from pixel2catch.deployment.servo_process import ServoSetup
         from pixel2catch.robot.joint_dynamics import JointDynamics
 
         joints = JointLimits.of(JointDynamics.nominal(), self.speed)
-        return ServoSetup(
-            profile=profile,
-            make_transport=partial(make_transport, self.transport, f"{NODE}_servo", self.loopback),
-            limits=ServoLimits(joints=joints),
-            clock_rate=self.clock,
-            is_dry_run=self.dry_run,
-        )
+        return ServoSetup(profile=profile, limits=ServoLimits(joints=joints), is_dry_run=self.dry_run)

@@ -55,9 +55,9 @@ class Rehearse:
         from pixel2catch.files import require_free_folder, write_atomically
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.clock import Clock
+            from pixel2catch.deployment.clock import RealClock
             from pixel2catch.twin.rehearsal import rehearse
-        Clock(self.clock)  # refuses what is no rate
+        RealClock(self.clock)  # refuses what is no rate
         if self.throws < 1:
             raise InvalidValueError(f"throws is {self.throws}; it must be 1 or more")
         find_gl_backend()

@@ -6,7 +6,7 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import final
 
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.inbox import Inbox, Inboxes
 from pixel2catch.deployment.messages import CAMERA_INFO, IMAGE, JOINT_STATE
 from pixel2catch.deployment.transport import Packet, Publisher, Subscription, Topic, Transport
@@ -28,7 +28,7 @@ class ReplayTransport(Transport):
         problem: What ended it early; empty if nothing did.
     """
 
-    def __init__(self, path: Path, clock: Clock) -> None:
+    def __init__(self, path: Path, clock: RealClock) -> None:
         """Open a recording.
 
         Args:

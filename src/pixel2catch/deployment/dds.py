@@ -16,7 +16,7 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic as DdsTopic
 
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.dds_node import NodeAnnouncement
 from pixel2catch.deployment.dds_types import dds_type, type_hash
 from pixel2catch.deployment.transport import Packet, Publisher, Subscription, Topic, Transport
@@ -81,7 +81,7 @@ def _loopback_domain(number: int) -> Domain:
 class DdsTransport(Transport):
     """A node of the DDS domain ROS_DOMAIN_ID."""
 
-    def __init__(self, node_name: str, clock: Clock, *, loopback: bool = False) -> None:
+    def __init__(self, node_name: str, clock: RealClock, *, loopback: bool = False) -> None:
         """Join.
 
         Args:
@@ -172,7 +172,7 @@ class _DdsPublisher(Publisher):
 
 @final
 class _DdsSubscription(Subscription):
-    def __init__(self, reader: DataReader, depth: int, clock: Clock) -> None:
+    def __init__(self, reader: DataReader, depth: int, clock: RealClock) -> None:
         self._reader, self._clock = reader, clock
         self._most = depth + 1  # and what says that a publisher has left, which is no message
         self._taken = clock.now()

@@ -1,7 +1,6 @@
 """The loop of a deployment: images and decisions come in, orders, a status and a recording go out."""
 
 import json
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -22,7 +21,7 @@ from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 
 POLL = 0.001
-"""Time between two looks for an image [s], in real time. Source: ours."""
+"""Time between two looks for an image [s]. Source: ours."""
 
 PATIENCE = 1.5 * CONTROL_DT
 """Time after an image from which the next one is missing [s]. Source: ours."""
@@ -68,12 +67,27 @@ class Deployment:
             PerceptionError: The first image has the wrong size.
         """
         while not is_over():
-            self._hear()
-            frame = self._eyes.newest()
-            if frame is None and self._clock.now() < self._due:
-                time.sleep(POLL)
-                continue
-            on_status(self._step(frame))
+            status = self.poll()
+            if status is None:
+                self._clock.sleep_until(self._clock.now() + POLL)
+            else:
+                on_status(status)
+
+    def poll(self) -> dict[str, Any] | None:
+        """Make a control step if there is a new image, or if one is overdue.
+
+        Returns:
+            Its status; none if there was nothing to do.
+
+        Raises:
+            DeploymentError: As `run` does.
+            PerceptionError: As `run` does.
+        """
+        self._hear()
+        frame = self._eyes.newest()
+        if frame is None and self._clock.now() < self._due:
+            return None
+        return self._step(frame)
 
     def _hear(self) -> None:
         """Take what servo and operator have said."""

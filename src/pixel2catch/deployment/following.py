@@ -1,6 +1,5 @@
 """A robot that follows a trajectory instead of a policy, such as one that `excite` wrote."""
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -112,6 +111,6 @@ class Follower:
             connection.servo.send(
                 Orders(joint_pos_target=still, target_stamp=now, image_stamp=now, is_stop_requested=True)
             )
-        time.sleep(STOP_TIME / connection.clock.rate)
+        connection.clock.sleep_until(connection.clock.now() + STOP_TIME)
         if connection.tape:
             connection.tape.roll()

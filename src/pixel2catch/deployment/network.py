@@ -1,6 +1,6 @@
 """The choice of a transport by its name; the library of the one that is not chosen need not be there."""
 
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.transport import Transport
 from pixel2catch.errors import DeploymentError, UnknownNameError
 
@@ -11,7 +11,7 @@ TRANSPORTS = {
 """Names of the transports, and how to get what they need."""
 
 
-def make_transport(name: str, node_name: str, loopback: bool, clock: Clock) -> Transport:
+def make_transport(name: str, node_name: str, loopback: bool, clock: RealClock) -> Transport:
     """Join the network.
 
     Args:
@@ -34,7 +34,7 @@ def make_transport(name: str, node_name: str, loopback: bool, clock: Clock) -> T
         ) from error
 
 
-def _join(name: str, node_name: str, loopback: bool, clock: Clock) -> Transport:
+def _join(name: str, node_name: str, loopback: bool, clock: RealClock) -> Transport:
     if name == "dds":
         from pixel2catch.deployment.dds import DdsTransport
 

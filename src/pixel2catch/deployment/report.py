@@ -87,7 +87,7 @@ class Diary:
                 self._latencies.append(decision.time - decision.image_stamp)
         self._last = decision
 
-    def status(self, seen: Extraction, message: str) -> dict[str, Any]:
+    def status(self, seen: Extraction | None, message: str) -> dict[str, Any]:
         """What is going on now; requests that were refused are said once."""
         last = self._last
         refused, clamped, self._refused, self._clamped = self._refused, self._clamped, 0, 0
@@ -97,8 +97,8 @@ class Diary:
             "found": words(Fault, last.found) if last else [],
             "refused": words(Fault, refused),
             "clamped": words(Clamp, clamped),
-            "box": seen.box[0].tolist() if seen.is_valid else None,
-            "verdict": str(seen.verdict),
+            "box": seen.box[0].tolist() if seen and seen.is_valid else None,
+            "verdict": str(seen.verdict) if seen else None,
             "latency_ms": round(1e3 * self._latencies[-1], 2) if self._latencies else None,
             "num_missed": self.num_missed,
             "message": message,

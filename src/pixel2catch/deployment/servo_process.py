@@ -15,7 +15,7 @@ from time import perf_counter
 
 import numpy as np
 
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import Clock, RealClock
 from pixel2catch.deployment.limits import STOP_TIME, ServoLimits
 from pixel2catch.deployment.priority import SERVO, be_real_time, set_niceness
 from pixel2catch.deployment.profile import Profile
@@ -32,20 +32,16 @@ PATIENCE = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class ServoSetup:
-    """What a servo process is started with; all of it can be given to another process.
+    """What a servo is the servo of; all of it can be given to another process.
 
     Attributes:
         profile: The robot's drivers.
-        make_transport: Joins the network.
         limits: What the servo keeps to.
-        clock_rate: Rate of the clock.
         is_dry_run: Whether nothing is sent; the robot is then not expected to follow.
     """
 
     profile: Profile
-    make_transport: Callable[[Clock], Transport]
     limits: ServoLimits = field(default_factory=ServoLimits)
-    clock_rate: float = 1.0
     is_dry_run: bool = False
 
 
@@ -74,7 +70,11 @@ class Hands:
 
 
 class Servo:
-    """The loop: `run` until it is asked to `end`, or the brain is gone."""
+    """The loop: `run` until it is asked to `end`, or the brain is gone; or whoever runs it calls `tick`.
+
+    Attributes:
+        unforeseen: What came up that nobody foresaw; the robot was stopped for it.
+    """
 
     def __init__(self, end: ServoEnd, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
         """Begin to listen; nothing is sent before the operator arms."""
@@ -86,7 +86,7 @@ class Servo:
         self._senses, self._hands = Senses(transport, setup.profile), Hands(transport, setup, clock)
         self._state, self._orders = ServoState.idle(1, len(JOINTS)), Orders.none()
         self._is_ending = False
-        self._unforeseen: Exception | None = None
+        self.unforeseen: Exception | None = None
 
     def end(self) -> None:
         """Stop the robot, and then return from `run`; any thread or signal may ask for it."""
@@ -100,11 +100,11 @@ class Servo:
         """
         dt, due = self._core.limits.dt, self._clock.now()
         while not self._is_over:
-            self._tick()
+            self.tick()
             due += dt * max(ceil((self._clock.now() - due) / dt), 1)
             self._clock.sleep_until(due)
-        if self._unforeseen:
-            raise self._unforeseen
+        if self.unforeseen:
+            raise self.unforeseen
 
     @property
     def _is_over(self) -> bool:
@@ -112,7 +112,7 @@ class Servo:
         stands = self._state.is_stopped & (self._state.ticks * self._core.limits.dt >= STOP_TIME)
         return self._is_ending and bool((stands | self._state.is_idle)[0])
 
-    def _tick(self) -> None:
+    def tick(self) -> None:
         """Hear, decide, command and tell."""
         begun = perf_counter()
         self._guard(self._hear)
@@ -151,7 +151,7 @@ class Servo:
         try:
             action()
         except Exception as error:
-            self._unforeseen = self._unforeseen or error
+            self.unforeseen = self.unforeseen or error
             self.end()
 
 
@@ -184,24 +184,34 @@ class RunningServo:
         self.close()
 
 
-def start_servo(setup: ServoSetup) -> RunningServo:
-    """Start a servo process; it is heard of over the link as soon as it ticks."""
+MakeTransport = Callable[[RealClock], Transport]
+"""Joins the network, on either side of the start of a process."""
+
+
+def start_servo(setup: ServoSetup, make_transport: MakeTransport, clock_rate: float = 1.0) -> RunningServo:
+    """Start a servo process; it is heard of over the link as soon as it ticks.
+
+    Args:
+        setup: What it is the servo of.
+        make_transport: Joins the network there.
+        clock_rate: Rate of its clock.
+    """
     brain, servo = link()
     with closing(servo):
         process = multiprocessing.get_context("spawn").Process(
-            target=run_servo, args=(servo, setup), name="servo", daemon=True
+            target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
         )
         process.start()
     return RunningServo(link=brain, process=process)
 
 
-def run_servo(end: ServoEnd, setup: ServoSetup) -> None:
+def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
     """Be the servo process, until the link is closed or on SIGTERM or SIGHUP."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     set_niceness(SERVO)
     be_real_time()
-    clock = Clock(setup.clock_rate)
-    with setup.make_transport(clock) as transport:
+    clock = RealClock(clock_rate)
+    with make_transport(clock) as transport:
         servo = Servo(end, transport, setup, clock)
         for number in (signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda *_: servo.end())

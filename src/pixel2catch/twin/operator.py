@@ -1,7 +1,6 @@
 """The operator of a rehearsal: what a person does between two throws, and with a hand on the switch."""
 
 import json
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +15,7 @@ SWITCH_TIME = 0.04
 """Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of what the servo waits."""
 
 POLL = 0.005
-"""Time between two looks at the network [s], in real time."""
+"""Time between two looks at the network [s]. Source: ours."""
 
 DEPTH = 64
 """Messages that are kept from one look to the next."""
@@ -100,7 +99,7 @@ class Operator:
             if self._clock.now() > end:
                 raise DeploymentError(f"{what} did not come within {seconds:g} s: {self.situation()}")
             self.watch()
-            time.sleep(POLL)
+            self._clock.sleep_until(self._clock.now() + POLL)
 
     def situation(self) -> str:
         """What there is to see, in a line."""

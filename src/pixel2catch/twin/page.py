@@ -16,7 +16,7 @@ import viser
 
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.deployment.transport import Transport
@@ -209,7 +209,7 @@ def serve_page(port: int, scene: SceneCfg, profile: Profile) -> NoReturn:
     """
     obey_parent(LAST)
     torch.set_num_threads(1)
-    with make_transport("dds", "pixel2catch_page", loopback=True, clock=Clock()) as node:
+    with make_transport("dds", "pixel2catch_page", loopback=True, clock=RealClock()) as node:
         page = Page(port, scene, profile, node)
         while True:
             page.update()

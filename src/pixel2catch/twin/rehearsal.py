@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.errors import DeploymentError
@@ -88,7 +88,7 @@ def rehearse(cfg: RehearsalCfg, report: Callable[[Outcome], None]) -> dict[str, 
         DeploymentError: A process did not start, or ended early.
     """
     os.environ["ROS_DOMAIN_ID"] = str(cfg.domain)
-    clock, begin = Clock(cfg.clock), time.perf_counter()
+    clock, begin = RealClock(cfg.clock), time.perf_counter()
     common = ("--clock", f"{cfg.clock:g}")
     with ExitStack() as stack:
         twin = stack.enter_context(_process(cfg.logs, "twin", *common, "--seed", str(cfg.seed), *cfg.twin))
@@ -100,7 +100,7 @@ def rehearse(cfg: RehearsalCfg, report: Callable[[Outcome], None]) -> dict[str, 
         _wait_for_both(operator, (twin, deploy), cfg)
         outcomes = []
         for seed in range(cfg.seed, cfg.seed + cfg.throws):
-            outcomes.append(_throw(operator, seed))
+            outcomes.append(throw(operator, seed))
             report(outcomes[-1])
             _require_alive((twin, deploy), cfg.logs)
         truth = operator.truth
@@ -156,8 +156,13 @@ def _require_alive(processes: Sequence[subprocess.Popen[bytes]], logs: Path) -> 
             raise DeploymentError(f"'pixel2catch {name}' has ended; its last words: {said}")
 
 
-def _throw(operator: Operator, seed: int) -> Outcome:
-    """One throw, from an empty room to the stop after it."""
+def throw(operator: Operator, seed: int) -> Outcome:
+    """One throw, from an empty room to the stop after it.
+
+    Args:
+        operator: Who has it thrown.
+        seed: Of the throw.
+    """
     num_stops, problem, thrown = len(operator.stops), "", operator.truth.get("throw", 0)
     try:
         _prepare(operator, seed)

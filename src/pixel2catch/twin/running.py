@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.clock import Clock, RealClock
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.priority import set_niceness
 from pixel2catch.deployment.profile import Profile
@@ -84,7 +84,7 @@ def serve(cfg: TwinCfg, on_cycle: OnCycle) -> Pace:
         DeviceUnavailableError: If no OpenGL back end works.
         DeploymentError: If DDS cannot be started, or the page lacks a package.
     """
-    clock, scene, profile = Clock(cfg.clock), cfg.task.scene, Profile.load(PROFILE)
+    clock, scene, profile = RealClock(cfg.clock), cfg.task.scene, Profile.load(PROFILE)
     set_niceness(FIRST)
     with (
         _page(cfg, profile),
