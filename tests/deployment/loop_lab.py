@@ -1,6 +1,6 @@
 """A brain's surroundings in memory: network, camera, and the servo's end of the link."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import PixelFeatureExtractor
 from pixel2catch.perception.prompt import GivenPrompter
-from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.robot.constants import JOINTS
 
 HOME = np.array([joint.home for joint in JOINTS])
@@ -36,24 +36,6 @@ def picture(box: tuple[float, float, float, float] | None = BOX) -> np.ndarray:
         xmin, ymin, xmax, ymax = map(int, box)
         image[ymin:ymax, xmin:xmax] = (200, 30, 20)
     return image
-
-
-class SlowEyes(Segmenter):
-    """Eyes for red; while they look, something else happens."""
-
-    def __init__(self, happens: Callable[[], None]) -> None:
-        self._eyes, self._happens = ColorThreshold(RED), happens
-
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
-        self._happens()
-        return self._eyes.start(image, prompt, ignored)
-
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
-        self._happens()
-        return self._eyes.track(image, ignored)
-
-    def reset(self) -> None:
-        self._eyes.reset()
 
 
 def brain(segmenter: Segmenter | None = None) -> Brain:

@@ -9,7 +9,7 @@ from loop_lab import (
     BOX,
     HOME,
     PROFILE,
-    SlowEyes,
+    RED,
     Surroundings,
     brain,
     decision,
@@ -25,8 +25,10 @@ from pixel2catch.deployment.servo_state import Mode
 from pixel2catch.deployment.watchdog import Fault
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.twin.lockstep import SlowSegmenter, StepClock
 
 
 class Course:
@@ -109,10 +111,10 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
     )
     with surroundings() as around:
 
-        def move() -> None:
+        def move(_: float) -> None:
             around.servo.send(decision(Mode.ARMED, time=around.clock.now(), joint_pos=moved))
 
-        course = Course(around, SlowEyes(move))
+        course = Course(around, SlowSegmenter(ColorThreshold(RED), StepClock(move), 0.01))
         course.say(Mode.ARMED)
         around.show(picture())
         course.point(json.dumps({"box": BOX}))

@@ -243,3 +243,22 @@ def test_a_dry_run_sends_nothing_and_runs(ends: tuple[BrainEnd, ServoEnd]):
     watcher = stage.broker.node(stage.clock)
     assert not any(watcher.num_other_publishers(part.command_topic) for part in stage.lab.profile.robots)
     assert stage.lab.decisions[-1].command[0] > HOME[0] + 0.1
+
+
+def test_a_dry_run_can_be_armed_again_after_a_stop(ends: tuple[BrainEnd, ServoEnd]):
+    stage = Stage(Profile.load("ur5e_allegro_v4"), ends, is_dry_run=True)
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(60)
+        stage.lab.target = HOME + 0.2
+        yield from wait(60)
+        stage.lab.is_held = False
+        yield from wait(30 + STOP_TICKS)
+        assert stage.mode == Mode.STOPPED
+        stage.lab.is_held, stage.lab.target = True, HOME
+        yield from wait(25)  # the switch is heard of
+        yield from stage.armed()
+        raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == ("dead man",)

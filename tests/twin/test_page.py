@@ -9,18 +9,17 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from pilot import PROFILE, Bench
+from twin_bench import PROFILE, Bench
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.clock import RealClock
 from pixel2catch.envs.catch_env import CatchEnvCfg
+from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robot.constants import PALM_POS
 from pixel2catch.robot.kinematics import palm_pose
 from pixel2catch.twin.lab import Phase
 from pixel2catch.twin.page import BOX_COLOR, Page, with_box
-
-PORT = 18080
-
+from pixel2catch.twin.stepping import SteppingCfg, in_step
 
 PORT = 18080
 
@@ -29,9 +28,9 @@ class Shown:
     """A page on a bench."""
 
     def __init__(self) -> None:
-        task = CatchEnvCfg()
+        task, clock = CatchEnvCfg(), RealClock()
         self.bench = Bench(task)
-        self.page = Page(PORT, task.scene, PROFILE, self.bench.broker.node(RealClock()))
+        self.page = Page(PORT, task.scene, PROFILE, self.bench.broker.node(clock), clock)
         self._status = self.bench.node.publisher(PROFILE.operator.status)
 
     def tell(self, **status: Any) -> None:
@@ -78,6 +77,47 @@ def test_buttons_prepare_and_throw(shown: Shown):
     shown.page.update()
     shown.go_on(30)
     assert "| twin: phase | flying |" in shown.page.text.content
+
+
+def test_the_operator_holds_arms_points_and_stops(shown: Shown):
+    heard = {
+        name: shown.bench.node.subscription(getattr(PROFILE.operator, name))
+        for name in ("dead_man", "arm", "prompt", "stop")
+    }
+    page, console = shown.page, shown.page.console
+    page.hold(True)
+    shown.go_on()
+    assert [messages.read_boolean(packet.data) for packet in heard["dead_man"].take()] == [True]
+    page.hold(False)
+    shown.go_on()
+    assert [messages.read_boolean(packet.data) for packet in heard["dead_man"].take()] == [False]
+    page.ask("prepare")
+    shown.page.update()
+    shown.go_on(300)
+    page.point()
+    console.arm()
+    console.stop()
+    box = shown.bench.lab.truth()["box"]
+    (prompt,) = heard["prompt"].take()
+    assert json.loads(messages.read_text(prompt.data))["box"] == pytest.approx(box, abs=1.0)
+    assert all(len(heard[name].take()) == 1 for name in ("arm", "stop"))
+
+
+def test_one_button_throws_and_catches():
+    policy, _ = load_policy(None)
+    cfg = SteppingCfg(task=task_of(policy, physics_hz=120.0), throws=1, is_plain=True)
+    with in_step(cfg, policy) as lockstep:
+        node = lockstep.broker.node(lockstep.clock)
+        page = Page(PORT, cfg.task.scene, PROFILE, node, lockstep.clock)
+        page.seed.value = 3
+        page.catch()
+        assert page.trial is not None
+        page.trial.join()
+        page.update()
+        page.close()
+        assert lockstep.lab.outcome == "caught"
+        assert page.seed.value == 4
+        assert "| deploy: mode | stopped |" in page.text.content
 
 
 def test_what_the_deployment_sees_is_in_the_picture_and_its_state_in_the_table(shown: Shown):

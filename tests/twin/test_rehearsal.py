@@ -33,7 +33,16 @@ def test_a_throw_is_rehearsed_and_reported(
     assert (tape / "tape.mcap").stat().st_size > 1_000_000
 
 
-@pytest.mark.parametrize(("args", "words"), [(["--throws", "0"], "throws is 0"), (["--clock", "2"], "clock")])
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["--throws", "0"], "throws is 0"),
+        (["--clock", "2"], "clock"),
+        (["--plain"], "--lockstep: add it"),
+        (["--lockstep", "--record", "tape"], "--record"),
+        (["--lockstep", "--perception-ms", "-1"], "perception_ms is -1"),
+    ],
+)
 def test_nonsense_is_refused_before_anything_starts(
     args: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -5,16 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pilot import PROFILE, START, Bench, Pilot
+from twin_bench import PROFILE, START, Bench
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import DeploymentError
-from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.twin.camera import LATENCY
 from pixel2catch.twin.drivers import CYCLE
@@ -179,22 +177,3 @@ def test_a_request_that_cannot_be_met_is_refused_with_the_reason(
 def test_another_drivers_commands_are_refused_at_the_start(bench: Bench):
     with pytest.raises(DeploymentError, match="ur5e_allegro_v4"):
         Wires(bench.lab, Profile.load("ur5e_allegro_v5"), Broker().node(RealClock()), bench.camera)
-
-
-def test_the_shipped_policy_catches_over_the_wires():
-    policy, _ = load_policy(None)
-    bench = Bench(task_of(policy, physics_hz=120.0))
-    pilot = Pilot(bench, Controller(policy, "left"))
-    end = pilot.catch(seed=0)  # one that the evaluation catches
-    assert end["is_success"]
-    assert (end["throw"], end["ignored"], end["halted"]) == (1, 0, False)
-    assert 2.0 < end["joint_speed"] < 3.0
-
-
-@pytest.mark.slow
-def test_the_shipped_policy_catches_as_often_as_in_the_evaluation():
-    policy, _ = load_policy(None)
-    bench = Bench(task_of(policy))
-    pilot = Pilot(bench, Controller(policy, "left"))
-    num_caught = sum(pilot.catch(seed)["is_success"] for seed in range(40))
-    assert num_caught >= 34  # 95 % in 1,000 throws; fewer than 35 of 40 in one case of 150

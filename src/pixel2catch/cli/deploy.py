@@ -76,27 +76,22 @@ class Deploy:
 
     def _brain(self, profile: "Profile", camera: "CameraSpec") -> "Brain":
         """Perception and policy, for this robot and camera."""
-        from pixel2catch.deployment.brain import Brain
+        from pixel2catch.deployment.brain import make_brain
         from pixel2catch.deployment.controller import Controller
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.perception.extractor import PixelFeatureExtractor
-        from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter
         from pixel2catch.perception.robot_mask import RobotMask
-        from pixel2catch.perception.tracking import LaterPrompter
 
         policy, _ = load_policy(self.policy)
         controller = Controller(policy, profile.handedness, camera)
         profile.require(policy.contract.commands)
-        person = GivenPrompter()
-        prompter = LaterPrompter(FirstPrompter(person, self.sight.make_prompter(camera)))
         robot = RobotMask(camera, handedness=profile.handedness) if self.mask_robot else None
-        extractor = PixelFeatureExtractor(self.sight.make_segmenter(), prompter, robot=robot, camera=camera)
-        return Brain(controller, extractor, person)
+        prompter = self.sight.make_prompter(camera)
+        return make_brain(controller, self.sight.make_segmenter(), prompter, camera, robot)
 
     def _loop(self, deployment: "Deployment", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""
         from pixel2catch.cli.console import say
-        from pixel2catch.rl.interruption import StopRequest
+        from pixel2catch.interruption import StopRequest
 
         begin, said = clock.now(), ""
 

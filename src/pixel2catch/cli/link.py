@@ -1,24 +1,27 @@
 """Options of the commands that move a robot, or its digital twin."""
 
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from pixel2catch.deployment.clock import Clock
     from pixel2catch.deployment.connection import Connection
     from pixel2catch.deployment.profile import Profile
     from pixel2catch.deployment.servo_process import ServoSetup
     from pixel2catch.deployment.tape import Images
+    from pixel2catch.deployment.transport import Transport
 
 NODE = "pixel2catch"
 """Name of the node; the servo's has `_servo` behind it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Link:
-    """How the robot is reached, and how fast it may be.
+class Network:
+    """How a robot and its deployment are reached.
 
     Attributes:
         profile: The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
@@ -26,22 +29,45 @@ class Link:
         transport: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
         loopback: Speak to this machine only, as the digital twin does.
         clock: Seconds in a real second: 1, or the --clock of a digital twin.
-        speed: Share of the full speed, up to 1.
-        dry_run: Send nothing to the robot: nobody announces a command.
     """
 
     profile: str = "ur5e_allegro_v4"
     transport: Literal["dds", "ros"] = "dds"
     loopback: bool = False
     clock: float = 1.0
-    speed: float = 1.0
-    dry_run: bool = False
 
     def load(self) -> "Profile":
         """The robot's profile."""
         from pixel2catch.deployment.profile import Profile
 
         return Profile.load(self.profile)
+
+    @contextmanager
+    def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
+        """Be a node of the network, with a clock that all agree on.
+
+        Args:
+            node: Its name.
+        """
+        from pixel2catch.deployment.clock import RealClock
+        from pixel2catch.deployment.network import make_transport
+
+        clock = RealClock(self.clock)
+        with make_transport(self.transport, node, self.loopback, clock) as transport:
+            yield transport, clock
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link(Network):
+    """How the robot is reached, and how fast it may be.
+
+    Attributes:
+        speed: Share of the full speed, up to 1.
+        dry_run: Send nothing to the robot: nobody announces a command.
+    """
+
+    speed: float = 1.0
+    dry_run: bool = False
 
     def connect(
         self, profile: "Profile", record: Path | None, images: "Images", stack: ExitStack
@@ -54,17 +80,16 @@ class Link:
             images: How images are recorded.
             stack: Ends it all: first the servo, which stops the robot.
         """
-        from pixel2catch.deployment.clock import RealClock
         from pixel2catch.deployment.connection import Connection
         from pixel2catch.deployment.network import make_transport
         from pixel2catch.deployment.recorder import Recorder
         from pixel2catch.deployment.servo_process import start_servo
         from pixel2catch.deployment.tape import Tape
 
-        clock, setup = RealClock(self.clock), self._setup(profile)
+        setup = self._setup(profile)
         join = partial(make_transport, self.transport, f"{NODE}_servo", self.loopback)
         recorder = stack.enter_context(Recorder(record)) if record else None
-        transport = stack.enter_context(make_transport(self.transport, NODE, self.loopback, clock))
+        transport, clock = stack.enter_context(self.join(NODE))
         tape = Tape(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(

@@ -15,6 +15,7 @@ from pixel2catch.cli.doctor import Doctor
 from pixel2catch.cli.evaluate import Evaluate
 from pixel2catch.cli.excite import Excite
 from pixel2catch.cli.identify import Identify
+from pixel2catch.cli.operate import Operate
 from pixel2catch.cli.play import Play
 from pixel2catch.cli.record import Record
 from pixel2catch.cli.rehearse import Rehearse
@@ -39,6 +40,7 @@ COMMANDS = (
     Calibrate,
     Track,
     Deploy,
+    Operate,
     Twin,
     Rehearse,
     Scene,

@@ -64,7 +64,7 @@ class Record:
         """Follow until the end or Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.deploy import sentence
-        from pixel2catch.rl.interruption import StopRequest
+        from pixel2catch.interruption import StopRequest
 
         said = ""
 

@@ -1,8 +1,8 @@
 """`pixel2catch rehearse`: the whole deployment against its digital twin, throw after throw."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +11,8 @@ from tyro.conf import Positional
 if TYPE_CHECKING:
     from pixel2catch.twin.rehearsal import Outcome, RehearsalCfg
 
-REPORT, TWIN_LOG, DEPLOY_LOG = "report.json", "twin.txt", "deploy.txt"
-"""Files in the folder that it writes."""
+REPORT = "report.json"
+"""The report's file in the folder that it writes; the processes' words lie beside it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,9 @@ class Rehearse:
     """Start the twin and `deploy`, arm, throw, and report how often it was caught and how fast it was.
 
     Both are processes of their own, which know of each other what is on the network (DDS, on this machine
-    only). Images are rendered; on two cores that takes a slower clock, such as --clock 0.5, for both.
+    only). Images are rendered; on two cores that takes a slower clock, such as --clock 0.5, for both. With
+    --lockstep there is one process, no network, and no real time: the same seed gives the same throws on a
+    slow or busy machine, and times are those that are stated.
 
     Attributes:
         policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
@@ -30,6 +32,9 @@ class Rehearse:
         clock: Seconds of twin and deployment in a real second, at most 1.
         dynamics: Dynamics file of the robot that the twin is. Default: the nominal robot.
         domain: DDS domain (ROS_DOMAIN_ID), one that nobody else uses.
+        lockstep: One process whose time goes on when it has nothing to do, instead of real time.
+        perception_ms: With --lockstep: time that perception takes for an image.
+        plain: With --lockstep: images that show nothing but the object's box; they need no OpenGL.
         record: New folder for a rosbag2 (MCAP) of all that `deploy` saw, decided and commanded.
         out: New or empty folder for report.json and what both processes print.
         json: Print the report as one JSON object.
@@ -42,6 +47,9 @@ class Rehearse:
     clock: float = 1.0
     dynamics: Path | None = None
     domain: int = 77
+    lockstep: bool = False
+    perception_ms: float = 10.0
+    plain: bool = False
     record: Path | None = None
     out: Path = Path("rehearsal")
     json: bool = False
@@ -50,28 +58,62 @@ class Rehearse:
         """Rehearse, write the report and print it."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.extras import needs_extra
-        from pixel2catch.errors import InvalidValueError
-        from pixel2catch.evaluation.rendering import find_gl_backend
         from pixel2catch.files import require_free_folder, write_atomically
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.clock import RealClock
             from pixel2catch.twin.rehearsal import rehearse
-        RealClock(self.clock)  # refuses what is no rate
-        if self.throws < 1:
-            raise InvalidValueError(f"throws is {self.throws}; it must be 1 or more")
-        find_gl_backend()
+        self._refuse_nonsense()
         require_free_folder(self.out)
         self.out.mkdir(parents=True, exist_ok=True)
-        say(f"starting twin and deployment; clock {self.clock:g}")
 
         def show(outcome: "Outcome") -> None:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
-        report = rehearse(self._cfg(), show)
+        if self.lockstep:
+            report = self._in_step(show)
+        else:
+            say(f"starting twin and deployment; clock {self.clock:g}")
+            report = rehearse(self._cfg(), show)
         write_atomically({self.out / REPORT: f"{json.dumps(report, indent=2)}\n".encode()})
         print(json.dumps(report) if self.json else "\n".join(_lines(report)))
-        say(f"wrote {self.out}: {REPORT}, {TWIN_LOG}, {DEPLOY_LOG}")
+        say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")
+
+    def _refuse_nonsense(self) -> None:
+        """Refuse what cannot be rehearsed, before anything starts."""
+        from pixel2catch.deployment.clock import RealClock
+        from pixel2catch.errors import InvalidValueError
+        from pixel2catch.evaluation.rendering import find_gl_backend
+
+        RealClock(self.clock)  # refuses what is no rate
+        if self.throws < 1:
+            raise InvalidValueError(f"throws is {self.throws}; it must be 1 or more")
+        if self.perception_ms < 0.0:
+            raise InvalidValueError(f"perception_ms is {self.perception_ms:g}; it must be 0 or more")
+        if self.lockstep and (self.record or self.clock != 1.0):
+            raise InvalidValueError("--record and --clock are for real time; leave them out, or --lockstep")
+        if self.plain and not self.lockstep:
+            raise InvalidValueError("--plain goes with --lockstep: add it")
+        if not self.plain:
+            find_gl_backend()
+
+    def _in_step(self, show: Callable[["Outcome"], None]) -> dict[str, Any]:
+        """The report of a rehearsal in lockstep."""
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.robot.objects import select_objects
+        from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
+
+        prepare("cpu")
+        policy, _ = load_policy(Path(self.policy) if self.policy else None)
+        task = replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
+        cfg = SteppingCfg(
+            task=task,
+            throws=self.throws,
+            seed=self.seed,
+            perception_time=1e-3 * self.perception_ms,
+            is_plain=self.plain,
+        )
+        return rehearse_in_step(cfg, policy, show)
 
     def _cfg(self) -> "RehearsalCfg":
         """What is rehearsed."""
@@ -108,7 +150,10 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
     for name, short in (("tracking_rate", "T.R."), ("success_rate", "S.R.")):
         low, high = report[f"{name}_interval"]
         yield f"{short} {100 * report[name]:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
-    yield f"{report['num_throws']} throws in {report['seconds']:.0f} s at clock {report['clock']:g}"
+    if "clock" in report:
+        yield f"{report['num_throws']} throws in {report['seconds']:.0f} s at clock {report['clock']:g}"
+    else:
+        yield f"{report['num_throws']} throws in lockstep, perception {1e3 * report['perception_time']:g} ms"
     yield from (f"stopped by itself: {reason}: {count}" for reason, count in report["stops"].items())
     yield from lines(report["deploy"])
     yield "twin: " + ", ".join(f"{name} {value}" for name, value in report["twin"].items())

@@ -93,7 +93,7 @@ class Reproduce:
         from pixel2catch.cli.study_console import Board
         from pixel2catch.evaluation.study.gpu_sharing import shared_gpus
         from pixel2catch.evaluation.study.jobs import Runner, Status, last_lines, locked
-        from pixel2catch.rl.interruption import StopRequest
+        from pixel2catch.interruption import StopRequest
 
         devices = self._devices()
         training = self._training_options(devices[0])

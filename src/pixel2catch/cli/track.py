@@ -91,9 +91,9 @@ class Track:
         from contextlib import closing
 
         from pixel2catch.errors import PerceptionError
+        from pixel2catch.interruption import StopRequest
         from pixel2catch.perception.sources import SourceCfg, ticks_of
         from pixel2catch.perception.tracking import follow
-        from pixel2catch.rl.interruption import StopRequest
 
         camera = self.sight.camera_spec(notes)
         extractor = self._extractor(camera)

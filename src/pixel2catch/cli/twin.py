@@ -43,7 +43,7 @@ class Twin:
         from pixel2catch.cli.device import prepare
         from pixel2catch.cli.extras import needs_extra
         from pixel2catch.evaluation.loading import load_policy, task_of
-        from pixel2catch.rl.interruption import StopRequest
+        from pixel2catch.interruption import StopRequest
         from pixel2catch.robot.objects import select_objects
 
         with needs_extra("twin"):

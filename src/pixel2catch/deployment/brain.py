@@ -13,9 +13,11 @@ from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
 from pixel2catch.perception.finder import CameraFrame
-from pixel2catch.perception.prompt import GivenPrompter
-from pixel2catch.perception.segmenter import Prompt
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, Prompter
+from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.segmenter import Prompt, Segmenter
+from pixel2catch.perception.tracking import LaterPrompter
+from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
 
 BOX_AGE = CONTROL_DT * sum(SensingCfg().latency_steps) / 2.0
 """Age of the boxes that the policy knows from its training, in the mean [s].
@@ -90,3 +92,24 @@ class Brain:
         target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), box)
         image_stamp, _ = self._boxes[-1]
         return Orders(joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=image_stamp)
+
+
+def make_brain(
+    controller: Controller,
+    segmenter: Segmenter,
+    prompter: Prompter,
+    camera: CameraSpec,
+    robot: RobotMask | None,
+) -> Brain:
+    """Put perception and policy together.
+
+    Args:
+        controller: The policy.
+        segmenter: What finds the object.
+        prompter: What points it out where the operator does not.
+        camera: The camera.
+        robot: The robot, whose motion is not the object's; None where that does no harm.
+    """
+    person = GivenPrompter()
+    either = LaterPrompter(FirstPrompter(person, prompter))
+    return Brain(controller, PixelFeatureExtractor(segmenter, either, robot=robot, camera=camera), person)

@@ -20,8 +20,8 @@ from pixel2catch.perception.finder import CameraFrame
 from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 
-POLL = 0.001
-"""Time between two looks for an image [s]. Source: ours."""
+POLL = 0.002
+"""Longest time between two looks at servo and network [s], in real time; an image ends it. Source: ours."""
 
 PATIENCE = 1.5 * CONTROL_DT
 """Time after an image from which the next one is missing [s]. Source: ours."""
@@ -47,6 +47,7 @@ class Deployment:
         self._brain, self._eyes = brain, eyes
         self._servo, self._clock, self._tape = connection.servo, connection.clock, connection.tape
         self._servo_dt = connection.servo_dt
+        self._transport = connection.transport
         self._prompts = connection.transport.subscription(topics.prompt)
         self._status = connection.transport.publisher(topics.status)
         self._joint_pos = np.full(len(JOINTS), np.nan)
@@ -69,7 +70,7 @@ class Deployment:
         while not is_over():
             status = self.poll()
             if status is None:
-                self._clock.sleep_until(self._clock.now() + POLL)
+                self._transport.wait(POLL)
             else:
                 on_status(status)
 

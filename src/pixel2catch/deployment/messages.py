@@ -14,7 +14,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.robot.constants import CameraSpec
+from pixel2catch.robot.constants import PIXEL_CENTER, CameraSpec
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT_ARRAY = "std_msgs/msg/Float64MultiArray"
@@ -35,9 +35,6 @@ STORE.register(
 
 CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 """Encodings of images that are read, and how their channels become red, green and blue."""
-
-PIXEL_CENTER = 0.5
-"""The middle of the first pixel, which ROS calls 0 [px]."""
 
 OPTICAL_FRAME = "camera_color_optical_frame"
 """Frame of the images. Source: RealSense driver."""

@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.calibration_target import PIXEL_CENTER, Board, View, read_image
+from pixel2catch.perception.calibration_target import Board, View, read_image
+from pixel2catch.robot.constants import PIXEL_CENTER
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
 """Lens models of ROS that are OpenCV's; no name stands for no distortion."""

@@ -11,9 +11,7 @@ from matplotlib.figure import Figure
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.perception.segmenter import Image
-
-PIXEL_CENTER = 0.5
-"""Where OpenCV's pixel (0, 0) is in this project's image coordinates, along u and v [px]."""
+from pixel2catch.robot.constants import PIXEL_CENTER
 
 MIN_CORNERS = 5
 """Corners of the printed board that tell its pose: four, no three of which are in a line, are among them."""

@@ -10,12 +10,12 @@ from typing import Literal
 import torch
 
 from pixel2catch.errors import CheckpointError
+from pixel2catch.interruption import StopRequest
 from pixel2catch.policy import PolicyContract
 from pixel2catch.rl.checkpoint import Progress, load_checkpoint, save_checkpoint
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.environment import Environment, Observation
 from pixel2catch.rl.finite import check_rollout, check_update
-from pixel2catch.rl.interruption import StopRequest
 from pixel2catch.rl.learner import Learner
 from pixel2catch.rl.log import TrainingLog
 from pixel2catch.rl.metrics import Row

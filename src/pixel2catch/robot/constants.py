@@ -186,6 +186,10 @@ TABLE = TableSpec(center=(-0.05, 0.0, 0.81), size=(0.75, 0.75), thickness=0.04)
 """Source: top and centre: release; extent and thickness: ours (the release's prop is not public)."""
 
 
+PIXEL_CENTER = 0.5
+"""The middle of the first pixel in image coordinates, along u and v [px]; ROS and OpenCV call it 0."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CameraSpec:
     """A pinhole camera.

@@ -25,7 +25,6 @@ from pixel2catch.twin.camera import Camera
 from pixel2catch.twin.drivers import CYCLE
 from pixel2catch.twin.lab import Lab
 from pixel2catch.twin.operator import Operator
-from pixel2catch.twin.rehearsal import Outcome, throw
 from pixel2catch.twin.running import PROFILE
 from pixel2catch.twin.view import Exposure
 from pixel2catch.twin.wires import Wires
@@ -98,6 +97,13 @@ class SlowSegmenter(Segmenter):
         self._segmenter.reset()
 
 
+Draw = Callable[[Lab, Exposure], Image]
+"""Draws what the camera sees."""
+
+MakeBrain = Callable[[Clock], Brain]
+"""Makes perception and policy; its `SlowSegmenter` takes time of this clock."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class LockstepCfg:
     """What is rehearsed.
@@ -117,26 +123,23 @@ class Lockstep:
     """The twin, a deployment, and an operator.
 
     Attributes:
+        clock: The time, which goes on when somebody waits.
+        broker: The network.
         lab: What is true.
         operator: Who asks for throws.
         deployment: What catches.
     """
 
-    def __init__(
-        self,
-        cfg: LockstepCfg,
-        draw: Callable[[Lab, Exposure], Image],
-        make_brain: Callable[[Clock], Brain],
-    ) -> None:
+    def __init__(self, cfg: LockstepCfg, draw: Draw, make_brain: MakeBrain) -> None:
         """Put everybody in place; nothing happens yet.
 
         Args:
             cfg: What is rehearsed.
             draw: Draws what the camera sees.
-            make_brain: Makes perception and policy, whose `SlowSegmenter` has this clock.
+            make_brain: Makes what catches.
         """
-        clock, broker, profile = StepClock(self._wait), Broker(), Profile.load(PROFILE)
-        self._clock = clock
+        self.clock, self.broker = clock, broker = StepClock(self._wait), Broker()
+        profile = Profile.load(PROFILE)
         self._num_cycles, self._is_thinking = 0, False
         self.lab = Lab(cfg.task, cfg.seed)
         self._wires = Wires(
@@ -154,17 +157,6 @@ class Lockstep:
         self.operator = Operator(broker.node(clock), profile.operator, clock)
         self._ends = (brain_end, servo_end)
 
-    def throw(self, seed: int) -> Outcome:
-        """One throw, from an empty room to the stop after it.
-
-        Args:
-            seed: Of the throw.
-
-        Raises:
-            Exception: What the servo did not foresee.
-        """
-        return throw(self.operator, seed)
-
     def close(self) -> None:
         """Free the simulation."""
         self.lab.close()
@@ -181,20 +173,20 @@ class Lockstep:
 
     def _wait(self, moment: float) -> None:
         """Let happen what happens until a moment [s], or shortly after."""
-        while self._clock.time < moment - ROUNDING:
+        while self.clock.time < moment - ROUNDING:
             self._cycle()
 
     def _cycle(self) -> None:
         """A cycle of the drivers, a tick of the servo, and a look of the brain, if it does not think."""
         begin = self._num_cycles * CYCLE
         self._num_cycles += 1
-        self._clock.time = begin
+        self.clock.time = begin
         self._wires.cycle(start=0.0)
-        self._clock.time = begin + HOP
+        self.clock.time = begin + HOP
         self._servo.tick()
         if self._servo.unforeseen:
             raise self._servo.unforeseen
-        self._clock.time = begin + 2 * HOP
+        self.clock.time = begin + 2 * HOP
         if not self._is_thinking:
             self._is_thinking = True
             self.deployment.poll()

@@ -1,12 +1,14 @@
 """A web page that shows the twin, what the deployment sees and does, and has buttons to throw. Needs viser.
 
-It only listens and asks on the network, as any other node; its process takes nothing from the twin's.
+It only listens and asks on the network, as any other node; its process takes nothing from the twin's. One
+button does all that an operator does for a throw; the others do it step by step.
 """
 
 import json
 import time
 from collections import deque
 from dataclasses import replace
+from threading import Thread
 from typing import Any, NoReturn
 
 import mujoco
@@ -16,7 +18,8 @@ import viser
 
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
+from pixel2catch.deployment.clock import Clock, RealClock
+from pixel2catch.deployment.console import Console, newest
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.deployment.transport import Transport
@@ -26,7 +29,9 @@ from pixel2catch.robot.objects import OBJECTS
 from pixel2catch.robot.scene import OBJECT_RGBA, SceneCfg, build_model
 from pixel2catch.robot.shapes import ConvexPart
 from pixel2catch.twin.children import LAST, obey_parent
-from pixel2catch.twin.wires import COMMAND, STATE, newest
+from pixel2catch.twin.operator import Operator
+from pixel2catch.twin.trials import run_trial
+from pixel2catch.twin.wires import COMMAND, STATE
 
 HOST = "127.0.0.1"
 """The page is for this machine only; others come by a tunnel."""
@@ -39,7 +44,7 @@ LINE = 2
 """Colour and width [px] of the box that the deployment sees."""
 
 REQUESTS = ("prepare", "throw", "protective_stop", "resume")
-"""The buttons."""
+"""What the twin is asked for by buttons."""
 
 MAKERS = {
     mujoco.mjtGeom.mjGEOM_BOX: lambda x, y, z: shapes.box(2 * x, 2 * y, 2 * z),
@@ -57,9 +62,14 @@ class Page:
         thrown: What is shown of the object.
         picture: The camera's image.
         text: All states, as a table.
+        seed: Seed of the next throw.
+        console: What an operator has at hand.
+        trial: The throw that goes on by itself, or did.
     """
 
-    def __init__(self, port: int, scene: SceneCfg, profile: Profile, transport: Transport) -> None:
+    def __init__(
+        self, port: int, scene: SceneCfg, profile: Profile, transport: Transport, clock: Clock
+    ) -> None:
         """Serve the page.
 
         Args:
@@ -67,18 +77,20 @@ class Page:
             scene: The scene of the simulation.
             profile: What topics and joints are called.
             transport: The node of the page.
+            clock: The clock of twin and deployment.
         """
+        self._transport, self._topics, self._clock = transport, profile.operator, clock
+        self.console = Console(transport, profile.operator, clock)
+        self.trial: Thread | None = None
         self._parts, self._joint_pos = profile.robots, np.array([joint.home for joint in JOINTS])
         self._model = build_model(replace(scene, visuals=True))
         self._data = mujoco.MjData(self._model)
         self._joints = transport.subscription(profile.robots[0].state_topic, depth=20)
         self._images = transport.subscription(profile.camera.image)
         self._states = transport.subscription(STATE)
-        self._statuses = transport.subscription(profile.operator.status)
         self._commands = transport.publisher(COMMAND)
         self._wishes: deque[dict[str, Any]] = deque()
         self._state: dict[str, Any] = {}
-        self._status: dict[str, Any] = {}
         self._boxes: deque[list[float]] = deque(maxlen=2)
         self._server = viser.ViserServer(HOST, port, label="Pixel2Catch twin", verbose=False)
         self._build_scene()
@@ -94,7 +106,7 @@ class Page:
         while self._wishes:
             self._commands.publish(messages.text(json.dumps(self._wishes.popleft())))
         self._state = newest(self._states, self._state)
-        self._status = newest(self._statuses, self._status)
+        self.console.watch()
         for packet in self._joints.take():
             reading = messages.read_joint_state(packet.data)
             for part in self._parts:
@@ -107,9 +119,29 @@ class Page:
         """Ask the twin for one of `REQUESTS`, with the next update; any thread may call this."""
         wish: dict[str, Any] = {"do": name}
         if name == "prepare":
-            wish["seed"] = int(self._seed.value)
-            self._seed.value += 1
+            wish["seed"] = self._next_seed()
         self._wishes.append(wish)
+
+    def catch(self) -> None:
+        """Do all that an operator does for a throw, beside the page; nothing while that goes on."""
+        if self.trial is None or not self.trial.is_alive():
+            operator = Operator(self._transport, self._topics, self._clock)
+            self.trial = Thread(target=run_trial, args=(operator, self._next_seed()), daemon=True)
+            self.trial.start()
+
+    def point(self) -> None:
+        """Point at the object, if the camera sees it."""
+        if box := self._state.get("box"):
+            self.console.point(box)
+
+    def hold(self, is_held: bool) -> None:
+        """Hold the dead-man's switch, or let it go."""
+        self.console.holds = is_held
+
+    def _next_seed(self) -> int:
+        seed = int(self.seed.value)
+        self.seed.value += 1
+        return seed
 
     def close(self) -> None:
         """End the page."""
@@ -148,9 +180,16 @@ class Page:
         gui = self._server.gui
         self.picture = gui.add_image(np.zeros((RGB_CAMERA.height, RGB_CAMERA.width, 3), np.uint8))
         self.text = gui.add_markdown("")
-        self._seed = gui.add_number("seed of the next throw", 0, min=0, step=1)
-        for name in REQUESTS:
-            gui.add_button(name.replace("_", " ")).on_click(lambda _, name=name: self.ask(name))
+        self.seed = gui.add_number("seed of the next throw", 0, min=0, step=1)
+        gui.add_button("throw and catch").on_click(lambda _: self.catch())
+        with gui.add_folder("step by step", expand_by_default=False):
+            switch = gui.add_checkbox("hold the dead-man's switch", False)
+            switch.on_update(lambda _: self.hold(switch.value))
+            for name in REQUESTS:
+                gui.add_button(name.replace("_", " ")).on_click(lambda _, name=name: self.ask(name))
+            gui.add_button("arm").on_click(lambda _: self.console.arm())
+            gui.add_button("point at the object").on_click(lambda _: self.point())
+            gui.add_button("stop").on_click(lambda _: self.console.stop())
 
     def _move(self) -> None:
         """Move robot and object to where they are."""
@@ -168,12 +207,13 @@ class Page:
 
     def _tell(self) -> None:
         """Show the newest image with the box, and all states."""
-        box = self._status.get("box")
+        status = self.console.status
+        box = status.get("box")
         if box:
             self._boxes.append(box)
         for packet in self._images.take():
             self.picture.image = with_box(messages.read_image(packet.data).pixels, box)
-        rows = {**self._features(), **{f"deploy: {name}": value for name, value in self._status.items()}}
+        rows = {**self._features(), **{f"deploy: {name}": value for name, value in status.items()}}
         rows |= {f"twin: {name}": value for name, value in self._state.items() if name != "object_pose"}
         table = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
         self.text.content = f"| | |\n|---|---|\n{table}"
@@ -199,18 +239,20 @@ def with_box(pixels: np.ndarray, box: list[float] | None) -> np.ndarray:
     return marked
 
 
-def serve_page(port: int, scene: SceneCfg, profile: Profile) -> NoReturn:
+def serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
     """Serve the page until this process is ended.
 
     Args:
         port: Port of the page; if it is taken, one of the next.
         scene: The scene of the simulation.
         profile: What topics and joints are called.
+        rate: Rate of the clock of twin and deployment.
     """
     obey_parent(LAST)
     torch.set_num_threads(1)
-    with make_transport("dds", "pixel2catch_page", loopback=True, clock=RealClock()) as node:
-        page = Page(port, scene, profile, node)
+    clock = RealClock(rate)
+    with make_transport("dds", "pixel2catch_page", loopback=True, clock=clock) as node:
+        page = Page(port, scene, profile, node, clock)
         while True:
             page.update()
             time.sleep(PERIOD)

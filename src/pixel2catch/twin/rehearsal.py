@@ -5,10 +5,9 @@ import os
 import subprocess
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +15,12 @@ from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.errors import DeploymentError
-from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.twin.operator import Operator
 from pixel2catch.twin.running import PROFILE
+from pixel2catch.twin.trials import Outcome, of_twin, rates, run_trial
 
 START_TIME = 120.0
 """Real time in which both processes must be there [s]: on loaded machines imports are slow. Source: ours."""
-
-STEP_TIME = 10.0
-"""Time in which each step of a throw must be done [s]. Source: ours."""
 
 END_TIME = 30.0
 """Real time in which a process must have ended [s]."""
@@ -53,27 +49,6 @@ class RehearsalCfg:
     logs: Path
 
 
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """How a throw ended.
-
-    Attributes:
-        seed: Its number.
-        object: What was thrown; none if it never came to that.
-        is_tracked: Whether the palm came near the object.
-        is_success: Whether it was caught.
-        stops: Why the robot stopped by itself, if it did.
-        problem: Why it could not be thrown; empty if it could.
-    """
-
-    seed: int
-    object: str | None
-    is_tracked: bool
-    is_success: bool
-    stops: list[str]
-    problem: str
-
-
 def rehearse(cfg: RehearsalCfg, report: Callable[[Outcome], None]) -> dict[str, Any]:
     """Throw, and count.
 
@@ -100,20 +75,16 @@ def rehearse(cfg: RehearsalCfg, report: Callable[[Outcome], None]) -> dict[str, 
         _wait_for_both(operator, (twin, deploy), cfg)
         outcomes = []
         for seed in range(cfg.seed, cfg.seed + cfg.throws):
-            outcomes.append(throw(operator, seed))
+            outcomes.append(run_trial(operator, seed))
             report(outcomes[-1])
             _require_alive((twin, deploy), cfg.logs)
         truth = operator.truth
     return {
-        **_rates(outcomes),
+        **rates(outcomes),
         "clock": cfg.clock,
         "seconds": time.perf_counter() - begin,
         "deploy": _summary(cfg.logs / "deploy.txt"),
-        "twin": {
-            name: truth.get(name)
-            for name in ("joint_speed", "halts", "ignored", "late_images", "lost_images")
-        },
-        "throws": [asdict(outcome) for outcome in outcomes],
+        "twin": of_twin(truth),
     }
 
 
@@ -142,7 +113,8 @@ def _wait_for_both(
 
     def are_there() -> bool:
         _require_alive(processes, cfg.logs)
-        return bool(operator.truth) and operator.mode == "idle" and operator.status["verdict"] != "no image"
+        has_image = operator.console.status.get("verdict") != "no image"
+        return bool(operator.truth) and operator.mode == "idle" and has_image
 
     operator.until(are_there, cfg.clock * START_TIME, "twin and deployment")
 
@@ -154,68 +126,6 @@ def _require_alive(processes: Sequence[subprocess.Popen[bytes]], logs: Path) -> 
             lines = (logs / f"{name}.txt").read_text(errors="replace").strip().splitlines()
             said = lines[-1] if lines else "nothing"
             raise DeploymentError(f"'pixel2catch {name}' has ended; its last words: {said}")
-
-
-def throw(operator: Operator, seed: int) -> Outcome:
-    """One throw, from an empty room to the stop after it.
-
-    Args:
-        operator: Who has it thrown.
-        seed: Of the throw.
-    """
-    num_stops, problem, thrown = len(operator.stops), "", operator.truth.get("throw", 0)
-    try:
-        _prepare(operator, seed)
-        operator.ask_twin(do="throw")
-        operator.until(lambda: operator.truth["throw"] > thrown, STEP_TIME, "the throw")
-        operator.until(lambda: operator.phase == "over", STEP_TIME, "the end of the throw")
-    except DeploymentError as error:
-        problem = str(error)
-    truth, stops = operator.truth, operator.stops[num_stops:]
-    _stop(operator)
-    is_thrown = truth.get("throw", 0) > thrown
-    return Outcome(
-        seed=seed,
-        object=truth.get("object") if is_thrown else None,
-        is_tracked=is_thrown and truth["is_tracked"],
-        is_success=is_thrown and truth["is_success"],
-        stops=stops,
-        problem=problem,
-    )
-
-
-def _prepare(operator: Operator, seed: int) -> None:
-    """Robot at its start and armed, the object held out and pointed at, the policy in its run."""
-    operator.ask_twin(do="prepare", seed=seed)
-    operator.until(lambda: operator.phase == "empty", STEP_TIME, "the empty room")
-    operator.until(lambda: operator.phase == "held" and operator.truth["box"], STEP_TIME, "the object")
-    operator.until(lambda: operator.mode == "idle", STEP_TIME, "an idle servo")
-    operator.arm()
-    operator.until(lambda: operator.mode == "armed", STEP_TIME, "an armed servo")
-    operator.point(operator.truth["box"])
-    operator.until(lambda: operator.mode == "run", STEP_TIME, "the policy's run")
-
-
-def _stop(operator: Operator) -> None:
-    """Stop, unless that has happened; that this one comes from the operator is known."""
-    if operator.mode in ("armed", "ramp", "run"):
-        operator.stop()
-        operator.until(lambda: operator.mode not in ("armed", "ramp", "run"), STEP_TIME, "the stop")
-
-
-def _rates(outcomes: list[Outcome]) -> dict[str, Any]:
-    """Tracking and success rate with their intervals, and all stops that nobody asked for."""
-    num = len(outcomes)
-    rates: dict[str, Any] = {"num_throws": num}
-    for name, caught in (
-        ("tracking_rate", [outcome.is_tracked for outcome in outcomes]),
-        ("success_rate", [outcome.is_success for outcome in outcomes]),
-    ):
-        rates[name] = sum(caught) / num
-        rates[f"{name}_interval"] = wilson_interval(sum(caught), num)
-    rates["stops"] = dict(Counter(stop for outcome in outcomes for stop in outcome.stops))
-    rates["problems"] = sum(bool(outcome.problem) for outcome in outcomes)
-    return rates
 
 
 def _summary(log: Path) -> dict[str, Any]:

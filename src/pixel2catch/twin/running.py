@@ -101,13 +101,13 @@ def _page(cfg: TwinCfg, profile: Profile) -> AbstractContextManager[None]:
         return nullcontext()
     if find_spec("viser") is None:
         raise DeploymentError("the page needs viser: pip install 'pixel2catch[twin]', or leave out --web.")
-    return child(_serve_page, cfg.web, cfg.task.scene, profile)
+    return child(_serve_page, cfg.web, cfg.task.scene, profile, cfg.clock)
 
 
-def _serve_page(port: int, scene: SceneCfg, profile: Profile) -> None:
+def _serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> None:
     from pixel2catch.twin.page import serve_page  # where viser is not installed, nobody comes here
 
-    serve_page(port, scene, profile)
+    serve_page(port, scene, profile, rate)
 
 
 def run(wires: Wires, clock: Clock, on_cycle: OnCycle) -> Pace:

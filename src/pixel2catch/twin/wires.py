@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.profile import Profile, RobotPart, StatusTopics
-from pixel2catch.deployment.transport import Subscription, Topic, Transport
+from pixel2catch.deployment.transport import Topic, Transport
 from pixel2catch.errors import DeploymentError
 from pixel2catch.twin.camera import Camera
 from pixel2catch.twin.drivers import CYCLE, RUNNING, ArmDriver, Driver, HandDriver, Motion
@@ -34,17 +34,6 @@ Joints = Float[np.ndarray, " num_joints"]
 
 STATUS_CYCLES = 5
 """Cycles between two messages of the speed scaling: 100 Hz. Source: ours."""
-
-
-def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
-    """The newest message of a topic of JSON; what is known where there is none.
-
-    Args:
-        subscription: Of a topic of texts.
-        known: The message before.
-    """
-    packets = subscription.take()
-    return json.loads(messages.read_text(packets[-1].data)) if packets else known
 
 
 class PartWires:

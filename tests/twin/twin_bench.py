@@ -1,23 +1,19 @@
-"""A deployment in its simplest form, which drives the twin step by step: no perception, no servo's limits."""
+"""The twin on a bench: its topics in memory, its cycles one by one, its camera covered."""
 
 import json
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
-import torch
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.robot.constants import JOINTS
 from pixel2catch.twin.camera import Camera
-from pixel2catch.twin.drivers import CYCLE
 from pixel2catch.twin.lab import Lab
 from pixel2catch.twin.view import Exposure, Image
 from pixel2catch.twin.wires import COMMAND, STATE, Wires
@@ -80,35 +76,3 @@ class Bench:
                 if state["phase"] == phase:
                     return state
         raise AssertionError(f"the throw was never {phase}")
-
-
-class Pilot:
-    """Acts on every state of the twin with boxes of `num_late` states ago."""
-
-    def __init__(self, bench: Bench, controller: Controller, num_late: int = 1) -> None:
-        self._bench, self._controller, self._num_late = bench, controller, num_late
-
-    def catch(self, seed: int, num_waiting: int = 8) -> dict[str, Any]:
-        """Throw and catch; return how it ended."""
-        bench, controller = self._bench, self._controller
-        bench.ask(do="prepare", seed=seed)
-        bench.cycle()
-        state = bench.run_until("held")
-        boxes = deque([state["box"]] * (self._num_late + 1), maxlen=self._num_late + 1)
-        start = target = bench.read_joints().copy()
-        controller.reset()
-        num_cycles = round(CONTROL_DT / CYCLE)
-        share, num_steps = 1.0, 0
-        while state["phase"] != "over":
-            for state in bench.states():
-                boxes.append(state["box"] or boxes[-1])
-                start = start + min(share, 1.0) * (target - start)
-                joint_pos = torch.tensor(bench.read_joints(), dtype=torch.float32)[None]
-                target = controller.step(joint_pos, torch.tensor([boxes[0]]))[0].double().numpy()
-                share, num_steps = 0.0, num_steps + 1
-                if num_steps == num_waiting:
-                    bench.ask(do="throw")
-            share += 1.0 / num_cycles
-            bench.command(start + min(share, 1.0) * (target - start))
-            bench.cycle()
-        return state

@@ -1,4 +1,4 @@
-"""Ctrl-C and termination by a scheduler: asked for once, training ends in order; asked for twice, at once."""
+"""Ctrl-C and termination by a scheduler: asked for once, work ends in order; asked for twice, at once."""
 
 import signal
 import threading
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class StopRequest:
-    """Whether the user or the machine has asked to stop. Use as a context around the training."""
+    """Whether the user or the machine has asked to stop. Use as a context around the work."""
 
     def __init__(self) -> None:
         """Nobody has asked yet."""

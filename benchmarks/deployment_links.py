@@ -1,0 +1,124 @@
+"""What each link between simulator and laboratory costs: rehearsals in step, each with one thing changed.
+
+All settings throw the same throws at the shipped policy.
+
+python benchmarks/deployment_links.py --throws 200 --jobs 16 --out links.json
+"""
+
+import argparse
+import json
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pixel2catch.deployment.limits import JointLimits, ServoLimits
+from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
+from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.files import write_atomically
+from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robot.objects import select_objects
+from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
+
+SHARD = 10
+"""Throws that a process makes before it takes others."""
+
+FREE = ("speed", "acceleration", "step", "lead", "tracking_error")
+"""Limits of the joints that wide limits are without."""
+
+
+def wide_limits() -> ServoLimits:
+    """A servo that holds nothing back but what leaves the workspace."""
+    joints = JointLimits.of(JointDynamics.nominal())
+    return ServoLimits(joints=replace(joints, **{name: np.full_like(joints.lag, 1e6) for name in FREE}))
+
+
+def settings(task: Any) -> dict[str, SteppingCfg]:
+    """What is compared, by name."""
+    boxes = SteppingCfg(task=task, throws=SHARD, is_plain=True)
+    images = replace(boxes, is_plain=False)
+    return {
+        "boxes": boxes,
+        "boxes, servo without limits": replace(boxes, limits=wide_limits()),
+        "boxes, perception 0 ms": replace(boxes, perception_time=0.0),
+        "boxes, perception 20 ms": replace(boxes, perception_time=0.02),
+        "boxes, perception 30 ms": replace(boxes, perception_time=0.03),
+        "images": images,
+        "images, perception 20 ms": replace(images, perception_time=0.02),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shard:
+    """Some throws of a setting."""
+
+    name: str
+    policy: Path | None
+    seed: int
+
+
+def throw(shard: Shard) -> list[dict[str, Any]]:
+    """Rehearse a shard; return what became of each throw."""
+    torch.set_num_threads(1)
+    policy, _ = load_policy(shard.policy)
+    task = replace(task_of(policy), objects=select_objects(("seen",)))
+    cfg = replace(settings(task)[shard.name], seed=shard.seed)
+    return rehearse_in_step(cfg, policy, lambda _: None)["throws"]
+
+
+def row(name: str, throws: list[dict[str, Any]]) -> dict[str, Any]:
+    """What is said of a setting."""
+    caught = [throw["is_success"] for throw in throws]
+    return {
+        "setting": name,
+        "num_throws": len(throws),
+        "success_rate": float(np.mean(caught)),
+        "interval": wilson_interval(sum(caught), len(caught)),
+        "tracking_rate": float(np.mean([throw["is_tracked"] for throw in throws])),
+        "problems": sum(bool(throw["problem"] or throw["stops"]) for throw in throws),
+        "caught": caught,
+    }
+
+
+def rows(names: list[str], args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Rehearse all settings; yield what is said of each as it is done."""
+    numbers = range(0, args.throws, SHARD)
+    shards = [Shard(name=name, policy=args.policy, seed=seed) for name, seed in product(names, numbers)]
+    with ProcessPoolExecutor(args.jobs, multiprocessing.get_context("spawn")) as pool:
+        results = pool.map(throw, shards)
+        for name in names:
+            yield row(name, [thrown for _ in numbers for thrown in next(results)])
+
+
+def main() -> None:
+    """Compare, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--policy", type=Path, help="shipped policy or folder. Default: proposed")
+    parser.add_argument("--throws", type=int, default=200, help=f"throws of each setting, times {SHARD}")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--settings", nargs="+", help="names. Default: all")
+    parser.add_argument("--out", type=Path, required=True, help="report")
+    args = parser.parse_args()
+    policy, _ = load_policy(args.policy)
+    names = args.settings or list(settings(task_of(policy)))
+    report = []
+    for result in rows(names, args):
+        report.append(result)
+        low, high = result["interval"]
+        print(
+            f"{result['setting']:32} S.R. {100 * result['success_rate']:5.1f} % "
+            f"[{100 * low:.1f}, {100 * high:.1f}]  T.R. {100 * result['tracking_rate']:5.1f} %",
+            flush=True,
+        )
+    header = {"policy": fingerprint(args.policy), "throws": args.throws}
+    write_atomically({args.out: f"{json.dumps({**header, 'settings': report})}\n".encode()})
+
+
+if __name__ == "__main__":
+    main()

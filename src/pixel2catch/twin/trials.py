@@ -1,0 +1,104 @@
+"""A throw of a rehearsal, led by its operator, and what is counted of many."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pixel2catch.errors import DeploymentError
+from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.twin.operator import Operator
+
+STEP_TIME = 10.0
+"""Time in which each step of a throw must be done [s]. Source: ours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a throw ended.
+
+    Attributes:
+        seed: Its number.
+        object: What was thrown; none if it never came to that.
+        is_tracked: Whether the palm came near the object.
+        is_success: Whether it was caught.
+        stops: Why the robot stopped by itself, if it did.
+        problem: Why it could not be thrown; empty if it could.
+    """
+
+    seed: int
+    object: str | None
+    is_tracked: bool
+    is_success: bool
+    stops: list[str]
+    problem: str
+
+
+def run_trial(operator: Operator, seed: int) -> Outcome:
+    """One throw, from an empty room to the stop after it.
+
+    Args:
+        operator: Who has it thrown.
+        seed: Of the throw.
+    """
+    num_stops, problem, thrown = len(operator.stops), "", operator.truth.get("throw", 0)
+    try:
+        _prepare(operator, seed)
+        operator.ask_twin(do="throw")
+        operator.until(lambda: operator.truth["throw"] > thrown, STEP_TIME, "the throw")
+        operator.until(lambda: operator.phase == "over", STEP_TIME, "the end of the throw")
+    except DeploymentError as error:
+        problem = str(error)
+    truth, stops = operator.truth, operator.stops[num_stops:]
+    _stop(operator)
+    is_thrown = truth.get("throw", 0) > thrown
+    return Outcome(
+        seed=seed,
+        object=truth.get("object") if is_thrown else None,
+        is_tracked=is_thrown and truth["is_tracked"],
+        is_success=is_thrown and truth["is_success"],
+        stops=stops,
+        problem=problem,
+    )
+
+
+def _prepare(operator: Operator, seed: int) -> None:
+    """Robot at its start and armed, the object held out and pointed at, the policy in its run."""
+    operator.ask_twin(do="prepare", seed=seed)
+    operator.until(lambda: operator.phase == "empty", STEP_TIME, "the empty room")
+    operator.until(lambda: operator.phase == "held" and operator.truth["box"], STEP_TIME, "the object")
+    operator.until(lambda: operator.mode == "idle", STEP_TIME, "an idle servo")
+    operator.console.arm()
+    operator.until(lambda: operator.mode == "armed", STEP_TIME, "an armed servo")
+    operator.console.point(operator.truth["box"])
+    operator.until(lambda: operator.mode == "run", STEP_TIME, "the policy's run")
+
+
+def _stop(operator: Operator) -> None:
+    """Stop, unless that has happened; that this one comes from the operator is known."""
+    if operator.mode in ("armed", "ramp", "run"):
+        operator.console.stop()
+        operator.until(lambda: operator.mode not in ("armed", "ramp", "run"), STEP_TIME, "the stop")
+
+
+def rates(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Tracking and success rate with their intervals, all stops that nobody asked for, and every throw."""
+    num = len(outcomes)
+    report: dict[str, Any] = {"num_throws": num}
+    for name, caught in (
+        ("tracking_rate", [outcome.is_tracked for outcome in outcomes]),
+        ("success_rate", [outcome.is_success for outcome in outcomes]),
+    ):
+        report[name] = sum(caught) / num
+        report[f"{name}_interval"] = wilson_interval(sum(caught), num)
+    report["stops"] = dict(Counter(stop for outcome in outcomes for stop in outcome.stops))
+    report["problems"] = sum(bool(outcome.problem) for outcome in outcomes)
+    report["throws"] = [asdict(outcome) for outcome in outcomes]
+    return report
+
+
+def of_twin(truth: dict[str, Any]) -> dict[str, Any]:
+    """What a report says of the twin, from its last state."""
+    return {
+        name: truth.get(name) for name in ("joint_speed", "halts", "ignored", "late_images", "lost_images")
+    }

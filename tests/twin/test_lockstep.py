@@ -1,0 +1,81 @@
+"""The whole deployment and its twin in step: all of it but processes, network and real time."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pixel2catch.cli.main import main
+from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.twin.camera import LATENCY
+from pixel2catch.twin.drivers import CYCLE
+from pixel2catch.twin.lockstep import HOP, StepClock
+from pixel2catch.twin.stepping import PERCEPTION_TIME, SteppingCfg, rehearse_in_step
+
+POLICY, _ = load_policy(None)
+ONE = SteppingCfg(task=task_of(POLICY, physics_hz=120.0), throws=1, seed=3, is_plain=True)
+
+
+def rehearsed(cfg: SteppingCfg) -> dict[str, Any]:
+    return rehearse_in_step(cfg, POLICY, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def report() -> dict[str, Any]:
+    return rehearsed(ONE)
+
+
+def test_time_goes_on_only_for_those_who_wait():
+    moments: list[float] = []
+    clock = StepClock(moments.append)
+    clock.sleep_until(0.25)
+    assert (clock.now(), clock.stamp(), moments) == (0.0, 0.0, [0.25])
+
+
+def test_the_shipped_policy_catches(report: dict[str, Any]):
+    (throw,) = report["throws"]
+    assert throw == {
+        "seed": 3,
+        "object": "sphere_l",
+        "is_tracked": True,
+        "is_success": True,
+        "stops": [],
+        "problem": "",
+    }
+    assert report["deploy"]["stops"] == {"stop request": 1}
+    assert report["deploy"]["num_missed"] == report["deploy"]["num_late_ticks"] == 0
+    assert 2.0 < report["twin"]["joint_speed"] < 2.8
+    assert report["twin"]["halts"] == 0
+
+
+def test_perception_takes_the_time_that_is_said(report: dict[str, Any]):
+    """The rest of the latency is the camera's, and waiting for cycles and ticks: one or two of them."""
+    times = report["deploy"]["image_to_command_ms"]
+    told = LATENCY + PERCEPTION_TIME + 2 * HOP
+    assert 1e3 * told <= times["p50"] <= times["max"] <= 1e3 * (told + 2 * CYCLE)
+    assert report["deploy"]["thinking_ms"]["p50"] == pytest.approx(1e3 * PERCEPTION_TIME)
+
+
+def test_a_rehearsal_can_be_repeated(report: dict[str, Any]):
+    again = rehearsed(ONE)
+    for told in (report, again):
+        told["deploy"].pop("servo_tick_ms", None)  # in real time
+    assert again == report
+
+
+def test_the_command_needs_no_graphics(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "out"
+    args = ["rehearse", "--lockstep", "--plain", "--throws", "1", "--seed", "20", "--perception-ms", "5"]
+    assert main([*args, "--out", str(out)]) == 0
+    said = capsys.readouterr()
+    assert "S.R. 100.0 %" in said.out
+    assert "1 throws in lockstep, perception 5 ms" in said.out
+    assert json.loads((out / "report.json").read_text())["success_rate"] == 1.0
+
+
+@pytest.mark.slow
+def test_with_perfect_boxes_it_catches_about_as_often_as_the_evaluation():
+    cfg = replace(ONE, task=task_of(POLICY), throws=40, seed=0)
+    assert rehearsed(cfg)["success_rate"] >= 34 / 40  # 94 % of 200; fewer than 34 of 40 in one case of 50
