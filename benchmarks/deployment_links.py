@@ -29,27 +29,32 @@ from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
 SHARD = 10
 """Throws that a process makes before it takes others."""
 
-FREE = ("speed", "acceleration", "step", "lead", "tracking_error")
-"""Limits of the joints that wide limits are without."""
+WIDE = {"speed": 19.0, "step": 0.038, "acceleration": 1e4, "lead": 1e3, "tracking_error": 1e3}
+"""Limits of all joints that hold nothing back of what the UR's driver takes."""
 
 
 def wide_limits() -> ServoLimits:
-    """A servo that holds nothing back but what leaves the workspace."""
+    """A servo that holds back next to nothing but what leaves the workspace."""
     joints = JointLimits.of(JointDynamics.nominal())
-    return ServoLimits(joints=replace(joints, **{name: np.full_like(joints.lag, 1e6) for name in FREE}))
+    wide = {name: np.full_like(joints.lag, value) for name, value in WIDE.items()}
+    return ServoLimits(joints=replace(joints, **wide))
 
 
 def settings(task: Any) -> dict[str, SteppingCfg]:
     """What is compared, by name."""
     boxes = SteppingCfg(task=task, throws=SHARD, is_plain=True)
     images = replace(boxes, is_plain=False)
+    free = wide_limits()
     return {
         "boxes": boxes,
-        "boxes, servo without limits": replace(boxes, limits=wide_limits()),
+        "boxes, servo without limits": replace(boxes, limits=free),
+        "boxes, ramp of 0.1 s": replace(boxes, limits=ServoLimits(ramp_time=0.1)),
+        "boxes, both": replace(boxes, limits=replace(free, ramp_time=0.1)),
         "boxes, perception 0 ms": replace(boxes, perception_time=0.0),
         "boxes, perception 20 ms": replace(boxes, perception_time=0.02),
         "boxes, perception 30 ms": replace(boxes, perception_time=0.03),
         "images": images,
+        "images, servo without limits": replace(images, limits=free),
         "images, perception 20 ms": replace(images, perception_time=0.02),
     }
 

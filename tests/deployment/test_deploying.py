@@ -22,13 +22,13 @@ from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.deploying import Deployment, read_prompt
 from pixel2catch.deployment.eyes import Eyes
 from pixel2catch.deployment.servo_state import Mode
+from pixel2catch.deployment.stepwise import SlowSegmenter, StepClock
 from pixel2catch.deployment.watchdog import Fault
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.robot.constants import RGB_CAMERA
-from pixel2catch.twin.lockstep import SlowSegmenter, StepClock
 
 
 class Course:

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from pixel2catch.deployment import messages
+from pixel2catch.deployment.cdr import decode
 from pixel2catch.deployment.profile import PROFILES, Profile
 from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.robot.constants import JOINTS
@@ -37,7 +38,7 @@ def test_shipped_profiles_have_all_joints_and_the_policies_camera(name: str):
 
 def positions_of(data: bytes) -> np.ndarray:
     """Those of a command without names."""
-    message: Any = messages.STORE.deserialize_cdr(data, messages.JOINT_STATE)
+    message: Any = decode(data, messages.JOINT_STATE)
     return message.position
 
 
@@ -67,7 +68,7 @@ def test_commands_have_the_order_of_the_driver(name: str, hand: list[float], rea
 def test_a_command_as_a_joint_state_has_a_stamp_and_no_speeds_or_efforts():
     hand = Profile.load("ur5e_allegro_classic").robots[1]
     data = hand.command(np.zeros(len(JOINTS)), stamp=2.5)
-    message: Any = messages.STORE.deserialize_cdr(data, messages.JOINT_STATE)
+    message: Any = decode(data, messages.JOINT_STATE)
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (2, 500_000_000)
     assert [len(field) for field in (message.name, message.velocity, message.effort)] == [0, 0, 0]
 
@@ -92,7 +93,7 @@ def test_what_is_sent_to_the_hand_comes_back_to_the_same_joints():
         hand = Profile.load(name).robots[1]
         names = {wire.index_in_command: wire.name_in_state for wire in hand.joints.values()}
         targets = np.arange(len(JOINTS), dtype=np.float64)
-        sent: Any = messages.STORE.deserialize_cdr(hand.command(targets), hand.command_topic.type)
+        sent: Any = decode(hand.command(targets), hand.command_topic.type)
         values = sent.data if hasattr(sent, "data") else sent.position
         state = reading(**{names[place]: value for place, value in enumerate(values) if place in names})
         joint_pos = np.zeros(len(JOINTS))

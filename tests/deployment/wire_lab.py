@@ -8,6 +8,7 @@ import numpy as np
 from servo_rows import HOME, LIMITS
 
 from pixel2catch.deployment import messages
+from pixel2catch.deployment.cdr import decode
 from pixel2catch.deployment.clock import Clock
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.deployment.robot_part import RobotPart
@@ -96,7 +97,7 @@ class WireLab:
 
 
 def _positions(data: bytes) -> np.ndarray:
-    message: Any = messages.STORE.deserialize_cdr(data, messages.JOINT_STATE)
+    message: Any = decode(data, messages.JOINT_STATE)
     return np.array(message.position)
 
 

@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 
 from pixel2catch.cli.main import main
+from pixel2catch.deployment.stepwise import StepClock
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.twin.camera import LATENCY
 from pixel2catch.twin.drivers import CYCLE
-from pixel2catch.twin.lockstep import HOP, StepClock
+from pixel2catch.twin.lockstep import HOP
 from pixel2catch.twin.stepping import PERCEPTION_TIME, SteppingCfg, rehearse_in_step
 
 POLICY, _ = load_policy(None)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pixel2catch.deployment.clock import Clock
     from pixel2catch.deployment.deploying import Deployment
     from pixel2catch.deployment.profile import Profile
+    from pixel2catch.perception.segmenter import Segmenter
     from pixel2catch.robot.constants import CameraSpec
 
 
@@ -76,6 +77,16 @@ class Deploy:
 
     def _brain(self, profile: "Profile", camera: "CameraSpec") -> "Brain":
         """Perception and policy, for this robot and camera."""
+        return self._brain_with(self.sight.make_segmenter(), profile, camera)
+
+    def slow_brain(self, profile: "Profile", camera: "CameraSpec", clock: "Clock", seconds: float) -> "Brain":
+        """Perception and policy; an image takes so many seconds of a clock."""
+        from pixel2catch.deployment.stepwise import SlowSegmenter
+
+        return self._brain_with(SlowSegmenter(self.sight.make_segmenter(), clock, seconds), profile, camera)
+
+    def _brain_with(self, segmenter: "Segmenter", profile: "Profile", camera: "CameraSpec") -> "Brain":
+        """Policy, and perception by a segmenter."""
         from pixel2catch.deployment.brain import make_brain
         from pixel2catch.deployment.controller import Controller
         from pixel2catch.evaluation.loading import load_policy
@@ -86,7 +97,7 @@ class Deploy:
         profile.require(policy.contract.commands)
         robot = RobotMask(camera, handedness=profile.handedness) if self.mask_robot else None
         prompter = self.sight.make_prompter(camera)
-        return make_brain(controller, self.sight.make_segmenter(), prompter, camera, robot)
+        return make_brain(controller, segmenter, prompter, camera, robot)
 
     def _loop(self, deployment: "Deployment", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""

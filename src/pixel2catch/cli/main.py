@@ -19,6 +19,7 @@ from pixel2catch.cli.operate import Operate
 from pixel2catch.cli.play import Play
 from pixel2catch.cli.record import Record
 from pixel2catch.cli.rehearse import Rehearse
+from pixel2catch.cli.replay import Replay
 from pixel2catch.cli.reproduce import Reproduce
 from pixel2catch.cli.scene import Scene
 from pixel2catch.cli.stress import Stress
@@ -43,6 +44,7 @@ COMMANDS = (
     Operate,
     Twin,
     Rehearse,
+    Replay,
     Scene,
     Bench,
     Doctor,

@@ -2,15 +2,18 @@
 
 import struct
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from math import inf
 from pathlib import Path
-from threading import Event, Thread
 from typing import final
 
-from pixel2catch.deployment.clock import RealClock
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.compressed import COMPRESSED_IMAGE, SUFFIX, uncompress
 from pixel2catch.deployment.inbox import Inbox, Inboxes
 from pixel2catch.deployment.messages import CAMERA_INFO, IMAGE, JOINT_STATE
 from pixel2catch.deployment.transport import Packet, Publisher, Subscription, Topic, Transport
-from pixel2catch.errors import Pixel2CatchError
+from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.perception.rosbag_images import opened_bag
 
 STAMPED = (CAMERA_INFO, IMAGE, JOINT_STATE)
@@ -19,16 +22,16 @@ STAMPED = (CAMERA_INFO, IMAGE, JOINT_STATE)
 
 @final
 class ReplayTransport(Transport):
-    """Plays a rosbag2 in its own time, from the first `take` or `wait` on; what is published goes nowhere.
+    """Plays a rosbag2 in its own time, from the first look on; what is published goes nowhere.
 
-    Headers get the stamps that they would have if all happened now.
+    Headers get the stamps that they would have if all happened now. JPEG images come as the raw ones that
+    they were.
 
     Attributes:
-        is_over: Whether all messages have come.
-        problem: What ended it early; empty if nothing did.
+        start: Time of the first message, since the epoch [s].
     """
 
-    def __init__(self, path: Path, clock: RealClock) -> None:
+    def __init__(self, path: Path, clock: Clock) -> None:
         """Open a recording.
 
         Args:
@@ -38,14 +41,19 @@ class ReplayTransport(Transport):
         Raises:
             PerceptionError: It cannot be read.
         """
-        with opened_bag(path):
-            pass
-        self.is_over, self.problem = False, ""
-        self._path, self._clock = path, clock
-        self._inboxes = Inboxes(clock)
+        self._clock, self._inboxes = clock, Inboxes(clock)
         self._listeners: dict[tuple[str, str], list[Inbox]] = {}
-        self._is_closed = Event()
-        self._player = Thread(target=self._play, name="replay", daemon=True)
+        self._bag = ExitStack()
+        reader = self._bag.enter_context(opened_bag(path))
+        self.start = 1e-9 * reader.start_time
+        self._messages = reader.messages()
+        self._begin, self._later = inf, 0.0
+        self._next = self._read()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all messages have come."""
+        return self._next is None
 
     def publisher(self, topic: Topic) -> Publisher:
         """Announce a topic; nobody hears it."""
@@ -56,7 +64,7 @@ class ReplayTransport(Transport):
         """Begin to listen to a recorded topic."""
         inbox = self._inboxes.add(depth)
         self._listeners.setdefault((topic.name, topic.type), []).append(inbox)
-        return _Replayed(inbox, self._begin)
+        return _Replayed(inbox, self._play)
 
     def num_other_publishers(self, topic: Topic) -> int:
         """None: the recorded commands are not sent."""
@@ -64,43 +72,68 @@ class ReplayTransport(Transport):
         return 0
 
     def wait(self, seconds: float) -> bool:
-        """Wait until a message can be taken, or for a real time [s]; say which."""
-        self._begin()
-        return self._inboxes.wait(seconds)
+        """Wait until a message can be taken, or for a time [s]; say which."""
+        end = self._clock.now() + seconds
+        self._play()
+        while not (has_come := self._inboxes.wait(0.0)) and self._clock.now() < end:
+            self._clock.sleep_until(min(end, self._due))
+            self._play()
+        return has_come
 
     def close(self) -> None:
-        """Stop to play."""
-        self._is_closed.set()
-        if self._player.is_alive():
-            self._player.join()
+        """Close the recording."""
+        self._bag.close()
 
-    def _begin(self) -> None:
-        if self._player.ident is None:
-            self._player.start()
+    @property
+    def _due(self) -> float:
+        """When the next message comes, `Clock.now` [s]."""
+        return inf if self._next is None else self._begin + self._next.time - self.start
 
     def _play(self) -> None:
+        """Let come what is due."""
+        now = self._clock.now()
+        if self._begin == inf:
+            self._begin, self._later = now, self._clock.stamp() - self.start
+        while self._next is not None and self._due <= now:
+            with suppress(DeploymentError):  # one that is damaged is as lost as on a network
+                self._deliver(self._next)
+            self._next = self._read()
+
+    def _deliver(self, recorded: "_Recorded") -> None:
+        """Bring a message to all that listen."""
+        name, kind, data = recorded.name, recorded.type, recorded.data
+        if kind == COMPRESSED_IMAGE:
+            name, kind = name.removesuffix(SUFFIX), IMAGE
+        inboxes = self._listeners.get((name, kind), ())
+        if not inboxes:
+            return
+        if recorded.type == COMPRESSED_IMAGE:
+            data = uncompress(data)
+        if kind in STAMPED:
+            data = _shifted(data, self._later)
+        for inbox in inboxes:
+            inbox.put(data)
+
+    def _read(self) -> "_Recorded | None":
+        """The next message of the recording."""
         try:
-            self._play_all()
-        except Pixel2CatchError as error:
-            self.problem = str(error)
-        self.is_over = True
+            message = next(self._messages, None)
+        except Exception as error:  # a damaged bag makes the library raise whatever it likes
+            raise PerceptionError(f"the recording cannot be read further ({error}).") from error
+        if message is None:
+            return None
+        connection, time, data = message
+        return _Recorded(name=connection.topic, type=connection.msgtype, time=1e-9 * time, data=bytes(data))
 
-    def _play_all(self) -> None:
-        with opened_bag(self._path) as reader:
-            lead = self._clock.now() - 1e-9 * reader.start_time
-            later = self._clock.stamp() - 1e-9 * reader.start_time
-            for connection, time, data in reader.messages():
-                is_closed = self._is_closed.wait(self._left(1e-9 * time + lead))
-                if is_closed:
-                    return
-                if connection.msgtype in STAMPED:
-                    data = _shifted(data, later)
-                for inbox in self._listeners.get((connection.topic, connection.msgtype), ()):
-                    inbox.put(data)
 
-    def _left(self, moment: float) -> float:
-        """Real time until a moment of the clock [s]."""
-        return max(0.0, moment - self._clock.now()) / self._clock.rate
+@dataclass(frozen=True, kw_only=True)
+class _Recorded:
+    """A message of a recording, which came at a time since the epoch [s]."""
+
+    name: str
+    type: str
+    time: float
+    data: bytes
 
 
 @final
@@ -111,11 +144,11 @@ class _Silence(Publisher):
 
 @final
 class _Replayed(Subscription):
-    def __init__(self, inbox: Inbox, begin: Callable[[], None]) -> None:
-        self._inbox, self._begin = inbox, begin
+    def __init__(self, inbox: Inbox, play: Callable[[], None]) -> None:
+        self._inbox, self._play = inbox, play
 
     def take(self) -> list[Packet]:
-        self._begin()
+        self._play()
         return self._inbox.take()
 
 

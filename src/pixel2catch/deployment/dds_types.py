@@ -11,7 +11,7 @@ from cyclonedds.idl import make_idl_struct, types
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from pixel2catch.deployment.messages import STORE
+from pixel2catch.deployment.cdr import STORE
 
 PLAIN_TYPES = {
     "bool": bool,

@@ -3,16 +3,22 @@
 Stamps are seconds since the epoch; a decoded message is checked for what its type alone does not say.
 """
 
-import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from pixel2catch.deployment.cdr import (
+    ROBOT_MODE,
+    SAFETY_MODE,
+    STORE,
+    decode,
+    encode,
+    float64,
+    header,
+    seconds,
+)
 from pixel2catch.errors import DeploymentError
 from pixel2catch.robot.constants import PIXEL_CENTER, CameraSpec
 
@@ -23,15 +29,6 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BOOLEAN = "std_msgs/msg/Bool"
 NUMBER = "std_msgs/msg/Float64"
 TEXT = "std_msgs/msg/String"
-SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
-ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
-
-STORE = get_typestore(Stores.ROS2_JAZZY)
-"""Definitions of all messages. Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`."""
-
-STORE.register(
-    {**get_types_from_msg("uint8 mode", SAFETY_MODE), **get_types_from_msg("int8 mode", ROBOT_MODE)}
-)
 
 CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 """Encodings of images that are read, and how their channels become red, green and blue."""
@@ -104,8 +101,8 @@ def joint_state(
     effort: Iterable[float] | None = None,
 ) -> bytes:
     """Encode positions [rad], and velocities [rad/s] and efforts where there are any, of joints by name."""
-    numbers = (_float64(() if values is None else values) for values in (position, velocity, effort))
-    return _encode(JOINT_STATE, _header(stamp), list(names), *numbers)
+    numbers = (float64(() if values is None else values) for values in (position, velocity, effort))
+    return encode(JOINT_STATE, header(stamp), list(names), *numbers)
 
 
 def read_joint_state(data: bytes) -> JointReading:
@@ -114,21 +111,21 @@ def read_joint_state(data: bytes) -> JointReading:
     Raises:
         DeploymentError: It is damaged, or has not one position a name.
     """
-    message = _decode(data, JOINT_STATE)
+    message = decode(data, JOINT_STATE)
     if len(message.name) != len(message.position):
         raise DeploymentError(
             f"a joint state has {len(message.position)} positions for {len(message.name)} names: "
             "look at what publishes it."
         )
     return JointReading(
-        names=tuple(message.name), position=_float64(message.position), stamp=_seconds(message.header)
+        names=tuple(message.name), position=float64(message.position), stamp=seconds(message.header)
     )
 
 
 def float_array(values: Iterable[float]) -> bytes:
     """Encode numbers without names, such as the commands of a forward position controller."""
     layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
-    return _encode(FLOAT_ARRAY, layout, _float64(values))
+    return encode(FLOAT_ARRAY, layout, float64(values))
 
 
 def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
@@ -137,13 +134,13 @@ def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
     Raises:
         DeploymentError: It is damaged.
     """
-    return _float64(_decode(data, FLOAT_ARRAY).data)
+    return float64(decode(data, FLOAT_ARRAY).data)
 
 
 def image(pixels: Pixels, stamp: float, frame_id: str = OPTICAL_FRAME) -> bytes:
     """Encode an image as rgb8."""
     height, width, _ = pixels.shape
-    return _encode(IMAGE, _header(stamp, frame_id), height, width, "rgb8", 0, 3 * width, np.ravel(pixels))
+    return encode(IMAGE, header(stamp, frame_id), height, width, "rgb8", 0, 3 * width, np.ravel(pixels))
 
 
 def read_image(data: bytes) -> ImageReading:
@@ -152,7 +149,7 @@ def read_image(data: bytes) -> ImageReading:
     Raises:
         DeploymentError: It is damaged, of another encoding, or its size and its bytes do not agree.
     """
-    message = _decode(data, IMAGE)
+    message = decode(data, IMAGE)
     height, width, step = message.height, message.width, message.step
     if message.encoding not in CHANNELS:
         raise DeploymentError(
@@ -165,20 +162,18 @@ def read_image(data: bytes) -> ImageReading:
     rows = message.data[: height * step].reshape(height, step)[:, : 3 * width]
     pixels = rows.reshape(height, width, 3)[..., CHANNELS[message.encoding]]
     return ImageReading(
-        pixels=np.ascontiguousarray(pixels), stamp=_seconds(message.header), encoding=message.encoding
+        pixels=np.ascontiguousarray(pixels), stamp=seconds(message.header), encoding=message.encoding
     )
 
 
 def camera_info(camera: CameraSpec, stamp: float) -> bytes:
     """Encode the lens of a camera without distortion."""
     fx, fy, cx, cy = camera.fx, camera.fy, camera.cx - PIXEL_CENTER, camera.cy - PIXEL_CENTER
-    matrix = _float64((fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0))
-    projection = _float64((fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0))
+    matrix = float64((fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0))
+    projection = float64((fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0))
     whole = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     lens = ("plumb_bob", np.zeros(5), matrix, np.eye(3).ravel(), projection)
-    return _encode(
-        CAMERA_INFO, _header(stamp, OPTICAL_FRAME), camera.height, camera.width, *lens, 0, 0, whole
-    )
+    return encode(CAMERA_INFO, header(stamp, OPTICAL_FRAME), camera.height, camera.width, *lens, 0, 0, whole)
 
 
 def read_camera_info(data: bytes) -> CameraReading:
@@ -187,7 +182,7 @@ def read_camera_info(data: bytes) -> CameraReading:
     Raises:
         DeploymentError: It is damaged, or the camera is not calibrated.
     """
-    message = _decode(data, CAMERA_INFO)
+    message = decode(data, CAMERA_INFO)
     fx, _, cx, _, fy, cy, *_ = map(float, message.k)
     if not (fx > 0.0 and fy > 0.0):
         raise DeploymentError("the camera sends no focal length: calibrate it (camera_calibration).")
@@ -204,77 +199,49 @@ def read_camera_info(data: bytes) -> CameraReading:
 
 def boolean(value: bool) -> bytes:
     """Encode a yes or no."""
-    return _encode(BOOLEAN, value)
+    return encode(BOOLEAN, value)
 
 
 def read_boolean(data: bytes) -> bool:
     """Decode a yes or no; raise DeploymentError if it is damaged."""
-    return bool(_decode(data, BOOLEAN).data)
+    return bool(decode(data, BOOLEAN).data)
 
 
 def number(value: float) -> bytes:
     """Encode a number."""
-    return _encode(NUMBER, value)
+    return encode(NUMBER, value)
 
 
 def read_number(data: bytes) -> float:
     """Decode a number; raise DeploymentError if it is damaged."""
-    return float(_decode(data, NUMBER).data)
+    return float(decode(data, NUMBER).data)
 
 
 def text(value: str) -> bytes:
     """Encode a text."""
-    return _encode(TEXT, value)
+    return encode(TEXT, value)
 
 
 def read_text(data: bytes) -> str:
     """Decode a text; raise DeploymentError if it is damaged."""
-    return _decode(data, TEXT).data
+    return decode(data, TEXT).data
 
 
 def safety_mode(mode: int) -> bytes:
     """Encode the safety mode of a UR robot; 1 is normal."""
-    return _encode(SAFETY_MODE, mode)
+    return encode(SAFETY_MODE, mode)
 
 
 def read_safety_mode(data: bytes) -> int:
     """Decode the safety mode of a UR robot; raise DeploymentError if it is damaged."""
-    return int(_decode(data, SAFETY_MODE).mode)
+    return int(decode(data, SAFETY_MODE).mode)
 
 
 def robot_mode(mode: int) -> bytes:
     """Encode the mode of a UR robot; 7 is running."""
-    return _encode(ROBOT_MODE, mode)
+    return encode(ROBOT_MODE, mode)
 
 
 def read_robot_mode(data: bytes) -> int:
     """Decode the mode of a UR robot; raise DeploymentError if it is damaged."""
-    return int(_decode(data, ROBOT_MODE).mode)
-
-
-def _encode(kind: str, *fields: Any) -> bytes:
-    return bytes(STORE.serialize_cdr(STORE.types[kind](*fields), kind))
-
-
-def _decode(data: bytes, kind: str) -> Any:
-    """The message as rosbags has it; its arrays are views of the data."""
-    try:
-        return STORE.deserialize_cdr(memoryview(data), kind)
-    except (SerdeError, struct.error, ValueError, IndexError) as error:
-        raise DeploymentError(
-            f"a message is no {kind} ({error}): two programs disagree about the type of a topic."
-        ) from error
-
-
-def _float64(values: Iterable[float]) -> np.ndarray:
-    return np.array(values if isinstance(values, np.ndarray) else tuple(values), dtype=np.float64)
-
-
-def _header(stamp: float, frame_id: str = "") -> Any:
-    nanoseconds = round(stamp * 1e9)
-    time = STORE.types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
-    return STORE.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
-
-
-def _seconds(header: Any) -> float:
-    return header.stamp.sec + 1e-9 * header.stamp.nanosec
+    return int(decode(data, ROBOT_MODE).mode)

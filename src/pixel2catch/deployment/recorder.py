@@ -1,6 +1,7 @@
 """What a deployment saw and did, as a rosbag2 (MCAP) for `identify`, `track` and ROS's tools."""
 
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
@@ -10,7 +11,7 @@ from typing import NamedTuple
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
-from pixel2catch.deployment.messages import STORE
+from pixel2catch.deployment.cdr import STORE
 from pixel2catch.deployment.transport import Topic
 from pixel2catch.errors import DeploymentError
 
@@ -18,10 +19,15 @@ MOST_WAITING = 128 * 2**20
 """Messages that wait to be written [bytes]: 4 s of images. Source: ours."""
 
 
+Convert = Callable[[bytes], bytes]
+"""Makes what is written of what was recorded, such as a smaller image."""
+
+
 class _Entry(NamedTuple):
     topic: Topic
     data: bytes
     stamp: int
+    convert: Convert
 
 
 class Recorder:
@@ -55,20 +61,21 @@ class Recorder:
         self._thread = Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
 
-    def record(self, topic: Topic, data: bytes, stamp: float) -> None:
+    def record(self, topic: Topic, data: bytes, stamp: float, convert: Convert = bytes) -> None:
         """Keep a message; any thread may call this.
 
         Args:
-            topic: Where it was sent or received.
+            topic: What it is written as.
             data: Its CDR.
-            stamp: When, `Clock.stamp` [s].
+            stamp: When it was sent or received, `Clock.stamp` [s].
+            convert: Called in the recorder's thread; a message that it refuses is dropped.
         """
         with self._lock:
             if self.problem or self._waiting + len(data) > MOST_WAITING:
                 self.num_dropped[topic.name] += 1
                 return
             self._waiting += len(data)
-        self._queue.put(_Entry(topic, data, round(stamp * 1e9)))
+        self._queue.put(_Entry(topic, data, round(stamp * 1e9), convert))
 
     def close(self) -> None:
         """Write what waits, and end the file."""
@@ -102,11 +109,15 @@ class Recorder:
         """Write a message; whether that went well."""
         topic = entry.topic
         try:
+            data = entry.convert(entry.data)
+        except DeploymentError:
+            return False
+        try:
             if topic not in self._connections:
                 self._connections[topic] = self._writer.add_connection(
                     topic.name, topic.type, typestore=STORE
                 )
-            self._writer.write(self._connections[topic], entry.stamp, entry.data)
+            self._writer.write(self._connections[topic], entry.stamp, data)
         except Exception as error:  # whatever it is, the robot goes on
             self.problem = f"{type(error).__name__}: {error}"
             return False

@@ -6,8 +6,9 @@ import numpy as np
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.compressed import compress, compressed_topic
 from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.recorder import Recorder
+from pixel2catch.deployment.recorder import Convert, Recorder
 from pixel2catch.deployment.transport import Packet, Topic, Transport
 
 SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)
@@ -56,15 +57,18 @@ class Tape:
     def see(self, packets: list[Packet]) -> None:
         """Record images."""
         topic = self._profile.camera.image
-        for packet in packets if self._images != "none" else ():
-            self._write(topic, packet.data, packet.arrival)
+        for packet in packets:
+            if self._images == "jpeg":
+                self._write(compressed_topic(topic), packet.data, packet.arrival, compress)
+            elif self._images == "raw":
+                self._write(topic, packet.data, packet.arrival)
 
     def note(self, topic: Topic, row: np.ndarray, time: float) -> None:
         """Record numbers of this time, `Clock.now` [s]."""
         self._write(topic, messages.float_array(row), time)
 
-    def _write(self, topic: Topic, data: bytes, time: float) -> None:
+    def _write(self, topic: Topic, data: bytes, time: float, convert: Convert = bytes) -> None:
         """Record a message of a moment of `Clock.now` [s]; those of one moment keep their order."""
         stamp = self._clock.stamp() - (self._clock.now() - time)
         self._last[topic] = max(stamp, self._last.get(topic, stamp) + RESOLUTION)
-        self._recorder.record(topic, data, self._last[topic])
+        self._recorder.record(topic, data, self._last[topic], convert)

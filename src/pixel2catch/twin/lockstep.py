@@ -1,4 +1,4 @@
-"""A rehearsal in step: twin, servo and deployment in one process, whose time goes on when one of them waits.
+"""A rehearsal in step: twin and deployment in one process, whose time goes on when one of them waits.
 
 Messages travel in memory, and perception takes as long as is said: how fast the machine is, and what else
 runs on it, changes nothing.
@@ -7,20 +7,14 @@ runs on it, changes nothing.
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from typing import final
 
-from pixel2catch.deployment.brain import Brain
-from pixel2catch.deployment.clock import Clock
-from pixel2catch.deployment.connection import Connection
-from pixel2catch.deployment.deploying import Deployment
-from pixel2catch.deployment.eyes import Eyes
 from pixel2catch.deployment.limits import ServoLimits
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.servo_link import link
-from pixel2catch.deployment.servo_process import Servo, ServoSetup
+from pixel2catch.deployment.servo_process import ServoSetup
+from pixel2catch.deployment.stepwise import MakeBrain, Nodes, StepClock, Stepwise
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import Image
 from pixel2catch.twin.camera import Camera
 from pixel2catch.twin.drivers import CYCLE
 from pixel2catch.twin.lab import Lab
@@ -39,69 +33,8 @@ ROUNDING = 1e-9
 """Difference of two times that is none [s]."""
 
 
-@final
-class StepClock(Clock):
-    """Time that goes on only while somebody waits; time of day is the same.
-
-    Attributes:
-        time: The time [s].
-    """
-
-    def __init__(self, wait: Callable[[float], None]) -> None:
-        """Begin at 0.
-
-        Args:
-            wait: Lets happen what happens until a moment [s].
-        """
-        self.time, self._wait = 0.0, wait
-
-    def now(self) -> float:
-        """See `Clock.now`."""
-        return self.time
-
-    def stamp(self) -> float:
-        """See `Clock.stamp`."""
-        return self.time
-
-    def sleep_until(self, moment: float) -> None:
-        """See `Clock.sleep_until`."""
-        self._wait(moment)
-
-
-@final
-class SlowSegmenter(Segmenter):
-    """Another segmenter, that takes its time."""
-
-    def __init__(self, segmenter: Segmenter, clock: Clock, seconds: float) -> None:
-        """Slow this one down.
-
-        Args:
-            segmenter: What finds the object.
-            clock: Whose time it takes.
-            seconds: How much of it, for each image [s].
-        """
-        self._segmenter, self._clock, self._seconds = segmenter, clock, seconds
-
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
-        """See `Segmenter.start`."""
-        self._clock.sleep_until(self._clock.now() + self._seconds)
-        return self._segmenter.start(image, prompt, ignored)
-
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
-        """See `Segmenter.track`."""
-        self._clock.sleep_until(self._clock.now() + self._seconds)
-        return self._segmenter.track(image, ignored)
-
-    def reset(self) -> None:
-        """See `Segmenter.reset`."""
-        self._segmenter.reset()
-
-
 Draw = Callable[[Lab, Exposure], Image]
 """Draws what the camera sees."""
-
-MakeBrain = Callable[[Clock], Brain]
-"""Makes perception and policy; its `SlowSegmenter` takes time of this clock."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,29 +72,20 @@ class Lockstep:
             make_brain: Makes what catches.
         """
         self.clock, self.broker = clock, broker = StepClock(self._wait), Broker()
-        profile = Profile.load(PROFILE)
-        self._num_cycles, self._is_thinking = 0, False
+        profile, self._num_cycles = Profile.load(PROFILE), 0
         self.lab = Lab(cfg.task, cfg.seed)
-        self._wires = Wires(
-            self.lab, profile, broker.node(clock), Camera(lambda seen: _done(draw(self.lab, seen)))
-        )
-        brain_end, servo_end = link()
-        self._servo = Servo(
-            servo_end, broker.node(clock), ServoSetup(profile=profile, limits=cfg.limits), clock
-        )
-        connection = Connection(
-            transport=broker.node(clock), servo=brain_end, servo_dt=cfg.limits.dt, clock=clock, tape=None
-        )
-        eyes = Eyes(connection.transport, profile.camera, self.lab.camera, clock)
-        self.deployment = Deployment(make_brain(clock), eyes, connection, profile.operator)
+        camera = Camera(lambda exposure: _done(draw(self.lab, exposure)))
+        self._wires = Wires(self.lab, profile, broker.node(clock), camera)
+        nodes = Nodes(servo=broker.node(clock), brain=broker.node(clock), clock=clock)
+        setup = ServoSetup(profile=profile, limits=cfg.limits)
+        self._robot = Stepwise(setup, self.lab.camera, nodes, make_brain)
+        self.deployment = self._robot.deployment
         self.operator = Operator(broker.node(clock), profile.operator, clock)
-        self._ends = (brain_end, servo_end)
 
     def close(self) -> None:
         """Free the simulation."""
         self.lab.close()
-        for end in self._ends:
-            end.close()
+        self._robot.close()
 
     def __enter__(self) -> "Lockstep":
         """Return the rehearsal itself."""
@@ -183,14 +107,9 @@ class Lockstep:
         self.clock.time = begin
         self._wires.cycle(start=0.0)
         self.clock.time = begin + HOP
-        self._servo.tick()
-        if self._servo.unforeseen:
-            raise self._servo.unforeseen
+        self._robot.tick()
         self.clock.time = begin + 2 * HOP
-        if not self._is_thinking:
-            self._is_thinking = True
-            self.deployment.poll()
-            self._is_thinking = False
+        self._robot.look()
 
 
 def _done(image: Image) -> "Future[Image]":

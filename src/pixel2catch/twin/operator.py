@@ -74,6 +74,11 @@ class Operator:
             self.watch()
             self._clock.sleep_until(self._clock.now() + POLL)
 
+    def rest(self, seconds: float) -> None:
+        """Watch for a while [s]."""
+        end = self._clock.now() + seconds
+        self.until(lambda: self._clock.now() >= end, seconds + POLL, "the end of a rest")
+
     def situation(self) -> str:
         """What there is to see, in a line."""
         said = self.console.status

@@ -11,6 +11,7 @@ from pixel2catch.deployment.brain import Brain, make_brain
 from pixel2catch.deployment.clock import Clock
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.limits import ServoLimits
+from pixel2catch.deployment.stepwise import MakeBrain, SlowSegmenter
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.choice import PromptCfg, SegmenterCfg, make_prompter, make_segmenter
 from pixel2catch.perception.color import ColorRange
@@ -18,7 +19,7 @@ from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.policy import Policy
 from pixel2catch.twin.lab import Lab
-from pixel2catch.twin.lockstep import Draw, Lockstep, LockstepCfg, MakeBrain, SlowSegmenter
+from pixel2catch.twin.lockstep import Draw, Lockstep, LockstepCfg
 from pixel2catch.twin.trials import Outcome, of_twin, rates, run_trial
 from pixel2catch.twin.view import Exposure, RoomView
 

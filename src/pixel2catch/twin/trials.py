@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from pixel2catch.deployment.limits import STOP_TIME
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.twin.operator import Operator
@@ -75,10 +76,11 @@ def _prepare(operator: Operator, seed: int) -> None:
 
 
 def _stop(operator: Operator) -> None:
-    """Stop, unless that has happened; that this one comes from the operator is known."""
+    """Stop, unless that has happened, and wait until the robot stands; nobody moves it before."""
     if operator.mode in ("armed", "ramp", "run"):
         operator.console.stop()
         operator.until(lambda: operator.mode not in ("armed", "ramp", "run"), STEP_TIME, "the stop")
+    operator.rest(STOP_TIME)
 
 
 def rates(outcomes: Sequence[Outcome]) -> dict[str, Any]:

@@ -1,0 +1,70 @@
+"""`pixel2catch replay`: let perception and policy decide once more on a recorded deployment."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tyro.conf import Positional
+
+from pixel2catch.cli.deploy import Deploy
+from pixel2catch.cli.sight import Sight
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """What this policy and perception would have decided in a deployment that was recorded, step by step.
+
+    Images, joint states and the operator are those of then; nothing is sent to any robot. With the same
+    policy and perception the targets are those of then, but for what JPEG and the perception's times change.
+
+    Attributes:
+        tape: What `deploy --record` or `rehearse --record` wrote, with images.
+        out: New folder for the recording (MCAP) of what was decided now.
+        policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
+        profile: The robot of then: a shipped profile or a .yaml file.
+        perception_ms: Time that perception takes for an image.
+        mask_robot: Ignore motion where the robot is in the image.
+        json: Print the report as one JSON object.
+        sight: What looks for the object.
+    """
+
+    tape: Positional[Path]
+    out: Path
+    policy: Path | None = None
+    profile: str = "ur5e_allegro_v4"
+    perception_ms: float = 10.0
+    mask_robot: bool = True
+    json: bool = False
+    sight: Sight = field(default_factory=Sight)
+
+    def run(self) -> None:
+        """Replay, compare and report."""
+        from pixel2catch.cli.extras import needs_extra
+
+        with needs_extra("deployment"):
+            from pixel2catch.deployment.profile import Profile
+            from pixel2catch.deployment.replaying import ReplayCfg, compare, decided, replay
+        self.sight.prepare()
+        notes: list[str] = []
+        profile, camera = Profile.load(self.profile), self.sight.camera_spec(notes)
+        deploy = Deploy(policy=self.policy, mask_robot=self.mask_robot, sight=self.sight)
+        cfg = ReplayCfg(tape=self.tape, out=self.out, profile=profile, camera=camera)
+        seconds = 1e-3 * self.perception_ms
+        diary = replay(cfg, lambda clock: deploy.slow_brain(profile, camera, clock, seconds))
+        report = {"deploy": diary.summary(), "decided": compare(decided(self.tape), decided(self.out))}
+        print(json.dumps(report) if self.json else "\n".join([*notes, *_lines(report)]))
+
+
+def _lines(report: dict[str, Any]) -> Iterator[str]:
+    """The report in words."""
+    from pixel2catch.cli.deploy import lines
+
+    yield from lines(report["deploy"])
+    same = report["decided"]
+    yield f"decided on {same['num_then']} images then, {same['num_now']} now, {same['num_both']} both times"
+    for part in ("arm", "hand"):
+        if part in same:
+            median, most = same[part]["median"], same[part]["max"]
+            yield f"{part}: targets differ by {median:.4f} rad in the median, {most:.4f} at most"

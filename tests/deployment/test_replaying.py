@@ -1,0 +1,127 @@
+"""A deployment on a recording decides what it decided then."""
+
+import json
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loop_lab import BOX, HOME, PROFILE, RED, picture
+from wire_lab import WireLab
+
+from pixel2catch.cli.main import main
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.brain import Brain, make_brain
+from pixel2catch.deployment.clock import Clock
+from pixel2catch.deployment.controller import Controller
+from pixel2catch.deployment.memory import Broker
+from pixel2catch.deployment.recorder import Recorder
+from pixel2catch.deployment.replaying import Decided, ReplayCfg, compare, decided, replay
+from pixel2catch.deployment.servo_link import link
+from pixel2catch.deployment.servo_process import ServoSetup
+from pixel2catch.deployment.stepwise import Nodes, SlowSegmenter, StepClock, Stepwise
+from pixel2catch.deployment.tape import Images, Tape
+from pixel2catch.errors import DeploymentError
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.perception.choice import PromptCfg, make_prompter
+from pixel2catch.perception.color import ColorThreshold
+from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
+
+EPOCH = 1_790_000_000.0
+PERIOD = 17
+"""Ticks from image to image."""
+
+
+def brain(clock: Clock) -> Brain:
+    policy, _ = load_policy(None)
+    slow = SlowSegmenter(ColorThreshold(RED), clock, 0.01)
+    prompter = make_prompter(PromptCfg(), RGB_CAMERA)
+    return make_brain(Controller(policy, PROFILE.handedness), slow, prompter, RGB_CAMERA, None)
+
+
+def record(folder: Path, images: Images) -> None:
+    """Two seconds of a robot that stands still, and an object that moves through the image."""
+    broker, clock = Broker(), StepClock(lambda moment: go_on_until(moment))
+    clock.time = EPOCH
+    laboratory, node = broker.node(clock), broker.node(clock)
+    camera = laboratory.publisher(PROFILE.camera.image)
+    prompt = laboratory.publisher(PROFILE.operator.prompt)
+    with Recorder(folder) as recorder, ExitStack() as stack:
+        nobody, somebody = link()
+        stack.callback(nobody.close)
+        stack.callback(somebody.close)
+        lab = WireLab(broker.node(clock), nobody, PROFILE, clock)
+        lab.silent.add("brain")
+        tape = Tape(recorder, node, PROFILE, clock, images)
+        nodes = Nodes(servo=broker.node(clock), brain=node, clock=clock, tape=tape)
+        setup = ServoSetup(profile=PROFILE, is_dry_run=True)
+        robot = Stepwise(setup, RGB_CAMERA, nodes, brain)
+        stack.callback(robot.close)
+        tick = 0
+
+        def go_on_until(moment: float) -> None:
+            nonlocal tick
+            while clock.time < moment:
+                clock.time += setup.limits.dt
+                tick += 1
+                if tick % PERIOD == 0:
+                    shown = picture(tuple(np.add(BOX, 0.1 * tick)))
+                    camera.publish(messages.image(shown, clock.time - 0.015))
+                lab.step()
+                robot.tick()
+                robot.look()
+
+        go_on_until(EPOCH + 0.1)
+        lab.ask_to_arm()
+        go_on_until(EPOCH + 0.2)
+        prompt.publish(messages.text(json.dumps({"box": list(np.add(BOX, 0.1 * tick))})))
+        go_on_until(EPOCH + 2.0)
+
+
+def replayed(tape: Path, out: Path) -> dict[str, Any]:
+    cfg = ReplayCfg(tape=tape, out=out, profile=PROFILE, camera=RGB_CAMERA)
+    replay(cfg, brain)
+    return compare(decided(tape), decided(out))
+
+
+@pytest.mark.parametrize(("images", "difference"), [("raw", 1e-5), ("jpeg", 0.2)])
+def test_a_replay_decides_as_it_was_decided(images: Images, difference: float, tmp_path: Path):
+    record(tmp_path / "then", images)
+    report = replayed(tmp_path / "then", tmp_path / "now")
+    assert report["num_then"] >= 45
+    assert report["num_both"] >= report["num_then"] - 1
+    assert report["arm"]["max"] < difference
+    assert report["hand"]["max"] < difference
+
+
+def test_a_recording_without_images_is_refused(tmp_path: Path):
+    record(tmp_path / "then", "none")
+    with pytest.raises(DeploymentError, match="no images on"):
+        replayed(tmp_path / "then", tmp_path / "now")
+    assert not (tmp_path / "now").exists()
+
+
+def test_the_command_says_how_alike_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    record(tmp_path / "then", "jpeg")
+    args = ["replay", str(tmp_path / "then"), "--out", str(tmp_path / "now"), "--segmenter", "color"]
+    assert main([*args, "--color", "340", "20", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["decided"]["num_both"] >= report["decided"]["num_then"] - 1 > 40
+    assert report["deploy"]["num_steps"] > 40
+
+
+def test_differences_are_of_the_worst_joint_of_images_of_both():
+    target = np.tile(HOME, (3, 1))
+    then = Decided(time=np.array([1.0, 1.033, 1.067]), target=target)
+    other = target[:2].copy()
+    other[0, 1] += 0.25
+    other[1, len(JOINTS) - 1] += 0.5
+    now = Decided(time=np.array([1.001, 1.034]), target=other)
+    report = compare(then, now)
+    assert (report["num_then"], report["num_now"], report["num_both"]) == (3, 2, 2)
+    assert report["arm"] == pytest.approx({"median": 0.125, "max": 0.25})
+    assert report["hand"] == pytest.approx({"median": 0.25, "max": 0.5})
+    late = replace(now, time=now.time + 10.0)
+    assert compare(then, late) == {"num_then": 3, "num_now": 2, "num_both": 0}
