@@ -72,9 +72,11 @@ class Surroundings:
     lab: Transport
     clock: Clock
 
-    def show(self, image: np.ndarray, age: float = 0.0) -> None:
-        """The camera sends an image of this age."""
+    def show(self, image: np.ndarray, age: float = 0.0) -> float:
+        """The camera sends an image of this age; when it was taken, `Clock.now`."""
+        taken = self.clock.now() - age
         self.lab.publisher(PROFILE.camera.image).publish(messages.image(image, self.clock.stamp() - age))
+        return taken
 
 
 @contextmanager

@@ -1,8 +1,10 @@
 """A recording played as a network."""
 
 import time
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +12,9 @@ import pytest
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.bag import ReplayTransport
 from pixel2catch.deployment.clock import RealClock
+from pixel2catch.deployment.compressed import compress, compressed_topic
 from pixel2catch.deployment.recorder import Recorder
-from pixel2catch.deployment.transport import Topic
+from pixel2catch.deployment.transport import Subscription, Topic
 from pixel2catch.errors import PerceptionError
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
@@ -34,7 +37,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "throw"
 
 
-def play(node: ReplayTransport, subscription, reader) -> list[tuple[float, float]]:
+def play(
+    node: ReplayTransport, subscription: Subscription, reader: Callable[[bytes], Any]
+) -> list[tuple[float, Any]]:
     """When each message arrived, and what the reader makes of it."""
     packets = []
     while not (node.is_over and not node.wait(0.0)):
@@ -68,6 +73,22 @@ def test_stamps_are_as_old_as_they_were(folder: Path, topic: Topic, stamp):
     assert len(ages) == 3
     np.testing.assert_allclose(ages, 0.01, atol=0.05)
     assert min(ages) > 0.009
+
+
+def test_jpeg_images_come_as_raw_ones(tmp_path: Path):
+    """And one that is damaged does not come."""
+    pixels = np.full((48, 64, 3), (200, 30, 20), dtype=np.uint8)
+    with Recorder(tmp_path / "throw") as bag:
+        for data in (messages.image(pixels, EPOCH), b"\x00\x01\x00\x00", messages.image(pixels, EPOCH + 1)):
+            bag.record(compressed_topic(IMAGE), data, EPOCH, compress)
+        bag.record(compressed_topic(IMAGE), b"\x00\x01\x00\x00nonsense", EPOCH)
+    assert bag.num_written == {"/image/compressed": 3}
+    assert bag.num_dropped == {"/image/compressed": 1}
+    with closing(ReplayTransport(tmp_path / "throw", RealClock())) as node:
+        readings = [reading for _, reading in play(node, node.subscription(IMAGE, 10), messages.read_image)]
+    assert len(readings) == 2
+    assert readings[1].stamp - readings[0].stamp == pytest.approx(1.0)
+    assert np.abs(readings[0].pixels.astype(int) - pixels).max() < 8
 
 
 def test_nothing_comes_before_somebody_looks_and_nothing_is_sent(folder: Path):

@@ -5,7 +5,7 @@ import pytest
 import torch
 from loop_lab import BOX, HOME, PROFILE, brain, picture
 
-from pixel2catch.deployment.brain import Brain
+from pixel2catch.deployment.brain import BOX_AGE, Brain
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.evaluation.loading import load_policy
@@ -38,9 +38,12 @@ def test_nothing_is_ordered_before_the_object_is_pointed_out():
     assert thinking.decide(HOME, 1.01) is None
 
 
-@pytest.mark.parametrize(("age", "num_late"), [(0.01, 1), (0.03, 1), (0.035, 0), (0.06, 0)])
-def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, num_late: int):
-    """One to two control steps: where images are younger, the policy gets the box before."""
+@pytest.mark.parametrize(
+    ("age", "num_late"),
+    [(BOX_AGE, 0.0), (BOX_AGE - 0.25 * CONTROL_DT, 0.25), (BOX_AGE - CONTROL_DT, 1.0), (BOX_AGE + 0.01, 0.0)],
+)
+def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, num_late: float):
+    """Where images are younger than that, the policy gets what was between them; where older, the newest."""
     thinking = brain()
     policy, _ = load_policy(None)
     controller = Controller(policy, PROFILE.handedness)
@@ -50,7 +53,7 @@ def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, 
         now = 1.0 + step * CONTROL_DT
         orders = think(thinking, frame(now - age, 4.0 * step), HOME, now)
         assert orders is not None
-        box = torch.tensor([moved(4.0 * max(step - num_late, 0))])
+        box = torch.tensor([moved(4.0 * max(step - num_late, 0.0))])
         expected = controller.step(joint_pos, box)[0].numpy()
         assert orders.joint_pos_target == pytest.approx(expected, abs=1e-6)
         assert (orders.target_stamp, orders.image_stamp) == (now, now - age)

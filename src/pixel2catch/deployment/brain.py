@@ -44,12 +44,14 @@ class Brain:
     ) -> None:
         """Begin before the first throw."""
         self._controller, self._extractor, self._person = controller, extractor, person
-        self._boxes: deque[tuple[float, Float[Tensor, "1 4"]]] = deque(maxlen=MEMORY)
+        self._stamps: deque[float] = deque(maxlen=MEMORY)
+        self._boxes: deque[Float[Tensor, " 4"]] = deque(maxlen=MEMORY)
 
     def begin(self, prompt: Prompt | None = None) -> None:
         """A new throw begins: nothing is known of the object but where the operator points."""
         self._extractor.reset()
         self._controller.reset()
+        self._stamps.clear()
         self._boxes.clear()
         if prompt is not None:
             self._person.give(prompt)
@@ -65,9 +67,9 @@ class Brain:
             PerceptionError: The first image has the wrong size.
         """
         seen = self._extractor.step(frame, now)
-        is_new = frame is not None and (not self._boxes or frame.stamp > self._boxes[-1][0])
-        if frame is not None and is_new and seen.is_valid:
-            self._boxes.append((frame.stamp, seen.box))
+        if frame and seen.is_valid and (not self._stamps or frame.stamp > self._stamps[-1]):
+            self._stamps.append(frame.stamp)
+            self._boxes.append(seen.box[0])
         return seen
 
     def decide(self, joint_pos: Joints, now: float) -> Orders | None:
@@ -88,10 +90,18 @@ class Brain:
         """
         if not self._boxes or np.isnan(joint_pos).any():
             return None
-        _, box = min(self._boxes, key=lambda known: abs(now - known[0] - BOX_AGE))
-        target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), box)
-        image_stamp, _ = self._boxes[-1]
-        return Orders(joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=image_stamp)
+        target = self._controller.step(
+            torch.tensor(joint_pos[None], dtype=torch.float32), self._box_at(now - BOX_AGE)
+        )
+        return Orders(
+            joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=self._stamps[-1]
+        )
+
+    def _box_at(self, moment: float) -> Float[Tensor, "1 4"]:
+        """Where the object was [px], between two images or in the newest one that is not newer [s]."""
+        edges = np.transpose([box.numpy() for box in self._boxes])
+        box = [np.interp(moment, self._stamps, edge) for edge in edges]
+        return torch.tensor([box], dtype=torch.float32)
 
 
 def make_brain(
