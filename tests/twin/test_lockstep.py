@@ -76,6 +76,17 @@ def test_the_command_needs_no_graphics(tmp_path: Path, capsys: pytest.CaptureFix
     assert json.loads((out / "report.json").read_text())["success_rate"] == 1.0
 
 
+def test_what_was_recorded_is_decided_once_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """The hand follows the same targets in a replay, but for what JPEG changes of the boxes' edges."""
+    rehearsed(replace(ONE, record=tmp_path / "tape"))
+    args = ["replay", str(tmp_path / "tape"), "--out", str(tmp_path / "again")]
+    assert main([*args, "--segmenter", "color", "--color", "340", "20", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)["decided"]
+    assert report["num_both"] >= report["num_then"] - 2 > 40
+    assert report["arm"]["median"] < 0.02
+    assert report["hand"]["median"] < 0.1
+
+
 @pytest.mark.slow
 def test_with_perfect_boxes_it_catches_about_as_often_as_the_evaluation():
     cfg = replace(ONE, task=task_of(POLICY), throws=40, seed=0)

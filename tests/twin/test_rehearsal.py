@@ -39,7 +39,7 @@ def test_a_throw_is_rehearsed_and_reported(
         (["--throws", "0"], "throws is 0"),
         (["--clock", "2"], "clock"),
         (["--plain"], "--lockstep: add it"),
-        (["--lockstep", "--record", "tape"], "--record"),
+        (["--lockstep", "--clock", "0.5"], "--clock is for real time"),
         (["--lockstep", "--perception-ms", "-1"], "perception_ms is -1"),
     ],
 )

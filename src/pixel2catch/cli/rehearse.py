@@ -89,8 +89,8 @@ class Rehearse:
             raise InvalidValueError(f"throws is {self.throws}; it must be 1 or more")
         if self.perception_ms < 0.0:
             raise InvalidValueError(f"perception_ms is {self.perception_ms:g}; it must be 0 or more")
-        if self.lockstep and (self.record or self.clock != 1.0):
-            raise InvalidValueError("--record and --clock are for real time; leave them out, or --lockstep")
+        if self.lockstep and self.clock != 1.0:
+            raise InvalidValueError("--clock is for real time; leave it out, or --lockstep")
         if self.plain and not self.lockstep:
             raise InvalidValueError("--plain goes with --lockstep: add it")
         if not self.plain:
@@ -112,6 +112,7 @@ class Rehearse:
             seed=self.seed,
             perception_time=1e-3 * self.perception_ms,
             is_plain=self.plain,
+            record=self.record,
         )
         return rehearse_in_step(cfg, policy, show)
 

@@ -6,13 +6,17 @@ runs on it, changes nothing.
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from pixel2catch.deployment.limits import ServoLimits
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.profile import Profile
+from pixel2catch.deployment.recorder import Recorder
 from pixel2catch.deployment.servo_process import ServoSetup
 from pixel2catch.deployment.stepwise import MakeBrain, Nodes, StepClock, Stepwise
+from pixel2catch.deployment.tape import Tape
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.twin.camera import Camera
@@ -45,11 +49,13 @@ class LockstepCfg:
         task: What is thrown at which robot.
         limits: What the servo keeps to.
         seed: Of the first start pose and all noise.
+        record: New folder for the recording of the deployment; none for no recording.
     """
 
     task: CatchEnvCfg
     limits: ServoLimits = field(default_factory=ServoLimits)
     seed: int = 0
+    record: Path | None = None
 
 
 class Lockstep:
@@ -76,14 +82,20 @@ class Lockstep:
         self.lab = Lab(cfg.task, cfg.seed)
         camera = Camera(lambda exposure: _done(draw(self.lab, exposure)))
         self._wires = Wires(self.lab, profile, broker.node(clock), camera)
-        nodes = Nodes(servo=broker.node(clock), brain=broker.node(clock), clock=clock)
+        self._open = ExitStack()
+        node = broker.node(clock)
+        tape = None
+        if cfg.record:
+            tape = Tape(self._open.enter_context(Recorder(cfg.record)), node, profile, clock, "jpeg")
+        nodes = Nodes(servo=broker.node(clock), brain=node, clock=clock, tape=tape)
         setup = ServoSetup(profile=profile, limits=cfg.limits)
         self._robot = Stepwise(setup, self.lab.camera, nodes, make_brain)
         self.deployment = self._robot.deployment
         self.operator = Operator(broker.node(clock), profile.operator, clock)
 
     def close(self) -> None:
-        """Free the simulation."""
+        """Free the simulation, and end the recording."""
+        self._open.close()
         self.lab.close()
         self._robot.close()
 

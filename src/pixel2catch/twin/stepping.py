@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ class SteppingCfg:
         perception_time: Time that perception takes for an image [s].
         is_plain: Whether the camera shows nothing but the object's box, so that perception cannot fail.
         limits: What the servo keeps to.
+        record: New folder for the recording of the deployment; none for no recording.
     """
 
     task: CatchEnvCfg
@@ -49,6 +51,7 @@ class SteppingCfg:
     perception_time: float = PERCEPTION_TIME
     is_plain: bool = False
     limits: ServoLimits = field(default_factory=ServoLimits)
+    record: Path | None = None
 
 
 def rehearse_in_step(cfg: SteppingCfg, policy: Policy, report: Callable[[Outcome], None]) -> dict[str, Any]:
@@ -89,7 +92,7 @@ def in_step(cfg: SteppingCfg, policy: Policy) -> Iterator[Lockstep]:
     """
     with ExitStack() as stack:
         draw, make = _plain(cfg, policy) if cfg.is_plain else _rendered(cfg, policy, stack)
-        world = LockstepCfg(task=cfg.task, limits=cfg.limits, seed=cfg.seed)
+        world = LockstepCfg(task=cfg.task, limits=cfg.limits, seed=cfg.seed, record=cfg.record)
         yield stack.enter_context(Lockstep(world, draw, make))
 
 
