@@ -52,10 +52,10 @@ def test_the_shipped_policy_catches(report: dict[str, Any]):
 
 
 def test_perception_takes_the_time_that_is_said(report: dict[str, Any]):
-    """The rest of the latency is the camera's, and waiting for cycles and ticks: one or two of them."""
+    """The rest of the latency is the camera's, and waiting for cycles and ticks: up to three of them."""
     times = report["deploy"]["image_to_command_ms"]
     told = LATENCY + PERCEPTION_TIME + 2 * HOP
-    assert 1e3 * told <= times["p50"] <= times["max"] <= 1e3 * (told + 2 * CYCLE)
+    assert 1e3 * told <= times["p50"] <= times["max"] <= 1e3 * (told + 3 * CYCLE)
     assert report["deploy"]["thinking_ms"]["p50"] == pytest.approx(1e3 * PERCEPTION_TIME)
 
 

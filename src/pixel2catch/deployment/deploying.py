@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.deployment import messages
-from pixel2catch.deployment.brain import Brain
+from pixel2catch.deployment.brain import BOX_AGE, Brain
 from pixel2catch.deployment.connection import Connection
 from pixel2catch.deployment.eyes import Eyes
+from pixel2catch.deployment.pace import Pace
 from pixel2catch.deployment.profile import OperatorTopics
 from pixel2catch.deployment.report import ACTIVE, Diary
 from pixel2catch.deployment.servo_link import Orders
@@ -22,6 +23,9 @@ from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 
 POLL = 0.002
 """Longest time between two looks at servo and network [s], in real time; an image ends it. Source: ours."""
+
+LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
+"""Age up to which an image waits for its decision [s]: the policy gets the box of before. Source: ours."""
 
 PATIENCE = 1.5 * CONTROL_DT
 """Time after an image from which the next one is missing [s]. Source: ours."""
@@ -54,7 +58,7 @@ class Deployment:
         self._mode = int(Mode.IDLE)
         self._frame: CameraFrame | None = None
         self._due = connection.clock.now()
-        self._message = ""
+        self._message, self._pace = "", Pace(LONGEST_AGE)
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
         """Go from control step to control step.
@@ -123,13 +127,17 @@ class Deployment:
         begin = self._clock.now()
         self._frame = frame or self._frame
         seen = self._brain.see(self._frame, begin)
+        looked = self._clock.now()
+        if frame:
+            self._clock.sleep_until(self._pace.moment(frame.stamp, looked))
+        waited = self._clock.now() - looked
         self._hear()
         orders, complaint = self._decide()
         if orders and self._mode in ACTIVE:
             self._servo.send(orders)
         end = self._clock.now()
         if self._mode in ACTIVE:
-            self.diary.think(took=end - begin, is_missed=is_missed)
+            self.diary.think(took=end - begin - waited, is_missed=is_missed)
         self._due = self._due + CONTROL_DT if is_missed else begin + PATIENCE
         message = self._message or self._eyes.message or complaint or seen.message
         status = self.diary.status(seen, message)

@@ -60,7 +60,7 @@ class Diary:
         """Note a control step of an armed robot.
 
         Args:
-            took: From the arrival of the image to the orders [s].
+            took: From the arrival of the image to the orders, without waiting [s].
             is_missed: Whether there was no new image.
         """
         self.num_steps += 1
