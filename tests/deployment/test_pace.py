@@ -7,15 +7,17 @@ from pixel2catch.deployment.pace import QUANTILE, STEP, Pace
 from pixel2catch.robot.constants import CONTROL_DT
 
 
-def test_the_first_image_is_decided_on_at_once():
-    moment = Pace(longest=0.05).moment(1.0, 1.03)
-    assert moment <= 1.03
-    assert moment == pytest.approx(1.03, abs=STEP)
+def test_first_looks_wait_for_nothing_and_count_as_little_as_others():
+    pace = Pace(longest=0.05)
+    for _ in range(5):
+        assert pace.moment(1.0, 1.5) < 1.5
+    assert pace.age == pytest.approx(5 * QUANTILE * STEP)
 
 
 def test_a_quicker_look_waits_and_a_slower_one_does_not():
     pace = Pace(longest=0.05)
-    pace.moment(1.0, 1.03)
+    for _ in range(100):
+        pace.moment(1.0, 1.03)
     assert pace.moment(2.0, 2.02) == pytest.approx(2.03, abs=2 * STEP)
     assert pace.moment(3.0, 3.04) < 3.04
 
@@ -32,7 +34,7 @@ def test_so_many_looks_are_in_time_and_steps_are_even():
 
 def test_it_follows_a_machine_that_becomes_slower_or_faster():
     pace = Pace(longest=0.05)
-    for age, num in ((0.03, 10), (0.04, 40), (0.02, 500)):
+    for age, num in ((0.03, 100), (0.04, 40), (0.02, 500)):
         for _ in range(num):
             pace.moment(0.0, age)
         assert pace.age == pytest.approx(age, abs=2 * STEP)

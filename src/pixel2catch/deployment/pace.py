@@ -18,7 +18,7 @@ class Pace:
     """
 
     def __init__(self, longest: float) -> None:
-        """Know nothing.
+        """Wait for nothing yet: the first looks, which are slow, count no more than others.
 
         Args:
             longest: Age up to which waiting costs nothing [s].
@@ -34,8 +34,6 @@ class Pace:
             now: When it has been looked at [s].
         """
         age = now - stamp
-        if self.age == 0.0:
-            self.age = age
         change = QUANTILE if age > self.age else QUANTILE - 1.0
         self.age = min(self.age + STEP * change, self._longest)
         return stamp + self.age
