@@ -103,6 +103,7 @@ def test_the_operator_holds_arms_points_and_stops(shown: Shown):
     assert all(len(heard[name].take()) == 1 for name in ("arm", "stop"))
 
 
+@pytest.mark.slow
 def test_one_button_throws_and_catches():
     policy, _ = load_policy(None)
     cfg = SteppingCfg(task=task_of(policy, physics_hz=120.0), throws=1, is_plain=True)
