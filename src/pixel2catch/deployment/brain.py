@@ -78,7 +78,7 @@ class Brain:
         """Let the policy decide on what was seen, and on joints as they are now.
 
         In training it acts in the very moment in which the joints are measured. Positions that are as old as
-        the perception takes cost `proposed` 5 of 100 throws (`benchmarks/deployment_links.py`).
+        the perception takes cost `proposed` 5 of 100 throws (experiments/LOG.md).
 
         Args:
             joint_pos: Newest joint positions, in joint order [rad]; NaN where unknown.

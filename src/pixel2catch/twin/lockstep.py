@@ -30,12 +30,11 @@ from pixel2catch.twin.wires import Wires
 HOP = 0.0005
 """Time from a cycle of the drivers to the servo's tick, and from there to the brain [s].
 
-Source: ours; DDS between two processes takes as long in the median (`benchmarks/transport_latency.py`).
+Source: ours, for DDS between two processes.
 """
 
 ROUNDING = 1e-9
 """Difference of two times that is none [s]."""
-
 
 Draw = Callable[[Lab, Exposure], Image]
 """Draws what the camera sees."""
