@@ -100,7 +100,7 @@ def test_sensors_name_what_is_touched():
         else:
             outwards = data.site(where).xpos - data.body(where.replace("tip", "link_3")).xpos
         outwards = outwards / np.linalg.norm(outwards)
-        data.qpos[19:22] = data.site(where).xpos + 0.034 * outwards
+        data.qpos[19:22] = data.site(where).xpos + (0.034 if where == "palm" else 0.046) * outwards
         mujoco.mj_forward(model, data)
         assert found(model, data) == expected, where
         assert data.sensor("object_any").data[1] < 0.0

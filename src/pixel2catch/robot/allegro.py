@@ -37,7 +37,7 @@ class HandLink:
         pos: Position in the parent link [m].
         quat: Orientation in the parent link.
         axis: Axis of its joint; None for the welded first link of index, middle and ring finger.
-        length: Distance to the next link's joint, or to the fingertip, along z [m].
+        length: Distance to the next link's joint, or to the centre of the fingertip's sphere, along z [m].
         mass: Mass [kg].
     """
 
@@ -81,7 +81,11 @@ LEFT_HAND: dict[str, tuple[HandLink, ...]] = {
 """Links of each finger from the palm to the tip. Source: release; cross-checked with public descriptions."""
 
 LINK_RADIUS = 0.012
-"""Radius of the finger capsules [m]. Source: ours, between half the thickness, 9.8 mm, and width, 13.8 mm."""
+"""Radius of the finger capsules [m].
+
+Source: of the tips, the maker's description of the hand, whose last length leads to the centre of a sphere of
+this radius; of the others ours, between half the thickness, 9.8 mm, and width, 13.8 mm.
+"""
 
 THUMB_START = 0.016
 """Start of the capsule of `thumb_link_2` [m].
@@ -148,7 +152,7 @@ def add_hand(wrist: mujoco.MjsBody, flange: Vec3, handedness: Handedness) -> muj
 def _add_finger(
     palm: mujoco.MjsBody, finger: str, links: tuple[HandLink, ...], handedness: Handedness
 ) -> None:
-    """Add the links of a finger, and the site of its tip at the end of the chain."""
+    """Add the links of a finger, and the site in the middle of its tip at the end of the chain."""
     body = palm
     for i, link in enumerate(links):
         body = body.add_body(name=f"{finger}_link_{i}", pos=link.pos, quat=link.quat, gravcomp=1.0)
@@ -166,11 +170,9 @@ def _add_link_shape(body: mujoco.MjsBody, link: HandLink, index: int, handedness
     elif link.length < 2 * LINK_RADIUS:
         _set_block_inertia(body, link)
     else:
-        is_tip = index == 3
-        end = link.length - (LINK_RADIUS if is_tip else 0.0)
         start = THUMB_START if body.name == "thumb_link_2" else 0.0
-        capsule = Capsule(start=(0, 0, start), end=(0, 0, end), radius=LINK_RADIUS)
-        add_capsule(body, body.name, capsule, mass=link.mass, rgba=TIP_RGBA if is_tip else DARK_RGBA)
+        capsule = Capsule(start=(0, 0, start), end=(0, 0, link.length), radius=LINK_RADIUS)
+        add_capsule(body, body.name, capsule, mass=link.mass, rgba=TIP_RGBA if index == 3 else DARK_RGBA)
 
 
 def _mirror_capsule(capsule: Capsule) -> Capsule:
