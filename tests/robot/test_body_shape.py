@@ -24,7 +24,7 @@ def hand(request) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def reach(hand: tuple[mujoco.MjModel, mujoco.MjData], link: str, start: tuple, direction: tuple) -> float:
-    """Distance from `start` to the link's surface along `direction`, both in the link's frame, from outside."""
+    """How far the link's surface is from `start` along `direction`, in the link's frame, met from outside."""
     model, data = hand
     alone = model.geom_group.copy()
     model.geom_group[model.geom_bodyid != model.body(link).id] = 5
@@ -44,3 +44,20 @@ def test_tips_end_12_mm_beyond_the_published_point(hand, finger):
         assert reach(hand, f"{finger}_link_3", (0, 0, published), side) == pytest.approx(0.012)
     site = hand[0].site(f"{finger}_tip")
     assert site.pos[2] == pytest.approx(published)
+
+
+@pytest.mark.parametrize("link", ["index_link_0", "middle_link_0", "ring_link_0", "thumb_link_1"])
+def test_short_links_have_a_surface(hand, link):
+    length = 0.0177 if link == "thumb_link_1" else 0.0164
+    middle = (0, 0, length / 2)
+    assert reach(hand, link, middle, (1, 0, 0)) == pytest.approx(0.0196 / 2)
+    assert reach(hand, link, middle, (0, 1, 0)) == pytest.approx(0.0275 / 2)
+    assert reach(hand, link, middle, (0, 0, 1)) == pytest.approx(length / 2)
+
+
+def test_thumb_housing_is_the_published_box_mirrored_with_the_hand(hand):
+    is_left = hand[0].body("index_link_0").pos[1] < 0
+    y = -0.009 if is_left else 0.009
+    middle = (-0.0179, y, 0.0145)
+    for way, half in (((1, 0, 0), 0.0179), ((0, 1, 0), 0.017), ((0, -1, 0), 0.017), ((0, 0, 1), 0.02275)):
+        assert reach(hand, "thumb_link_0", middle, way) == pytest.approx(half)

@@ -64,7 +64,7 @@ def test_robot_holds_its_start_pose(model):
 
 def test_no_contact_in_the_start_pose_whatever_the_reset_noise(model):
     data = mujoco.MjData(model)
-    noise = np.random.default_rng(0).uniform(-0.125, 0.125, (1000, 19))
+    noise = np.random.default_rng(0).uniform(-0.125, 0.125, (2000, 19))
     for joint_pos in np.clip(HOME + noise, LOWER, UPPER):
         data.qpos[:19] = joint_pos
         mujoco.mj_fwdPosition(model, data)

@@ -12,7 +12,7 @@ from typing import Literal
 import mujoco
 
 from pixel2catch.robot.constants import HAND_MOUNT_POS, HAND_MOUNT_QUAT, PALM_POS, Quat, Vec3
-from pixel2catch.robot.ur5e import Capsule, add_capsule
+from pixel2catch.robot.ur5e import ROBOT_GROUP, Capsule, add_capsule
 
 Handedness = Literal["left", "right"]
 
@@ -29,6 +29,26 @@ Source: public descriptions of the hand, moved by 0.2 mm so that the front passe
 PALM_MASS = 0.58
 
 
+SECTION = (0.0196, 0.0275)
+"""Thickness and width of every link of a finger [m]. Source: the maker's description of the hand."""
+
+TIP_RADIUS = 0.012
+"""Radius of the sphere at the end of a finger [m]. Source: the maker's description of the hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """The box that the maker's description of the hand gives a link for its shape.
+
+    Attributes:
+        center: Its centre in the frame of the link [m].
+        size: Its extents [m].
+    """
+
+    center: Vec3
+    size: Vec3
+
+
 @dataclass(frozen=True, kw_only=True)
 class HandLink:
     """One link of a finger of the left hand.
@@ -39,6 +59,7 @@ class HandLink:
         axis: Axis of its joint; None for the welded first link of index, middle and ring finger.
         length: Distance to the next link's joint, or to the centre of the fingertip's sphere, along z [m].
         mass: Mass [kg].
+        housing: Its block, where that is not of the length and the section of a finger.
     """
 
     pos: Vec3
@@ -46,6 +67,12 @@ class HandLink:
     axis: Vec3 | None = (0.0, 1.0, 0.0)
     length: float
     mass: float
+    housing: Block | None = None
+
+    @property
+    def block(self) -> Block:
+        """The box of the link."""
+        return self.housing or Block(center=(0.0, 0.0, self.length / 2), size=(*SECTION, self.length))
 
 
 def _finger(y: float, z: float, tilt: float) -> tuple[HandLink, ...]:
@@ -61,6 +88,9 @@ def _finger(y: float, z: float, tilt: float) -> tuple[HandLink, ...]:
     )
 
 
+THUMB_HOUSING = Block(center=(-0.0179, -0.009, 0.0145), size=(0.0358, 0.034, 0.0455))
+"""Box of the thumb's first link, left hand. Source: the maker's description of the hand."""
+
 LEFT_HAND: dict[str, tuple[HandLink, ...]] = {
     "index": _finger(-0.0435, 0.0935, radians(5)),
     "middle": _finger(0.0, 0.0957, 0.0),
@@ -72,6 +102,7 @@ LEFT_HAND: dict[str, tuple[HandLink, ...]] = {
             axis=(1, 0, 0),
             length=0.0399,
             mass=0.0176,
+            housing=THUMB_HOUSING,
         ),
         HandLink(pos=(-0.027, -0.005, 0.0399), axis=(0, 0, -1), length=0.0177, mass=0.0119),
         HandLink(pos=(0, 0, 0.0177), length=0.0514, mass=0.038),
@@ -80,21 +111,11 @@ LEFT_HAND: dict[str, tuple[HandLink, ...]] = {
 }
 """Links of each finger from the palm to the tip. Source: release; cross-checked with public descriptions."""
 
-LINK_RADIUS = 0.012
-"""Radius of the finger capsules [m].
-
-Source: of the tips, the maker's description of the hand, whose last length leads to the centre of a sphere of
-this radius; of the others ours, between half the thickness, 9.8 mm, and width, 13.8 mm.
-"""
-
 THUMB_START = 0.016
 """Start of the capsule of `thumb_link_2` [m].
 
 Source: ours; nearer to its joint the capsule would touch the palm in the start pose with reset noise.
 """
-
-THUMB_ROOT = Capsule(start=(-0.012, 0.004, 0.012), end=(-0.022, -0.002, 0.026), radius=0.014)
-"""Housing of the thumb's first two joints in `thumb_link_0`, left hand. Source: ours."""
 
 
 def mirror_pos(pos: Vec3) -> Vec3:
@@ -120,6 +141,7 @@ def mirror_link(link: HandLink) -> HandLink:
         axis=None if link.axis is None else mirror_axis(link.axis),
         length=link.length,
         mass=link.mass,
+        housing=link.housing and Block(center=mirror_pos(link.housing.center), size=link.housing.size),
     )
 
 
@@ -145,44 +167,36 @@ def add_hand(wrist: mujoco.MjsBody, flange: Vec3, handedness: Handedness) -> muj
         group=3,
     )
     for finger, links in hand_links(handedness).items():
-        _add_finger(palm, finger, links, handedness)
+        _add_finger(palm, finger, links)
     return palm
 
 
-def _add_finger(
-    palm: mujoco.MjsBody, finger: str, links: tuple[HandLink, ...], handedness: Handedness
-) -> None:
+def _add_finger(palm: mujoco.MjsBody, finger: str, links: tuple[HandLink, ...]) -> None:
     """Add the links of a finger, and the site in the middle of its tip at the end of the chain."""
     body = palm
     for i, link in enumerate(links):
         body = body.add_body(name=f"{finger}_link_{i}", pos=link.pos, quat=link.quat, gravcomp=1.0)
         if link.axis is not None:
             body.add_joint(name=f"{finger}_joint_{i}", axis=link.axis)
-        _add_link_shape(body, link, i, handedness)
+        _add_link_shape(body, link, i)
     body.add_site(name=f"{finger}_tip", pos=(0, 0, links[-1].length), size=(0.004, 0.004, 0.004), group=4)
 
 
-def _add_link_shape(body: mujoco.MjsBody, link: HandLink, index: int, handedness: Handedness) -> None:
-    """Capsule of a link; the short welded roots and the thumb's second link have none, only their inertia."""
-    if body.name == "thumb_link_0":
-        root = THUMB_ROOT if handedness == "left" else _mirror_capsule(THUMB_ROOT)
-        add_capsule(body, body.name, root, mass=link.mass, rgba=DARK_RGBA)
-    elif link.length < 2 * LINK_RADIUS:
-        _set_block_inertia(body, link)
+def _add_link_shape(body: mujoco.MjsBody, link: HandLink, index: int) -> None:
+    """A box for a short link, a capsule for a long one."""
+    if link.length < 0.04 and index < 2 or link.housing:
+        block = link.block
+        x, y, z = block.size
+        body.add_geom(
+            name=body.name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=block.center,
+            size=(x / 2, y / 2, z / 2),
+            mass=link.mass,
+            rgba=DARK_RGBA,
+            group=ROBOT_GROUP,
+        )
     else:
         start = THUMB_START if body.name == "thumb_link_2" else 0.0
-        capsule = Capsule(start=(0, 0, start), end=(0, 0, link.length), radius=LINK_RADIUS)
+        capsule = Capsule(start=(0, 0, start), end=(0, 0, link.length), radius=TIP_RADIUS)
         add_capsule(body, body.name, capsule, mass=link.mass, rgba=TIP_RGBA if index == 3 else DARK_RGBA)
-
-
-def _mirror_capsule(capsule: Capsule) -> Capsule:
-    return Capsule(start=mirror_pos(capsule.start), end=mirror_pos(capsule.end), radius=capsule.radius)
-
-
-def _set_block_inertia(body: mujoco.MjsBody, link: HandLink) -> None:
-    """Inertia of a uniform block of the finger's cross-section, 19.6 by 27.5 mm."""
-    x, y, z = 0.0196, 0.0275, link.length
-    body.explicitinertial = True
-    body.mass = link.mass
-    body.ipos, body.iquat = (0, 0, z / 2), (1, 0, 0, 0)
-    body.inertia = [link.mass / 12 * s for s in (y * y + z * z, x * x + z * z, x * x + y * y)]

@@ -2,7 +2,6 @@
 
 import mujoco
 
-from pixel2catch.robot.allegro import DARK_RGBA, LINK_RADIUS, Handedness, hand_links
 from pixel2catch.robot.constants import TABLE
 from pixel2catch.robot.ur5e import FLANGE_RGBA, TUBE_RGBA, Capsule
 
@@ -46,7 +45,7 @@ FLANGE = Capsule(start=(0, 0, 0.05), end=(0, 0, 0.1070), radius=0.0375)
 """From the last joint to the hand's mount, in `wrist_3_link`."""
 
 
-def add_looks(spec: mujoco.MjSpec, handedness: Handedness) -> None:
+def add_looks(spec: mujoco.MjSpec) -> None:
     """Add everything that is only seen to a complete scene."""
     _add_light(spec)
     _add_textures(spec)
@@ -56,7 +55,6 @@ def add_looks(spec: mujoco.MjSpec, handedness: Handedness) -> None:
         _add_cylinders(spec.body(name), cylinders, TUBE_RGBA)
     _add_cylinders(spec.body("wrist_3_link"), (FLANGE,), FLANGE_RGBA)
     _add_pedestal(spec)
-    _add_knuckles(spec, handedness)
 
 
 def _add_light(spec: mujoco.MjSpec) -> None:
@@ -120,15 +118,6 @@ def _add_pedestal(spec: mujoco.MjSpec) -> None:
         contype=0,
         conaffinity=0,
     )
-
-
-def _add_knuckles(spec: mujoco.MjSpec, handedness: Handedness) -> None:
-    """Finger roots and the thumb's short link, which have no shape of their own."""
-    for finger, links in hand_links(handedness).items():
-        for i, link in enumerate(links):
-            if link.length < 2 * LINK_RADIUS:
-                stub = Capsule(start=(0, 0, -0.004), end=(0, 0, link.length), radius=0.85 * LINK_RADIUS)
-                _add_cylinders(spec.body(f"{finger}_link_{i}"), (stub,), DARK_RGBA)
 
 
 def _add_cylinders(body: mujoco.MjsBody, cylinders: tuple[Capsule, ...], rgba: tuple[float, ...]) -> None:

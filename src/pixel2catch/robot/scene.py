@@ -67,7 +67,7 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     _add_object(spec, cfg, OBJECTS[object_name])
     _add_contact_rules(spec)
     if cfg.visuals:
-        add_looks(spec, cfg.handedness)
+        add_looks(spec)
     return spec
 
 
@@ -235,8 +235,12 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
 
 
 def _add_contact_rules(spec: mujoco.MjSpec) -> None:
-    """Pairs that never collide, and the contact sensors."""
+    """Pairs that never collide, and the contact sensors.
+
+    The palm is hollow where the thumb is; its box and those of the thumb's housings overlap there.
+    """
     spec.add_exclude(bodyname1="base_link", bodyname2="shoulder_link")
+    spec.add_exclude(bodyname1="palm", bodyname2="thumb_link_1")
     subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
     thrown = (body, "object")
     _add_sensor(spec, "object_palm", thrown, (body, "palm"))
