@@ -61,3 +61,25 @@ def test_thumb_housing_is_the_published_box_mirrored_with_the_hand(hand):
     middle = (-0.0179, y, 0.0145)
     for way, half in (((1, 0, 0), 0.0179), ((0, 1, 0), 0.017), ((0, -1, 0), 0.017), ((0, 0, 1), 0.02275)):
         assert reach(hand, "thumb_link_0", middle, way) == pytest.approx(half)
+
+
+@pytest.mark.parametrize("link", ["index_link_1", "middle_link_2", "ring_link_1", "thumb_link_2"])
+def test_links_have_the_published_section(hand, link):
+    for z in (0.001, 0.02, 0.038):
+        for way, half in (
+            ((1, 0, 0), 0.0098),
+            ((-1, 0, 0), 0.0098),
+            ((0, 1, 0), 0.01375),
+            ((0, -1, 0), 0.01375),
+        ):
+            assert reach(hand, link, (0, 0, z), way) == pytest.approx(half)
+
+
+def test_right_hand_is_the_mirror_image_of_the_left():
+    left, right = (build_model(SceneCfg(handedness=side)) for side in ("left", "right"))
+    for geom in range(left.ngeom):
+        name, twin = left.geom(geom).name, right.geom(geom)
+        assert twin.name == name
+        np.testing.assert_allclose(twin.size, left.geom(geom).size)
+        if left.body(left.geom_bodyid[geom]).name.split("_")[0] in (*FINGERS, "palm"):
+            np.testing.assert_allclose(twin.pos, left.geom(geom).pos * (1, -1, 1), atol=1e-12)
