@@ -55,6 +55,20 @@ def test_masses(model):
     assert model.body("object").mass[0] == pytest.approx(0.03)
 
 
+def test_weight_of_the_stretched_arm_on_its_shoulder():
+    """Masses times arms of the maker's table, worked out by hand; the hand weighs nothing here."""
+    model = build_model(SceneCfg())
+    model.body_gravcomp[:] = 0.0
+    model.body_mass[model.body("palm").id :] = 0.0
+    data = mujoco.MjData(model)
+    data.qpos[0] = np.pi
+    mujoco.mj_forward(model, data)
+    # 8.058 x 0.2125 + 2.846 x (0.425 + 0.2422) + (1.37 + 1.3 + 0.365) x (0.425 + 0.3922) kg m
+    assert abs(data.qfrc_bias[1]) == pytest.approx(9.81 * (1.712325 + 1.8988512 + 2.480202), rel=1e-6)
+    np.testing.assert_allclose(data.body("wrist_3_link").xipos[1], 0.1333 + 0.0996 - 0.001159, atol=1e-9)
+    np.testing.assert_allclose(data.body("wrist_2_link").xipos[1:], (0.1333 + 0.01634, 0.8856), atol=1e-9)
+
+
 def test_robot_holds_its_start_pose(model):
     data = mujoco.MjData(model)
     data.qpos[:19] = data.ctrl[:] = HOME

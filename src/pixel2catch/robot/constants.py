@@ -157,6 +157,33 @@ UR5E_DH: tuple[tuple[float, float, float], ...] = (
 UR5E_LINK_MASSES = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
 """Masses of the six moving links [kg]. Source: UR."""
 
+UR5E_LINK_COMS: tuple[Vec3, ...] = (
+    (0.0, -0.00193, 0.1625 - 0.02561),
+    (-0.2125, 0.0, 0.11336),
+    (-0.2422, 0.0, 0.0265),
+    (0.0, -0.01634, 0.1333 - 0.0018),
+    (0.0, 0.01634, 0.0997 - 0.0018),
+    (0.0, 0.0, 0.0996 - 0.001159),
+)
+"""Centres of mass of the six moving links, in the frames of our bodies [m].
+
+Source: UR, its ROS 2 description of the UR5e (physical_parameters.yaml). Its frames are parallel to ours, but
+those of shoulder and wrists lie further along their axes, by d of the row.
+"""
+
+UR5E_LINK_INERTIAS: tuple[Vec3, ...] = (
+    (0.0102675, 0.0102675, 0.00666),
+    (0.0151074, 0.13388583541666665, 0.13388583541666665),
+    (0.004095, 0.03120936758333333, 0.03120936758333333),
+    (0.0025599, 0.0025599, 0.0021942),
+    (0.0025599, 0.0025599, 0.0021942),
+    (9.890414008333333e-05, 9.890414008333333e-05, 1.321171875e-04),
+)
+"""Inertias of the six moving links about their centres of mass, along the axes of our bodies [kg·m²].
+
+Source: UR, as of the centres of mass; there they are those of cylinders.
+"""
+
 HAND_MOUNT_POS: Vec3 = (0.0, 0.0097, 0.0074)
 """Hand frame in the flange frame `tool0`. Source: release."""
 

@@ -1,8 +1,8 @@
 """The UR5e as a chain of bodies with capsules for its links.
 
 Body i stands at the end of the DH chain of its predecessors and turns about its own z axis, so that a child
-is placed by (a, 0, d) and Rx(α) of its parent's row. Dimensions of the tubes, world and link inertias are
-ours: UR publishes masses, and each link's mass is spread evenly over its first capsule.
+is placed by (a, 0, d) and Rx(α) of its parent's row. Dimensions of the tubes are ours; masses, centres of
+mass and inertias are UR's.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ from pixel2catch.robot.constants import (
     ROBOT_BASE_POS,
     ROBOT_BASE_QUAT,
     UR5E_DH,
+    UR5E_LINK_COMS,
+    UR5E_LINK_INERTIAS,
     UR5E_LINK_MASSES,
     Quat,
     Vec3,
@@ -70,14 +72,14 @@ def add_arm(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     base = spec.worldbody.add_body(name="base_link", pos=ROBOT_BASE_POS, quat=ROBOT_BASE_QUAT)
     add_capsule(base, "base_link", BASE_CAPSULE, mass=0.0, rgba=TUBE_RGBA)
     parent, pos, quat = base, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
-    for (name, capsules), joint, mass, row in zip(LINKS, ARM_JOINTS, UR5E_LINK_MASSES, UR5E_DH, strict=True):
+    inertial = zip(UR5E_LINK_MASSES, UR5E_LINK_COMS, UR5E_LINK_INERTIAS, strict=True)
+    for (name, capsules), joint, of_mass, row in zip(LINKS, ARM_JOINTS, inertial, UR5E_DH, strict=True):
         body = parent.add_body(name=name, pos=pos, quat=quat, gravcomp=1.0)
         body.add_joint(name=joint.name, axis=(0, 0, 1))
+        set_inertial(body, *of_mass)
         for i, capsule in enumerate(capsules):
             rgba = FLANGE_RGBA if name == "wrist_3_link" else TUBE_RGBA
-            add_capsule(
-                body, name if i == 0 else f"{name}_{i}", capsule, mass=mass if i == 0 else 0.0, rgba=rgba
-            )
+            add_capsule(body, name if i == 0 else f"{name}_{i}", capsule, mass=0.0, rgba=rgba)
         parent, (pos, quat) = body, dh_pose(row)
     parent.add_site(name="tool0", pos=pos, quat=quat, size=(0.004, 0.004, 0.004), group=4)
     return parent
@@ -87,6 +89,12 @@ def dh_pose(row: tuple[float, float, float]) -> tuple[Vec3, Quat]:
     """Pose of the next joint's frame after the turn about z: translation (a, 0, d), rotation by α about x."""
     d, a, alpha = row
     return (a, 0.0, d), (cos(alpha / 2), sin(alpha / 2), 0.0, 0.0)
+
+
+def set_inertial(body: mujoco.MjsBody, mass: float, center: Vec3, inertia: Vec3) -> None:
+    """Give a body its mass [kg], centre of mass [m] and inertia about it, along the body's axes [kg·m²]."""
+    body.explicitinertial = True
+    body.mass, body.ipos, body.iquat, body.inertia = mass, center, (1, 0, 0, 0), inertia
 
 
 def add_capsule(
