@@ -83,3 +83,23 @@ def test_right_hand_is_the_mirror_image_of_the_left():
         np.testing.assert_allclose(twin.size, left.geom(geom).size)
         if left.body(left.geom_bodyid[geom]).name.split("_")[0] in (*FINGERS, "palm"):
             np.testing.assert_allclose(twin.pos, left.geom(geom).pos * (1, -1, 1), atol=1e-12)
+
+
+def test_last_link_is_a_block_with_a_ball_at_its_end(hand):
+    """Index finger, by hand: 9.6 g of 19.6 x 27.5 x 26.7 mm around 13.35 mm, and 16.8 g at 26.7 mm."""
+    model, _ = hand
+    link = model.body("index_link_3")
+    middle = (9.6 * 13.35 + 16.8 * 26.7) / 26.4
+    np.testing.assert_allclose(link.ipos, (0, 0, 1e-3 * middle), atol=1e-9)
+    spread = 9.6 * (middle - 13.35) ** 2 + 16.8 * (26.7 - middle) ** 2  # [g mm²], also of the next line
+    ball, x, y, z = 0.4 * 16.8 * 12**2, 19.6**2, 27.5**2, 26.7**2
+    by_hand = (0.8 * (y + z) + ball + spread, 0.8 * (x + z) + ball + spread, 0.8 * (x + y) + ball)
+    np.testing.assert_allclose(link.inertia, 1e-9 * np.array(by_hand), rtol=1e-6)
+
+
+def test_other_links_balance_in_the_middle_of_their_blocks(hand):
+    model, _ = hand
+    for link, length in (("ring_link_0", 0.0164), ("ring_link_1", 0.054), ("thumb_link_2", 0.0514)):
+        np.testing.assert_allclose(model.body(link).ipos, (0, 0, length / 2))
+    np.testing.assert_allclose(np.abs(model.body("thumb_link_0").ipos), (0.0179, 0.009, 0.0145))
+    np.testing.assert_allclose(model.body("palm").ipos, model.geom("palm").pos)

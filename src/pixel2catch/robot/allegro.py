@@ -5,14 +5,14 @@ finger at negative y; the right hand is its mirror image in y. Numbers: release,
 descriptions of the hand.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, radians, sin
 from typing import Literal
 
 import mujoco
 
 from pixel2catch.robot.constants import HAND_MOUNT_POS, HAND_MOUNT_QUAT, PALM_POS, Quat, Vec3
-from pixel2catch.robot.ur5e import ROBOT_GROUP, Capsule, add_capsule
+from pixel2catch.robot.ur5e import ROBOT_GROUP, Capsule, add_capsule, set_inertial
 
 Handedness = Literal["left", "right"]
 
@@ -34,6 +34,9 @@ SECTION = (0.0196, 0.0275)
 
 TIP_RADIUS = 0.012
 """Radius of the sphere at the end of a finger [m]. Source: the maker's description of the hand."""
+
+TIP_MASS = 0.0168
+"""What that sphere has of the mass of the last link [kg]. Source: the maker's description of the hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +63,7 @@ class HandLink:
         length: Distance to the next link's joint, or to the centre of the fingertip's sphere, along z [m].
         mass: Mass [kg].
         housing: Its block, where that is not of the length and the section of a finger.
+        has_tip: Whether it ends in the fingertip's sphere.
     """
 
     pos: Vec3
@@ -68,6 +72,7 @@ class HandLink:
     length: float
     mass: float
     housing: Block | None = None
+    has_tip: bool = False
 
     @property
     def block(self) -> Block:
@@ -84,7 +89,7 @@ def _finger(y: float, z: float, tilt: float) -> tuple[HandLink, ...]:
         root,
         HandLink(pos=(0, 0, 0.0164), length=0.0540, mass=0.065),
         HandLink(pos=(0, 0, 0.0540), length=0.0384, mass=0.0355),
-        HandLink(pos=(0, 0, 0.0384), length=0.0267, mass=0.0264),
+        HandLink(pos=(0, 0, 0.0384), length=0.0267, mass=0.0264, has_tip=True),
     )
 
 
@@ -106,7 +111,7 @@ LEFT_HAND: dict[str, tuple[HandLink, ...]] = {
         ),
         HandLink(pos=(-0.027, -0.005, 0.0399), axis=(0, 0, -1), length=0.0177, mass=0.0119),
         HandLink(pos=(0, 0, 0.0177), length=0.0514, mass=0.038),
-        HandLink(pos=(0, 0, 0.0514), length=0.0423, mass=0.0556),
+        HandLink(pos=(0, 0, 0.0514), length=0.0423, mass=0.0556, has_tip=True),
     ),
 }
 """Links of each finger from the palm to the tip. Source: release; cross-checked with public descriptions."""
@@ -129,13 +134,13 @@ def mirror_axis(axis: Vec3) -> Vec3:
 
 def mirror_link(link: HandLink) -> HandLink:
     """The same link of the other hand."""
-    return HandLink(
+    housing = link.housing
+    return replace(
+        link,
         pos=mirror_pos(link.pos),
         quat=mirror_quat(link.quat),
         axis=None if link.axis is None else mirror_axis(link.axis),
-        length=link.length,
-        mass=link.mass,
-        housing=link.housing and Block(center=mirror_pos(link.housing.center), size=link.housing.size),
+        housing=housing and Block(center=mirror_pos(housing.center), size=housing.size),
     )
 
 
@@ -172,19 +177,39 @@ def _add_finger(palm: mujoco.MjsBody, finger: str, links: tuple[HandLink, ...]) 
         body = body.add_body(name=f"{finger}_link_{i}", pos=link.pos, quat=link.quat, gravcomp=1.0)
         if link.axis is not None:
             body.add_joint(name=f"{finger}_joint_{i}", axis=link.axis)
-        _add_link_shape(body, link, is_tip=i == len(links) - 1)
+        _set_link_inertial(body, link)
+        _add_link_shape(body, link)
     body.add_site(name=f"{finger}_tip", pos=(0, 0, links[-1].length), size=(0.004, 0.004, 0.004), group=4)
 
 
-def _add_link_shape(body: mujoco.MjsBody, link: HandLink, *, is_tip: bool) -> None:
+def _set_link_inertial(body: mujoco.MjsBody, link: HandLink) -> None:
+    """A block of even density and, at the end of a finger, a sphere.
+
+    That is what the maker's table of inertias is made of, but it gives them about a corner of the block with
+    the joint as the centre of mass: no body has those. Ours are about the true centre.
+    """
+    (x, y, z), (cx, cy, cz) = link.block.size, link.block.center
+    tip = TIP_MASS if link.has_tip else 0.0
+    block, gap = link.mass - tip, link.length - cz
+    across = block * tip / link.mass * gap**2
+    ball = 0.4 * tip * TIP_RADIUS**2
+    inertia: Vec3 = (
+        block / 12 * (y * y + z * z) + ball + across,
+        block / 12 * (x * x + z * z) + ball + across,
+        block / 12 * (x * x + y * y) + ball,
+    )
+    set_inertial(body, link.mass, (cx, cy, cz + tip / link.mass * gap), inertia)
+
+
+def _add_link_shape(body: mujoco.MjsBody, link: HandLink) -> None:
     """A capsule for the last link, which is wider in the middle than its tip only by 1.5 mm; else its box.
 
     Two parallel capsules instead of a box are no faster and touch the palm; a box and a sphere for the last
     link cost 4 to 10 % of a step and move no metric of a catch.
     """
-    if is_tip:
+    if link.has_tip:
         capsule = Capsule(start=(0, 0, 0), end=(0, 0, link.length), radius=TIP_RADIUS)
-        add_capsule(body, body.name, capsule, mass=link.mass, rgba=TIP_RGBA)
+        add_capsule(body, body.name, capsule, mass=0.0, rgba=TIP_RGBA)
         return
     x, y, z = link.block.size
     body.add_geom(
@@ -192,7 +217,7 @@ def _add_link_shape(body: mujoco.MjsBody, link: HandLink, *, is_tip: bool) -> No
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=link.block.center,
         size=(x / 2, y / 2, z / 2),
-        mass=link.mass,
+        mass=0.0,
         rgba=DARK_RGBA,
         group=ROBOT_GROUP,
     )
