@@ -34,10 +34,16 @@ def test_limits_and_servos(model):
     np.testing.assert_allclose(model.actuator_gainprm[:, 0], stiffness)
     np.testing.assert_allclose(model.actuator_biasprm[:, 1], -np.array(stiffness))
     np.testing.assert_allclose(model.actuator_biasprm[:, 2], -np.array(damping))
-    np.testing.assert_allclose(model.actuator_forcerange[:, 1], [200.0] * 6 + [0.5] * 13)
+    np.testing.assert_allclose(model.actuator_forcerange[:, 1], [150.0] * 3 + [28.0] * 3 + [0.5] * 13)
+    np.testing.assert_allclose(model.actuator_forcerange[:, 0], -model.actuator_forcerange[:, 1])
     np.testing.assert_allclose(model.dof_frictionloss[:6], (0.51, 0.42, 0.40, 0.30, 0.30, 0.25))
     np.testing.assert_allclose(model.dof_armature[:6], (0.16, 0.15, 0.14, 0.23, 0.20, 0.21))
     np.testing.assert_allclose(model.dof_damping, 0.0)
+
+
+def test_arm_may_have_the_torques_of_the_release():
+    model = build_model(SceneCfg(arm_effort="release"))
+    np.testing.assert_allclose(model.actuator_forcerange[:, 1], [200.0] * 6 + [0.5] * 13)
 
 
 def test_start_pose_is_within_the_limits():
@@ -191,6 +197,10 @@ def test_bad_values_are_named(tmp_path):
     object.__setattr__(neither, "handedness", "both")  # past the type check of the tests
     with pytest.raises(UnknownNameError, match="left"):
         build_model(neither)
+    whose = SceneCfg()
+    object.__setattr__(whose, "arm_effort", "ours")
+    with pytest.raises(UnknownNameError, match="release"):
+        build_model(whose)
     with pytest.raises(InvalidValueError, match="physics_hz"):
         build_model(SceneCfg(physics_hz=100.0))
     with pytest.raises(InvalidValueError, match=r"\.mjb"):

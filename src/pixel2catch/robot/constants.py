@@ -7,9 +7,11 @@ and masses that Universal Robots publishes for the UR5e.
 
 from dataclasses import dataclass
 from math import pi, radians
+from typing import Literal
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
+ArmEffort = Literal["maker", "release"]
 
 GRAVITY = 9.81
 """Standard value, as MuJoCo's default [m/s²]."""
@@ -54,9 +56,14 @@ class JointSpec:
 
 
 def _arm(
-    name: str, limits: tuple[float, float], home: float, gains: tuple[float, float], loss: tuple[float, float]
+    name: str,
+    limits: tuple[float, float],
+    home: float,
+    gains: tuple[float, float],
+    loss: tuple[float, float],
+    effort: float,
 ) -> JointSpec:
-    """Make an arm joint from (lower, upper), home, (stiffness, damping) and (friction, armature)."""
+    """Make an arm joint from (lower, upper), home, (stiffness, damping), (friction, armature) and torque."""
     return JointSpec(
         name=name,
         lower=limits[0],
@@ -66,7 +73,7 @@ def _arm(
         damping=gains[1],
         frictionloss=loss[0],
         armature=loss[1],
-        effort_limit=200.0,
+        effort_limit=effort,
         velocity_limit=2.79253,
     )
 
@@ -95,17 +102,18 @@ reduction of about 1:369, and it keeps a finger struck by the object from being 
 """
 
 ARM_JOINTS: tuple[JointSpec, ...] = (
-    _arm("shoulder_pan_joint", (radians(120), radians(240)), pi, (2504.0, 342.0), (0.51, 0.16)),
-    _arm("shoulder_lift_joint", (-2 * pi, 2 * pi), -0.6 * pi, (2848.0, 353.0), (0.42, 0.15)),
-    _arm("elbow_joint", (-pi, pi), 2 / 3 * pi, (2536.0, 343.0), (0.40, 0.14)),
-    _arm("wrist_1_joint", (radians(120), 2 * pi), pi, (1681.0, 234.0), (0.30, 0.23)),
-    _arm("wrist_2_joint", (radians(-110), radians(-90)), -pi / 2, (2243.0, 279.0), (0.30, 0.20)),
-    _arm("wrist_3_joint", (radians(160), radians(200)), pi, (2066.0, 202.0), (0.25, 0.21)),
+    _arm("shoulder_pan_joint", (radians(120), radians(240)), pi, (2504.0, 342.0), (0.51, 0.16), 150.0),
+    _arm("shoulder_lift_joint", (-2 * pi, 2 * pi), -0.6 * pi, (2848.0, 353.0), (0.42, 0.15), 150.0),
+    _arm("elbow_joint", (-pi, pi), 2 / 3 * pi, (2536.0, 343.0), (0.40, 0.14), 150.0),
+    _arm("wrist_1_joint", (radians(120), 2 * pi), pi, (1681.0, 234.0), (0.30, 0.23), 28.0),
+    _arm("wrist_2_joint", (radians(-110), radians(-90)), -pi / 2, (2243.0, 279.0), (0.30, 0.20), 28.0),
+    _arm("wrist_3_joint", (radians(160), radians(200)), pi, (2066.0, 202.0), (0.25, 0.21), 28.0),
 )
 """Arm joints from base to flange.
 
-Source: start pose, limits, speed and effort: release (its limits of pan and wrists are whole degrees);
-shoulder lift, elbow and the upper limit of wrist 1: UR; servo, friction and armature: identified (release).
+Source: start pose, limits and speed: release (its limits of pan and wrists are whole degrees); shoulder lift,
+elbow and the upper limit of wrist 1: UR; servo, friction and armature: identified (release); effort: UR
+(joint_limits.yaml of its ROS 2 description). Differs: the release allows 200 N·m, `effort_limits`.
 """
 
 HAND_JOINTS: tuple[JointSpec, ...] = (
@@ -130,6 +138,18 @@ SPEED_MARGIN = 0.9
 
 JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
 """All controlled joints: the joint order of every tensor."""
+
+RELEASE_ARM_EFFORT = 200.0
+"""Largest torque of every joint of the arm [N·m]. Source: release; of the wrists it is seven times UR's."""
+
+
+def effort_limits(arm_effort: ArmEffort) -> tuple[float, ...]:
+    """Largest torques of all joints, with those of the arm by its maker or by the release [N·m]."""
+    return tuple(
+        RELEASE_ARM_EFFORT if arm_effort == "release" and joint in ARM_JOINTS else joint.effort_limit
+        for joint in JOINTS
+    )
+
 
 FINGERS = ("index", "middle", "ring", "thumb")
 """Names of the fingers; bodies, sites and sensors are named by them."""

@@ -18,6 +18,7 @@ from pixel2catch.robot.constants import (
     TABLE,
     UR5E_DH,
     JointSpec,
+    effort_limits,
     quat_multiply,
 )
 from pixel2catch.robot.contact import SOLIMP, contact_solref, table_solref
@@ -51,19 +52,21 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     """Compose the scene with one object.
 
     Raises:
-        UnknownNameError: If the object is not in the catalogue or the hand is neither left nor right.
+        UnknownNameError: If the object is not in the catalogue, or a choice is none of those there are.
     """
     if object_name not in OBJECTS:
         raise UnknownNameError("object", object_name, OBJECTS)
     if cfg.handedness not in ("left", "right"):
         raise UnknownNameError("handedness", cfg.handedness, ("left", "right"))
+    if cfg.arm_effort not in ("maker", "release"):
+        raise UnknownNameError("arm effort", cfg.arm_effort, ("maker", "release"))
     spec = mujoco.MjSpec()
     spec.modelname = "pixel2catch"
     _set_options(spec, cfg)
     _add_surroundings(spec, cfg)
     wrist = add_arm(spec)
     add_hand(wrist, dh_pose(UR5E_DH[-1])[0], cfg.handedness)
-    _add_servos(spec)
+    _add_servos(spec, cfg)
     _add_object(spec, cfg, OBJECTS[object_name])
     _add_contact_rules(spec)
     if cfg.visuals:
@@ -172,19 +175,19 @@ def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     )
 
 
-def _add_servos(spec: mujoco.MjSpec) -> None:
+def _add_servos(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     """Limits, friction and a position servo for every joint, in the order of the joints."""
-    for joint_spec in JOINTS:
+    for joint_spec, effort in zip(JOINTS, effort_limits(cfg.arm_effort), strict=True):
         joint = spec.joint(joint_spec.name)
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.range = (joint_spec.lower, joint_spec.upper)
         joint.frictionloss = joint_spec.frictionloss
         joint.armature = joint_spec.armature
-        _add_servo(spec, joint_spec)
+        _add_servo(spec, joint_spec, effort)
 
 
-def _add_servo(spec: mujoco.MjSpec, joint: JointSpec) -> None:
-    """Torque = stiffness (target - position) - damping velocity, the whole of it limited."""
+def _add_servo(spec: mujoco.MjSpec, joint: JointSpec, effort: float) -> None:
+    """Torque = stiffness (target - position) - damping velocity, limited to `effort` [N·m]."""
     gain, bias = np.zeros(10), np.zeros(10)
     gain[0] = joint.stiffness
     bias[1], bias[2] = -joint.stiffness, -joint.damping
@@ -199,7 +202,7 @@ def _add_servo(spec: mujoco.MjSpec, joint: JointSpec) -> None:
         ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
         ctrlrange=(joint.lower, joint.upper),
         forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-        forcerange=(-joint.effort_limit, joint.effort_limit),
+        forcerange=(-effort, effort),
     )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robot.allegro import Handedness
-from pixel2catch.robot.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
+from pixel2catch.robot.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, ArmEffort, CameraSpec
 from pixel2catch.robot.contact import SOLIMP
 
 MAX_OBJECT_SCALE = 1.4
@@ -17,6 +17,7 @@ class SceneCfg:
 
     Attributes:
         handedness: Left as in the release, or its mirror image.
+        arm_effort: Whose torque limits the arm has: its maker's, or the release's larger ones.
         physics_hz: Physics steps in a second, a multiple of the control rate. Default: paper.
         visuals: Whether to add lights, textures and what is only seen.
         camera: What pictures are taken by.
@@ -28,6 +29,7 @@ class SceneCfg:
     """
 
     handedness: Handedness = "left"
+    arm_effort: ArmEffort = "maker"
     physics_hz: float = 1.0 / PHYSICS_DT
     visuals: bool = False
     camera: CameraSpec = RGB_CAMERA
