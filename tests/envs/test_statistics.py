@@ -43,10 +43,14 @@ def record() -> EpisodeRecord:
         is_hand_contact=yes(1, 1, 0),
         is_dropped=yes(0, 1, 1),
         is_self_contact=yes(0, 0, 1),
+        self_contact_steps=torch.tensor([0, 0, 6]),
         contact_height=torch.tensor([1.0, 1.2, 0.0]),
         contact_steps=torch.tensor([20, 2, 0]),
         penetration_sum=torch.tensor([0.02, 0.002, 0.0]),
         max_joint_speed=torch.tensor([2.0, 2.5, 1.0]),
+        hold_speed=torch.tensor([0.2, 0.1, 0.4]),
+        hold_torque_share=torch.tensor([0.3, 0.9, 0.0]),
+        peak_deceleration=torch.tensor([120.0, 90.0, 0.0]),
     )
 
 
@@ -62,6 +66,10 @@ def test_a_case_by_hand():
         "palm_contact_rate": 1 / 3,
         "table_contact_rate": 0.0,
         "self_contact_rate": 1 / 3,
+        "self_contact_steps": 2.0,
+        "hold_speed": 0.2,
+        "hold_torque_share": 0.3,
+        "peak_deceleration": 120.0,
         "contact_height": 1.1,
         "mean_penetration": 0.001,
         "episode_steps": 60.0,
@@ -132,17 +140,26 @@ def test_why_an_episode_failed(tracked, dropped, contact_steps, expected):
     assert FAILURES[int(failure(ended).item())] == expected
 
 
-def step_of(height: float, held: int, number: int) -> Transition:
-    now = Privileged(
+def state_of(height: float, speed: float = 0.0, joint_speed: float = 0.0) -> Privileged:
+    """An object over the palm that moves down; the arm's first two joints move, and one of the hand."""
+    joint_vel = torch.zeros(1, 19)
+    joint_vel[0, :2] = torch.tensor([joint_speed, -joint_speed])
+    joint_vel[0, 7] = 100.0
+    return Privileged(
         palm_pos=torch.tensor([[1.0, 0.0, 1.0]]),
         fingertip_pos=torch.zeros(1, 4, 3),
         object_pos=torch.tensor([[1.0, 0.0, height]]),
-        object_lin_vel=torch.zeros(1, 3),
+        object_lin_vel=torch.tensor([[0.0, 0.0, -speed]]),
         is_touching=torch.zeros(1, 5, dtype=torch.bool),
         is_robot_on_table=yes(0),
+        is_self_contact=yes(0),
+        joint_vel=joint_vel,
     )
+
+
+def step_of(before: Privileged, now: Privileged, held: int, number: int) -> Transition:
     return Transition(
-        before=now,
+        before=before,
         now=now,
         action=torch.zeros(1, 19),
         held_steps=torch.tensor([held]),
@@ -150,11 +167,11 @@ def step_of(height: float, held: int, number: int) -> Transition:
     )
 
 
-def log_of(touching: bool, penetration: float) -> PhysicsLog:
+def log_of(touching: bool, penetration: float = 0.0, torque: float = 0.0, itself: bool = False) -> PhysicsLog:
     touched = torch.zeros(1, 5, dtype=torch.bool)
     touched[0, 2] = touching
     depth, none = torch.tensor([penetration]), torch.zeros(1)
-    return PhysicsLog(touched, yes(0), yes(0), depth, none, none, none)
+    return PhysicsLog(touched, yes(0), yes(itself), depth, none, none, none, torch.tensor([torque]))
 
 
 def test_a_record_of_three_steps_by_hand():
@@ -165,13 +182,65 @@ def test_a_record_of_three_steps_by_hand():
         (1.04, 1, 2, True, 0.001),
         (1.02, 2, 3, True, 0.003),
     ):
-        episode = episode.advanced(step_of(height, held, number), log_of(touching, depth))
+        now = state_of(height)
+        itself = number != 2
+        episode = episode.advanced(step_of(now, now, held, number), log_of(touching, depth, itself=itself))
     assert (episode.steps.item(), episode.held_steps.item(), episode.contact_steps.item()) == (3, 2, 2)
     assert episode.contact_height.item() == pytest.approx(1.04)
     assert episode.penetration_sum.item() == pytest.approx(0.004)
     assert episode.max_penetration.item() == pytest.approx(0.005)
     flags = (episode.is_tracked, episode.is_hand_contact, episode.is_palm_contact, episode.is_success)
     assert [flag.item() for flag in flags] == [True, True, False, False]
+    assert (episode.is_self_contact.item(), episode.self_contact_steps.item()) == (True, 2)
+
+
+def held_for(
+    episode: EpisodeRecord, first: int, last: int, joint_speed: float, torque: float
+) -> EpisodeRecord:
+    """The record after these steps of a hold, all alike."""
+    now = state_of(1.04, joint_speed=joint_speed)
+    for held in range(first, last + 1):
+        episode = episode.advanced(step_of(now, now, held, held), log_of(True, torque=torque))
+    return episode
+
+
+def test_rest_is_measured_in_the_last_ten_steps_of_a_hold():
+    """Two of six joints at 3 rad/s are 1 rad/s; five such steps and five of rest are 0.5 rad/s."""
+    start = EpisodeRecord.start(torch.tensor([1]), torch.zeros(1, 3))
+    wild = held_for(start, 1, 10, joint_speed=30.0, torque=1.0)
+    assert (wild.hold_speed.item(), wild.hold_torque_share.item()) == (0.0, 0.0)
+    calm = held_for(held_for(wild, 11, 15, joint_speed=3.0, torque=0.4), 16, 20, joint_speed=0.0, torque=0.2)
+    assert calm.is_success.item()
+    assert calm.hold_speed.item() == pytest.approx(0.5)
+    assert calm.hold_torque_share.item() == pytest.approx(0.3)
+
+
+def test_a_hold_that_fails_counts_nothing_and_what_follows_a_success_neither():
+    start = EpisodeRecord.start(torch.tensor([1]), torch.zeros(1, 3))
+    lost = held_for(held_for(start, 1, 19, joint_speed=9.0, torque=1.0), 0, 0, joint_speed=9.0, torque=1.0)
+    assert (lost.hold_speed.item(), lost.hold_torque_share.item()) == (0.0, 0.0)
+    caught = held_for(lost, 1, 20, joint_speed=0.6, torque=0.5)
+    tested = held_for(
+        held_for(caught, 21, 40, joint_speed=9.0, torque=1.0), 0, 0, joint_speed=9.0, torque=1.0
+    )
+    for episode in (caught, tested):
+        assert episode.hold_speed.item() == pytest.approx(0.2)
+        assert episode.hold_torque_share.item() == pytest.approx(0.5)
+
+
+def test_deceleration_counts_from_the_first_contact_to_success():
+    """A change of 4 m/s in 1/30 s is 120 m/s²; before the contact and after the success none counts."""
+    episode = EpisodeRecord.start(torch.tensor([1]), torch.zeros(1, 3))
+    for before, after, held, touching, expected in (
+        (9.0, 0.0, 0, False, 0.0),  # thrown
+        (5.0, 1.0, 1, True, 120.0),  # the impact
+        (1.0, 3.0, 2, False, 120.0),  # it bounces: 60 m/s²
+        (3.0, -2.0, 20, False, 150.0),  # the step of the success
+        (9.0, 0.0, 21, True, 150.0),  # shaken afterwards
+    ):
+        step = step_of(state_of(1.04, before), state_of(1.04, after), held, 1)
+        episode = episode.advanced(step, log_of(touching))
+        assert episode.peak_deceleration.item() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("name", ["proposed", "single_agent"])

@@ -34,6 +34,11 @@ def five_trials() -> Trials:
         contact_steps=torch.tensor([40, 30, 0, 2, 28]),
         penetration_sum=torch.tensor([0.04, 0.03, 0.0, 0.01, 0.02]),
         max_penetration=torch.tensor([0.002, 0.004, 0.0, 0.006, 0.001]),
+        is_self_contact=flags(0, 0, 1, 0, 1),
+        self_contact_steps=torch.tensor([0, 0, 9, 0, 1]),
+        hold_speed=torch.tensor([0.1, 0.4, 0.0, 0.0, 0.9]),
+        hold_torque_share=torch.tensor([0.2, 0.3, 0.0, 0.0, 0.9]),
+        peak_deceleration=torch.tensor([100.0, 160.0, 0.0, 500.0, 500.0]),
     )
     return Trials(record=record, is_verified=flags(1, 0, 0, 0, 0))
 
@@ -59,11 +64,23 @@ def test_metrics_by_hand():
     assert result["palm_contact_rate"] == 2 / 5
     assert result["verified_hold_rate"] == 1 / 5
     assert result["table_contact_rate"] == 1 / 5
-    assert result["self_contact_rate"] == 0.0
+    assert result["self_contact_rate"] == 2 / 5
+    assert result["self_contact_steps"] == 10 / 5
     assert result["contact_height"] == pytest.approx((1.0 + 1.2 + 1.1 + 1.3) / 4)
     assert result["mean_penetration"] == pytest.approx(0.10 / 100)
     assert result["max_penetration"] == pytest.approx(0.006)
     assert result["success_rate_interval"] == list(wilson_interval(2, 5))
+
+
+def test_rest_is_that_of_successes():
+    """Two successes; a third one would make the median its middle."""
+    trials = five_trials()
+    result = metrics(trials, NAMES)
+    assert result["hold_speed"] == pytest.approx(0.25)
+    assert result["hold_torque_share"] == pytest.approx(0.25)
+    assert result["peak_deceleration"] == pytest.approx(130.0)
+    third = replace(trials, record=replace(trials.record, is_success=flags(1, 1, 0, 1, 0)))
+    assert metrics(third, NAMES)["peak_deceleration"] == pytest.approx(160.0)
 
 
 def test_failures_are_shares_of_all_trials():
@@ -83,7 +100,8 @@ def test_metrics_by_object():
 def test_metrics_without_contact_are_valid_json():
     record = EpisodeRecord.start(torch.tensor([0]), torch.zeros(1, 3))
     result = metrics(Trials(record=record, is_verified=flags(0)), NAMES)
-    assert result["contact_height"] is None
+    for name in ("contact_height", "hold_speed", "hold_torque_share", "peak_deceleration"):
+        assert result[name] is None
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
@@ -120,4 +138,5 @@ def test_tables_show_objects_and_failures():
     assert "box" in shown(objects_table(result))
     text = shown(quality_table({"seen": result}))
     assert "never reached" in text
-    assert "6.0 mm" in text
+    for shown_value in ("6.0 mm", "0.250 rad/s", "25.0 %", "130.0 m/s²", "2.0 steps"):
+        assert shown_value in text

@@ -8,7 +8,11 @@ from torch import Tensor
 
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.mdp.snapshot import Transition
-from pixel2catch.mdp.terminations import is_dropped, is_near, is_success
+from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success
+from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT
+
+REST_STEPS = HOLD_STEPS // 2
+"""Last control steps before a success in which robot and hold should have come to rest. Source: ours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +31,7 @@ class EpisodeRecord:
         is_dropped: Whether it fell or passed the robot.
         is_table_contact: Whether the robot touched the table.
         is_self_contact: Whether the robot touched itself.
+        self_contact_steps: Control steps in which it did.
         contact_height: Height of the object at its first contact with the hand [m]; 0 before.
         contact_steps: Control steps with contact of object and hand.
         penetration_sum: Deepest overlap of each of them, summed [m].
@@ -34,6 +39,11 @@ class EpisodeRecord:
         max_table_penetration: Likewise of robot and table [m].
         max_joint_speed: Largest speed of an arm joint, over all physics steps [rad/s].
         max_torque_share: Largest joint torque as a share of its limit.
+        hold_speed: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; of no
+            meaning without one.
+        hold_torque_share: Mean torque of the hand's joints then, as a share of their limits; likewise.
+        peak_deceleration: Largest change of the object's velocity in a control step over its duration, from
+            that of the first contact with the hand to success [m/s²].
     """
 
     object_id: Int[Tensor, " num_envs"]
@@ -47,6 +57,7 @@ class EpisodeRecord:
     is_dropped: Bool[Tensor, " num_envs"]
     is_table_contact: Bool[Tensor, " num_envs"]
     is_self_contact: Bool[Tensor, " num_envs"]
+    self_contact_steps: Int[Tensor, " num_envs"]
     contact_height: Float[Tensor, " num_envs"]
     contact_steps: Int[Tensor, " num_envs"]
     penetration_sum: Float[Tensor, " num_envs"]
@@ -54,6 +65,9 @@ class EpisodeRecord:
     max_table_penetration: Float[Tensor, " num_envs"]
     max_joint_speed: Float[Tensor, " num_envs"]
     max_torque_share: Float[Tensor, " num_envs"]
+    hold_speed: Float[Tensor, " num_envs"]
+    hold_torque_share: Float[Tensor, " num_envs"]
+    peak_deceleration: Float[Tensor, " num_envs"]
 
     @classmethod
     def start(cls, object_id: Int[Tensor, " num_envs"], aim: Float[Tensor, "num_envs 3"]) -> "EpisodeRecord":
@@ -75,6 +89,7 @@ class EpisodeRecord:
             is_dropped=no,
             is_table_contact=no,
             is_self_contact=no,
+            self_contact_steps=none,
             contact_height=zero,
             contact_steps=none,
             penetration_sum=zero,
@@ -82,6 +97,9 @@ class EpisodeRecord:
             max_table_penetration=zero,
             max_joint_speed=zero,
             max_torque_share=zero,
+            hold_speed=zero,
+            hold_torque_share=zero,
+            peak_deceleration=zero,
         )
 
     def advanced(self, transition: Transition, log: PhysicsLog) -> "EpisodeRecord":
@@ -101,6 +119,7 @@ class EpisodeRecord:
             is_dropped=self.is_dropped | is_dropped(transition.now),
             is_table_contact=self.is_table_contact | log.is_robot_on_table,
             is_self_contact=self.is_self_contact | log.is_self_contact,
+            self_contact_steps=self.self_contact_steps + log.is_self_contact.long(),
             contact_height=torch.where(first, transition.now.object_pos[:, 2], self.contact_height),
             contact_steps=self.contact_steps + touched.long(),
             penetration_sum=self.penetration_sum + torch.where(touched, log.penetration, 0.0),
@@ -108,7 +127,39 @@ class EpisodeRecord:
             max_table_penetration=torch.maximum(self.max_table_penetration, log.table_penetration),
             max_joint_speed=torch.maximum(self.max_joint_speed, log.joint_speed),
             max_torque_share=torch.maximum(self.max_torque_share, log.torque_share),
+            hold_speed=self._at_rest(self.hold_speed, _arm_speed(transition), transition),
+            hold_torque_share=self._at_rest(self.hold_torque_share, log.hand_torque_share, transition),
+            peak_deceleration=torch.where(
+                (self.is_hand_contact | touched) & ~self.is_success,
+                torch.maximum(self.peak_deceleration, _deceleration(transition)),
+                self.peak_deceleration,
+            ),
         )
+
+    def _at_rest(
+        self, mean: Float[Tensor, " num_envs"], value: Float[Tensor, " num_envs"], transition: Transition
+    ) -> Float[Tensor, " num_envs"]:
+        """A mean over the last steps of a hold, one step later; a hold that fails has none.
+
+        Args:
+            mean: The sum so far over the number of these steps; that of a success stays.
+            value: What is added.
+            transition: The step.
+        """
+        is_resting = transition.held_steps > HOLD_STEPS - REST_STEPS
+        longer = torch.where(is_resting, mean + value / REST_STEPS, 0.0)
+        return torch.where(self.is_success, mean, longer)
+
+
+def _arm_speed(transition: Transition) -> Float[Tensor, " num_envs"]:
+    """Mean speed of the arm's joints [rad/s]."""
+    return transition.now.joint_vel[:, : len(ARM_JOINTS)].abs().mean(dim=-1)
+
+
+def _deceleration(transition: Transition) -> Float[Tensor, " num_envs"]:
+    """Mean acceleration of the object in the control step, gravity included [m/s²]."""
+    change = transition.now.object_lin_vel - transition.before.object_lin_vel
+    return torch.linalg.vector_norm(change, dim=-1) / CONTROL_DT
 
 
 FAILURES = ("never_reached", "bounced_off", "dropped", "not_held")

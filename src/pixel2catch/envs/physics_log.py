@@ -25,6 +25,7 @@ class PhysicsLog(NamedTuple):
         table_penetration: Deepest overlap of robot and table [m].
         joint_speed: Largest speed of an arm joint [rad/s].
         torque_share: Largest joint torque, as a share of its limit.
+        hand_torque_share: Mean torque of the hand's joints, as a share of their limits.
     """
 
     is_touching: Bool[Tensor, "num_envs 5"]
@@ -34,6 +35,7 @@ class PhysicsLog(NamedTuple):
     table_penetration: Float[Tensor, " num_envs"]
     joint_speed: Float[Tensor, " num_envs"]
     torque_share: Float[Tensor, " num_envs"]
+    hand_torque_share: Float[Tensor, " num_envs"]
 
     def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "PhysicsLog":
         """The log without what happened in the masked environments."""

@@ -18,7 +18,10 @@ SHARES = (
     "is_table_contact",
     "is_self_contact",
 )
-SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum")
+SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum", "self_contact_steps")
+SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "peak_deceleration")
+"""What only a success has."""
+
 MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
 LANDING_BINS = (2, 4)
 """Bins of the throws' aim along x and y."""
@@ -52,7 +55,7 @@ class EpisodeStatistics:
         self._aim_low = torch.tensor([low for low, _ in aim], device=device)
         self._aim_width = torch.tensor([max(high - low, 1e-6) for low, high in aim], device=device)
         self._modes = torch.arange(len(FAILURES), device=device)
-        num_columns = 1 + len(SHARES) + len(SUMS) + len(FAILURES)
+        num_columns = 1 + len(SHARES) + len(SUMS) + len(SUCCESS_SUMS) + len(FAILURES)
         self._by_object = torch.zeros(len(object_names), num_columns, device=device)
         self._by_landing = torch.zeros(LANDING_BINS[0] * LANDING_BINS[1], num_columns, device=device)
         self._maxima = torch.zeros(len(MAXIMA), device=device)
@@ -66,6 +69,7 @@ class EpisodeStatistics:
     ) -> None:
         """Add a control step: its reward terms, and the records of the episodes that it ended."""
         columns = [getattr(record, name).float() for name in (*SHARES, *SUMS)]
+        columns += [torch.where(record.is_success, getattr(record, name), 0.0) for name in SUCCESS_SUMS]
         modes = (failure(record)[:, None] == self._modes) & ~record.is_success[:, None]
         rows = torch.cat((torch.ones_like(columns[0])[:, None], torch.stack(columns, dim=-1), modes), dim=-1)
         rows = torch.where(ended[:, None], rows, 0.0)
@@ -117,7 +121,7 @@ class EpisodeStatistics:
 def _means(row: Row) -> dict[str, float]:
     """Rates and means of one row of sums."""
     episodes = row[0]
-    values = dict(zip((*SHARES, *SUMS), row[1:], strict=False))
+    values = dict(zip((*SHARES, *SUMS, *SUCCESS_SUMS), row[1:], strict=False))
     failures = dict(zip(FAILURES, row[-len(FAILURES) :], strict=True))
     return {
         "episodes": episodes,
@@ -128,6 +132,8 @@ def _means(row: Row) -> dict[str, float]:
         "self_contact_rate": _ratio(values["is_self_contact"], episodes),
         "contact_height": _ratio(values["contact_height"], values["is_hand_contact"]),
         "mean_penetration": _ratio(values["penetration_sum"], values["contact_steps"]),
+        "self_contact_steps": _ratio(values["self_contact_steps"], episodes),
+        **{name: _ratio(values[name], values["is_success"]) for name in SUCCESS_SUMS},
         "episode_steps": _ratio(values["steps"], episodes),
         **{f"failure/{name}": _ratio(count, episodes) for name, count in failures.items()},
     }

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import isfinite, sqrt
+from statistics import median
 from typing import Any
 
 import torch
@@ -49,10 +50,12 @@ def metrics(trials: Trials, object_names: Sequence[str]) -> Metrics:
         **_rates(trials, everything),
         "table_contact_rate": int(record.is_table_contact.sum()) / num_trials,
         "self_contact_rate": int(record.is_self_contact.sum()) / num_trials,
+        "self_contact_steps": int(record.self_contact_steps.sum()) / num_trials,
         "failures": {name: int((modes == i).sum()) / num_trials for i, name in enumerate(FAILURES)},
         "contact_height": _mean(record.contact_height, record.is_hand_contact),
         "mean_penetration": _mean(record.penetration_sum, record.contact_steps),
         **_maxima(record),
+        **_rest(record),
         "objects": {object_names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
     }
 
@@ -80,6 +83,17 @@ def _maxima(record: EpisodeRecord) -> dict[str, float]:
         if not isfinite(value):
             raise NonFiniteError(f"{name} is {value}: the simulation diverged.")
     return maxima
+
+
+def _rest(record: EpisodeRecord) -> dict[str, float | None]:
+    """How gently and how firmly successes hold; nothing where there was none."""
+    caught = record.is_success
+    decelerations = record.peak_deceleration[caught].tolist()
+    return {
+        "hold_speed": _mean(record.hold_speed[caught], caught),
+        "hold_torque_share": _mean(record.hold_torque_share[caught], caught),
+        "peak_deceleration": median(decelerations) if decelerations else None,
+    }
 
 
 def _mean(sums: Tensor, counts: Tensor) -> float | None:

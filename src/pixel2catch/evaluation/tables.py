@@ -58,7 +58,7 @@ def objects_table(result: Metrics) -> Table:
 
 
 def quality_table(results: Mapping[str, Metrics]) -> Table:
-    """Failure modes and contact quality, one column per set of objects."""
+    """Failure modes, quality of contacts and holds, one column per set of objects."""
     table = Table(title="failures and contact")
     table.add_column("")
     for name in results:
@@ -84,17 +84,21 @@ def _cells(rates: Metrics) -> list[str]:
 
 
 def _quality(result: Metrics) -> dict[str, str]:
-    def scaled(name: str, factor: float, unit: str) -> str:
-        return "-" if result[name] is None else f"{factor * result[name]:.1f} {unit}"
+    def scaled(name: str, factor: float, unit: str, digits: int = 1) -> str:
+        return "-" if result[name] is None else f"{factor * result[name]:.{digits}f} {unit}"
 
     return {
         **{f"failed: {name}".replace("_", " "): f"{100 * v:.1f} %" for name, v in result["failures"].items()},
         "robot touched the table": scaled("table_contact_rate", 100, "%"),
         "robot touched itself": scaled("self_contact_rate", 100, "%"),
+        "  control steps of that, a trial": scaled("self_contact_steps", 1, "steps"),
         "height of the first contact": scaled("contact_height", 100, "cm"),
         "mean penetration": scaled("mean_penetration", 1000, "mm"),
         "largest penetration": scaled("max_penetration", 1000, "mm"),
         "largest penetration of the table": scaled("max_table_penetration", 1000, "mm"),
         "largest arm joint speed": scaled("max_joint_speed", 1, "rad/s"),
         "largest torque, share of limit": scaled("max_torque_share", 100, "%"),
+        "mean arm joint speed in the hold": scaled("hold_speed", 1, "rad/s", 3),
+        "mean hand torque in the hold, share of limit": scaled("hold_torque_share", 100, "%"),
+        "peak deceleration of the object, median": scaled("peak_deceleration", 1, "m/s²"),
     }
