@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,13 +14,16 @@ import torch
 from torch import Tensor
 
 from pixel2catch.cli.main import main
+from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.errors import InvalidValueError, StudyError, UnknownNameError
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.stress.axes import Setting
-from pixel2catch.evaluation.stress.cells import find_contestants, throw_rounds
+from pixel2catch.evaluation.stress.cells import StressCfg, find_contestants
+from pixel2catch.evaluation.stress.measuring import run_cells, throw_rounds
+from pixel2catch.evaluation.stress.processes import in_processes
 from pixel2catch.evaluation.stress.suite import AXES, select_settings
-from pixel2catch.methods import METHODS, PROPOSED
+from pixel2catch.methods import METHODS, PROPOSED, Method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.objects import SEEN
 
@@ -50,6 +55,7 @@ def changed(name: str) -> CatchEnvCfg:
 def test_every_level_changes_the_task_and_says_why(setting: Setting):
     assert (setting.level.change(TASK) == TASK) == (setting.axis.name == "nominal")
     assert len(setting.level.source) > 10
+    assert pickle.loads(pickle.dumps(setting)) == setting
     assert set(setting.name) <= set("abcdefghijklmnopqrstuvwxyzH0123456789_.-")
 
 
@@ -65,6 +71,12 @@ def test_values_by_hand():
     assert changed("focal_length-5").sensing.focal_error == pytest.approx(0.05)
     assert changed("drops-15").sensing.drop_rate == pytest.approx(0.15)
     assert changed("mass-60").randomization.mass_scale == (2.0, 2.0)
+    assert changed("restitution-0.75").randomization.restitution == (0.75, 0.75)
+    assert changed("latency-2.5").sensing.latency_steps == (2.5, 2.5)
+    assert changed("clock_error-20_ms").sensing.clock_error == pytest.approx(0.02)
+    assert changed("clock_error-no_stamps").sensing.unstamped == 1.0
+    late = changed("latency_and_delay-2.5_and_0.5")
+    assert (late.sensing.latency_steps, late.randomization.command_delay) == ((2.5, 2.5), (0.5, 0.5))
     assert changed("gains-50").randomization.gains.damping_scale == ((0.5, 1.5),) * 19
     edge = changed("edge_noise-10").sensing
     assert edge.corner_noise + edge.edge_noise == 10.0
@@ -72,16 +84,21 @@ def test_values_by_hand():
 
 def test_a_combination_changes_several_parts():
     flight = changed("together-flight")
-    assert (flight.scene.air_density, flight.throws.spin, flight.throws.release_x) == (1.2, 10.0, (2.0, 3.0))
+    assert (flight.randomization.air_density, flight.throws.spin, flight.throws.release_x) == (
+        1.2,
+        10.0,
+        (2.0, 3.0),
+    )
     assert flight.sensing == TASK.sensing
-    parts = ("scene", "sensing", "randomization", "throws")
+    parts = ("sensing", "randomization", "throws")
     reality = changed("together-reality")
     assert all(getattr(reality, part) != getattr(TASK, part) for part in parts)
 
 
 def test_settings_come_in_the_order_of_the_tables():
     chosen = select_settings(("latency", "nominal"))
-    assert [setting.name for setting in chosen] == ["nominal", *(f"latency-{n}" for n in (0, 3, 4, 5))]
+    latencies = ("0", "1", "1.5", "2", "2.5", "3", "3.5", "4", "5")
+    assert [setting.name for setting in chosen] == ["nominal", *(f"latency-{n}" for n in latencies)]
 
 
 def test_an_unknown_axis_is_named():
@@ -166,6 +183,55 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pyt
     assert mended.err.count(" of 4: ") == 1
     assert "| edge noise 10 px |" in mended.out
     assert files(tmp_path) == before  # the same throws, the same result
+
+
+def test_cells_do_not_depend_on_the_number_of_processes(policies: list[str], tmp_path: Path):
+    """One after the other, two at once, and two that were lost: the same files."""
+    run(*arguments(policies, tmp_path / "one"))
+    printed = run(*arguments(policies, tmp_path / "two", "--jobs", "2"))
+    assert len([line for line in printed.stderr.splitlines() if " of 4: " in line]) == 4
+    assert files(tmp_path / "one") == files(tmp_path / "two")
+    for name in ("nominal", "edge_noise-10"):
+        (tmp_path / "two" / "cells" / "second" / f"{name}.json").unlink()
+    resumed = run(*arguments(policies, tmp_path / "two", "--jobs", "2"))
+    assert resumed.stderr.count(" of 4: second") == 2
+    assert files(tmp_path / "one") == files(tmp_path / "two")
+
+
+def test_physics_of_a_process_among_others_takes_one_processor(monkeypatch: pytest.MonkeyPatch):
+    seen: list[int] = []
+    make_env = EvaluationCfg.make_env
+
+    def watched(cfg: EvaluationCfg, method: Method) -> CatchEnv:
+        seen.append(len(os.sched_getaffinity(0)))
+        return make_env(cfg, method)
+
+    monkeypatch.setattr(EvaluationCfg, "make_env", watched)
+    before = os.sched_getaffinity(0)
+    task = replace(TASK, scene=replace(TASK.scene, physics_hz=30.0))
+    cfg = EvaluationCfg(objects=SEEN, num_envs=2, trials=1, task=task)
+    trials = [throw_rounds(Still(), PROPOSED, cfg, is_alone=is_alone) for is_alone in (True, False)]
+    assert seen == [len(before), 1]
+    assert os.sched_getaffinity(0) == before
+    assert torch.equal(trials[0].record.max_joint_speed, trials[1].record.max_joint_speed)
+
+
+def test_errors_and_ends_of_processes_are_reported():
+    assert sorted(in_processes(2, pow, [(2, 3), (3, 2)])) == [(0, 8), (1, 9)]
+    with pytest.raises(InvalidValueError, match="too bad"):
+        list(in_processes(1, fail, [("too bad",)]))
+    with pytest.raises(StudyError, match="fewer --jobs"):
+        list(in_processes(1, os._exit, [(1,)]))
+
+
+def fail(reason: str) -> None:
+    raise InvalidValueError(reason)
+
+
+@pytest.mark.parametrize(("jobs", "device"), [(0, "cpu"), (2, "cuda")])
+def test_impossible_numbers_of_jobs_are_refused(jobs: int, device: str):
+    with pytest.raises(InvalidValueError, match="--jobs 1"):
+        run_cells([], StressCfg(objects=SEEN, device=device), jobs=jobs)
 
 
 def test_a_damaged_cell_and_another_policy_are_refused(

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from pixel2catch.errors import UnknownNameError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.stress.cells import Contestant, plan_cells
 from pixel2catch.evaluation.stress.heatmap import heatmap
@@ -21,9 +22,9 @@ def rates(successes: int, trials: int = 200) -> dict[str, Any]:
     return {"trials": trials, **shown, **{f"{name}_interval": interval for name in SHOWN}}
 
 
-def table(successes: dict[str, list[int]], *axes: str) -> dict[str, Any]:
+def table(successes: dict[str, list[int]], *axes: str, task: str = "nominal") -> dict[str, Any]:
     """Successes by method, setting by setting."""
-    contestants = [Contestant(name=f"{m}-seed0", folder=Path("."), method=m) for m in successes]
+    contestants = [Contestant(name=f"{m}-seed0", folder=Path("."), method=m, task=task) for m in successes]
     cells = plan_cells(contestants, select_settings(axes), Path("out"))
     rows = zip(*successes.values(), strict=True)
     return make_table(cells, [{"metrics": rates(number)} for row in rows for number in row])
@@ -75,7 +76,27 @@ def test_a_table_by_hand():
     assert "| **mean over settings** | 50.0 | 2.5 |" in text
     lines = as_csv(report).splitlines()
     assert len(lines) == 1 + 4
-    assert lines[1].startswith("nominal,nominal,,,proposed-seed0,proposed,200,0.90000,0.85")
+    assert lines[1].startswith("nominal,nominal,,,proposed-seed0,proposed,true,200,0.90000,0.85")
+
+
+def test_what_a_policy_was_not_trained_on_is_marked():
+    """Camera mount: not in the nominal task, but in the wide one; edge noise in neither."""
+    rows = {"proposed": [180, 180, 180, 180, 180]}
+    for task, mount in (("nominal", False), ("wide", True)):
+        report = table(rows, "edge_noise", "together", task=task)
+        marks = {
+            name: row["rates"]["proposed-seed0"]["is_trained_on"] for name, row in report["settings"].items()
+        }
+        assert (marks["edge_noise-10"], marks["together-camera_mount"]) == (False, mount)
+        text = as_markdown(report)
+        assert r"| edge noise 10 px | 90.0 [85, 93] \* |" in text
+        assert ("| together camera mount | 90.0 [85, 93] |" in text) == mount
+        assert f"proposed,{str(mount).lower()},200" in as_csv(report).splitlines()[2]
+
+
+def test_an_unknown_task_is_named():
+    with pytest.raises(UnknownNameError, match="wide"):
+        table({"proposed": [180]}, "nominal", task="widest")
 
 
 def test_the_order_is_that_of_the_setting_closest_to_reality():

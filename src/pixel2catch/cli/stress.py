@@ -24,8 +24,9 @@ class Stress:
         trials: Rounds.
         seed: Seed of everything that is drawn.
         device: Where to simulate: cpu, cuda, cuda:1, ...
+        jobs: Policies and settings that are tried at once, each in a process with one thread; on the CPU.
         physics_hz: Physics steps in a second, a multiple of 30.
-        out: Folder of the results.
+        out: Folder of the results; other objects need another one.
         json: Print the table as one JSON object.
     """
 
@@ -36,6 +37,7 @@ class Stress:
     trials: int = 2
     seed: int = 0
     device: str = "cpu"
+    jobs: int = 1
     physics_hz: float = 600.0
     out: Path = Path("stress")
     json: bool = False
@@ -44,7 +46,8 @@ class Stress:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.stress.cells import StressCfg, find_contestants, plan_cells, run_cells
+        from pixel2catch.evaluation.stress.cells import StressCfg, find_contestants, plan_cells
+        from pixel2catch.evaluation.stress.measuring import run_cells
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.robot.objects import select_objects
@@ -65,7 +68,7 @@ class Stress:
             name, rate = f"{cell.contestant.name}, {cell.setting.title}", 100 * metrics["success_rate"]
             say(f"{number} of {len(cells)}: {name}: success rate {rate:.1f} %")
 
-        table = make_table(cells, run_cells(cells, cfg, report))
+        table = make_table(cells, run_cells(cells, cfg, report, self.jobs))
         write_report(self.out, table)
         print(json.dumps(table, indent=2) if self.json else as_markdown(table), end="\n" if self.json else "")
         say(f"wrote {self.out}: table.md, table.csv, table.json, heatmap.png")

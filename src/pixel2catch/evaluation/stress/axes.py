@@ -1,13 +1,13 @@
 """Kinds and strengths of disturbances as data: each level is a pure function from a task to a task."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]
-"""A task, changed."""
+"""A task, changed; a change can be sent to another process."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,17 +64,45 @@ class Setting:
         return f"{self.axis.name.replace('_', ' ')} {self.level.label}{space}{self.axis.unit}".strip()
 
 
+@dataclass(frozen=True)
+class Part:
+    """Sets fields of one part of a task.
+
+    Attributes:
+        name: The part, such as `sensing`.
+        values: Its fields and what they become.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+
+    def __call__(self, cfg: CatchEnvCfg) -> CatchEnvCfg:
+        """The task with these fields."""
+        return replace(cfg, **{self.name: replace(getattr(cfg, self.name), **self.values)})
+
+
+@dataclass(frozen=True)
+class Together:
+    """Several changes, one after the other.
+
+    Attributes:
+        changes: The changes.
+    """
+
+    changes: tuple[Change, ...]
+
+    def __call__(self, cfg: CatchEnvCfg) -> CatchEnvCfg:
+        """The task after all of them."""
+        for change in self.changes:
+            cfg = change(cfg)
+        return cfg
+
+
 def part(name: str, **values: Any) -> Change:
     """Set fields of one part of the task, such as its `sensing`."""
-    return lambda cfg: replace(cfg, **{name: replace(getattr(cfg, name), **values)})
+    return Part(name, values)
 
 
 def together(*changes: Change) -> Change:
     """Several changes, one after the other."""
-
-    def change(cfg: CatchEnvCfg) -> CatchEnvCfg:
-        for each in changes:
-            cfg = each(cfg)
-        return cfg
-
-    return change
+    return Together(changes)

@@ -1,28 +1,18 @@
-"""The stress suite: every policy under every setting, the same throws for all, cell by cell.
+"""The cells of the stress suite: every policy under every setting.
 
-    OUT/cells/POLICY/SETTING.json    metrics of a policy under a setting, and how they were obtained
-
-A cell is written all at once. Cells that are there are not computed again; cells that were obtained otherwise
-are refused before anything is computed, and never overwritten.
+OUT/cells/POLICY/SETTING.json    metrics of a policy under a setting, and how they were obtained
 """
 
-import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pixel2catch.errors import InvalidValueError, StudyError
-from pixel2catch.evaluation.loading import fingerprint, load_policy, shipped_policies, task_of
-from pixel2catch.evaluation.metrics import Metrics, metrics
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.rounds import Actor, Trials, run_round
+from pixel2catch.evaluation.loading import load_policy, shipped_policies
 from pixel2catch.evaluation.stress.axes import Setting
-from pixel2catch.files import plain, write_atomically
-from pixel2catch.methods import METHODS, Method
-from pixel2catch.policy import leaves
-from pixel2catch.robot.objects import OBJECTS
+from pixel2catch.methods import METHODS
 
 Json = dict[str, Any]
 
@@ -56,11 +46,13 @@ class Contestant:
         name: Its name in tables and folders.
         folder: Where it is.
         method: The method that it was trained with.
+        task: Name of the task that it was trained for.
     """
 
     name: str
     folder: Path
     method: str
+    task: str = "nominal"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,111 +113,9 @@ def plan_cells(contestants: Sequence[Contestant], settings: Sequence[Setting], o
     )
 
 
-def run_cells(
-    cells: Sequence[Cell], cfg: StressCfg, on_cell: Callable[[int, Cell, Metrics], None] = lambda *_: None
-) -> tuple[Json, ...]:
-    """Compute the cells that are not there, and return all.
-
-    Args:
-        cells: The cells.
-        cfg: How they are obtained.
-        on_cell: Called with number, cell and metrics of every cell that was computed.
-
-    Raises:
-        StudyError: If a cell was obtained otherwise; nothing was computed then.
-    """
-    origins = [_origin(cell, cfg) for cell in cells]
-    for cell, origin in zip(cells, origins, strict=True):
-        _require_same(cell, origin)
-    results = []
-    for number, (cell, origin) in enumerate(zip(cells, origins, strict=True), start=1):
-        result = cell.read()
-        if result is None:
-            result = origin | {"metrics": _measure(cell, cfg)}
-            cell.file.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically({cell.file: (json.dumps(result, indent=2) + "\n").encode()})
-            on_cell(number, cell, result["metrics"])
-        results.append(result)
-    return tuple(results)
-
-
-def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg) -> Trials:
-    """Evaluate a policy, each round with a seed of its own: then all policies get the same throws.
-
-    Rounds end when every hold is decided, so that without this the throws of the second would depend on the
-    policy. What a setting disturbs is drawn after the throws, so that they are those of the nominal setting.
-    """
-    env = cfg.make_env(method)
-    rounds = []
-    try:
-        for number in range(cfg.trials):
-            env.seed(cfg.seed + number)
-            rounds.append(run_round(env, actor))
-    finally:
-        env.close()
-    return Trials.concatenate(rounds)
-
-
-def _evaluation(cell: Cell, cfg: StressCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
-    """The policy and what is thrown at it."""
-    policy, method = load_policy(cell.contestant.folder, device)
-    return (
-        policy,
-        method,
-        EvaluationCfg(
-            objects=cfg.objects,
-            num_envs=cfg.num_envs,
-            trials=cfg.trials,
-            seed=cfg.seed,
-            device=device,
-            task=cell.setting.level.change(task_of(policy, cfg.physics_hz)),
-        ),
-    )
-
-
-def _measure(cell: Cell, cfg: StressCfg) -> Metrics:
-    """Metrics of a cell."""
-    return metrics(throw_rounds(*_evaluation(cell, cfg, cfg.device)), tuple(OBJECTS))
-
-
-def _origin(cell: Cell, cfg: StressCfg) -> Json:
-    """Everything that decides a cell's metrics, as JSON."""
-    _, method, evaluation = _evaluation(cell, cfg, "cpu")
-    evaluation = dataclasses.replace(evaluation, device=cfg.device)
-    return {
-        "policy": cell.contestant.name,
-        "method": method.name,
-        "policy_sha256": fingerprint(cell.contestant.folder),
-        "setting": cell.setting.name,
-        "evaluation": json.loads(json.dumps(dataclasses.asdict(evaluation), default=plain)),
-    }
-
-
-def _require_same(cell: Cell, origin: Json) -> None:
-    """See that a cell that is there was obtained as it would be now.
-
-    Raises:
-        StudyError: With the fields that differ.
-    """
-    found = cell.read()
-    if found is None:
-        return
-    before, now = dict(leaves(found | {"metrics": None})), dict(leaves(origin | {"metrics": None}))
-    changes = [
-        f"{name}: {before.get(name)} there, {now.get(name)} now"
-        for name in sorted({*before, *now})
-        if before.get(name) != now.get(name)
-    ]
-    if changes:
-        raise StudyError(
-            f"'{cell.file}' was obtained otherwise ({'; '.join(changes)}); give the values that it has, or "
-            "name another folder with --out."
-        )
-
-
 def _contestant(folder: Path) -> Contestant:
     """The policy in a folder or in the run folder around it; it is called as the folder of the run."""
-    _, method = load_policy(folder)
+    policy, method = load_policy(folder)
     resolved = folder.resolve()
     name = resolved.parent.name if resolved.name == "policy" else resolved.name
-    return Contestant(name=name, folder=folder, method=method.name)
+    return Contestant(name=name, folder=folder, method=method.name, task=policy.contract.task)

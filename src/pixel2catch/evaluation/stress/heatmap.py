@@ -16,6 +16,9 @@ PALETTE = "viridis"
 DARK = 60.0
 """S.R. [%] under which a cell is dark enough for white letters."""
 
+UNTRAINED = "*"
+"""Mark of a setting that a policy was not trained on."""
+
 ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95
 """Size of a cell [inch]."""
 
@@ -29,6 +32,8 @@ def heatmap(table: dict[str, Any]) -> bytes:
     settings, names = list(table["settings"].values()), list(table["policies"])
     rates = [[100.0 * row["rates"][name]["success_rate"] for name in names] for row in settings]
     rates.append([100.0 * table["mean"][name] for name in names])
+    marks = [["" if row["rates"][name]["is_trained_on"] else UNTRAINED for name in names] for row in settings]
+    marks.append([""] * len(names))
     titles, axes_names = [row["title"] for row in settings], [row["axis"] for row in settings]
     figure = Figure(
         figsize=(3.0 + COLUMN_WIDTH * len(names), 1.5 + ROW_HEIGHT * len(rates)), layout="constrained"
@@ -37,10 +42,10 @@ def heatmap(table: dict[str, Any]) -> bytes:
         axes = figure.subplots()
         image = axes.pcolormesh(np.array(rates), cmap=PALETTE, vmin=0.0, vmax=100.0)
         _label(axes, [*titles, "mean over settings"], names)
-        _write_numbers(axes, rates)
+        _write_numbers(axes, rates, marks)
         _separate(axes, [*axes_names, "mean"], len(names))
         bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.7, aspect=30, pad=0.01)
-        bar.set_label("S.R. [% of throws]")
+        bar.set_label(f"S.R. [% of throws]; {UNTRAINED} not trained on")
         bar.outline.set_visible(False)  # type: ignore[operator]
     return png(figure)
 
@@ -55,12 +60,13 @@ def _label(axes: Axes, titles: list[str], names: list[str]) -> None:
         side.set_visible(False)
 
 
-def _write_numbers(axes: Axes, rates: list[list[float]]) -> None:
-    """Write every rate into its cell."""
+def _write_numbers(axes: Axes, rates: list[list[float]], marks: list[list[str]]) -> None:
+    """Write every rate into its cell, and its mark beside it."""
     for i, row in enumerate(rates):
         for j, rate in enumerate(row):
             color = "white" if rate < DARK else "black"
             axes.text(j + 0.5, i + 0.53, f"{rate:.0f}", ha="center", va="center", color=color)
+            axes.text(j + 0.72, i + 0.56, marks[i][j], ha="left", va="center", color=color)
 
 
 def _separate(axes: Axes, groups: list[str], num_columns: int) -> None:

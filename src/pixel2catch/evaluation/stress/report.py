@@ -9,11 +9,13 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from pixel2catch.envs.tasks import find_task
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.stress.cells import Cell, Json
-from pixel2catch.evaluation.stress.heatmap import heatmap
+from pixel2catch.evaluation.stress.heatmap import UNTRAINED, heatmap
 from pixel2catch.evaluation.stress.order import REAL_ROBOT, compare_orders
 from pixel2catch.evaluation.stress.suite import REALITY
+from pixel2catch.evaluation.stress.trained import is_trained_on
 from pixel2catch.files import write_atomically
 
 SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")
@@ -27,13 +29,18 @@ def make_table(cells: Sequence[Cell], results: Sequence[Json]) -> Json:
         cells: The cells, setting by setting, each with all policies.
         results: What `run_cells` returned for them.
     """
-    policies = {cell.contestant.name: {"method": cell.contestant.method} for cell in cells}
+    policies = {
+        cell.contestant.name: {"method": cell.contestant.method, "task": cell.contestant.task}
+        for cell in cells
+    }
     settings: dict[str, Json] = {}
     for cell, result in zip(cells, results, strict=True):
         level, axis = cell.setting.level, cell.setting.axis
         row = {"axis": axis.name, "unit": axis.unit, "label": level.label, "source": level.source}
         row |= {"title": cell.setting.title, "rates": {}}
-        settings.setdefault(cell.setting.name, row)["rates"][cell.contestant.name] = _kept(result["metrics"])
+        is_trained = is_trained_on(find_task(cell.contestant.task), level.change)
+        rates = _kept(result["metrics"]) | {"is_trained_on": is_trained}
+        settings.setdefault(cell.setting.name, row)["rates"][cell.contestant.name] = rates
     means = {
         name: fmean(row["rates"][name]["success_rate"] for row in settings.values()) for name in policies
     }
@@ -62,18 +69,23 @@ def as_csv(table: Json) -> str:
     """One row for every cell."""
     buffer = io.StringIO()
     writer: Any = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(("setting", "axis", "level", "unit", "policy", "method", "trials", *_csv_rates()))
+    place = ("setting", "axis", "level", "unit", "policy", "method", "is_trained_on", "trials")
+    writer.writerow((*place, *_csv_rates()))
     for name, row in table["settings"].items():
         for policy, rates in row["rates"].items():
             method = table["policies"][policy]["method"]
             values = [value for rate in SHOWN for value in (rates[rate], *rates[f"{rate}_interval"])]
-            place = (name, row["axis"], row["label"], row["unit"], policy, method, rates["trials"])
+            place = (name, row["axis"], row["label"], row["unit"], policy, method)
+            place += (str(rates["is_trained_on"]).lower(), rates["trials"])
             writer.writerow((*place, *(f"{value:.5f}" for value in values)))
     return buffer.getvalue()
 
 
 def as_markdown(table: Json) -> str:
-    """S.R. in percent with its 95 % interval, settings by policies; then the orders of the methods."""
+    """S.R. in percent with its 95 % interval, settings by policies; then the orders of the methods.
+
+    What a policy was not trained on is marked.
+    """
     names = list(table["policies"])
     lines = [f"| setting | {' | '.join(names)} |", f"| --- |{' --- |' * len(names)}"]
     for row in table["settings"].values():
@@ -82,7 +94,8 @@ def as_markdown(table: Json) -> str:
     means = [f"{100 * table['mean'][name]:.1f}" for name in names]
     lines.append(f"| **mean over settings** | {' | '.join(means)} |")
     trials = next(iter(next(iter(table["settings"].values()))["rates"].values()))["trials"]
-    head = ["# Stress suite", "", f"S.R. [%], {trials} throws each, 95 % interval.", ""]
+    marked = rf"\{UNTRAINED}: the policy was not trained on that disturbance."
+    head = ["# Stress suite", "", f"S.R. [%], {trials} throws each, 95 % interval. {marked}", ""]
     return "\n".join([*head, *lines, "", table["reality"]["sentence"], ""])
 
 
@@ -104,7 +117,8 @@ def _kept(metrics: Json) -> Json:
 
 def _percent(rates: Json) -> str:
     low, high = (100 * bound for bound in rates["success_rate_interval"])
-    return f"{100 * rates['success_rate']:.1f} [{low:.0f}, {high:.0f}]"
+    mark = "" if rates["is_trained_on"] else rf" \{UNTRAINED}"
+    return f"{100 * rates['success_rate']:.1f} [{low:.0f}, {high:.0f}]{mark}"
 
 
 def _reality(policies: Json, settings: Json) -> Json:

@@ -5,13 +5,12 @@ step of 33 ms.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import radians
 
 from pixel2catch.errors import UnknownNameError
+from pixel2catch.evaluation.stress import sources
 from pixel2catch.evaluation.stress.axes import Axis, Change, Level, Setting, part, together
 from pixel2catch.mdp.randomization import GainRanges
-from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robot.constants import JOINTS
 
@@ -19,16 +18,22 @@ AIR_DENSITY = 1.2
 """Density of air at 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded."""
 
 
-def _sensing(source: str, field: str, values: Sequence[float], scale: float = 1.0) -> tuple[Level, ...]:
+def _sensing(
+    source: str, field: str, values: Sequence[float], scale: float = 1.0, unit: str = ""
+) -> tuple[Level, ...]:
     """A level for every value of a field of the sensors, in the unit of the labels times `scale`."""
     return tuple(
-        Level(label=f"{value:g}", change=part("sensing", **{field: value * scale}), source=source)
+        Level(label=f"{value:g}{unit}", change=part("sensing", **{field: value * scale}), source=source)
         for value in values
     )
 
 
-def _latency(first: int, last: int) -> Change:
+def _latency(first: float, last: float) -> Change:
     return part("sensing", latency_steps=(first, last))
+
+
+def _delay(steps: float) -> Change:
+    return part("randomization", command_delay=(steps, steps))
 
 
 def _gains(share: float) -> Change:
@@ -46,13 +51,13 @@ def _throws(label: str, source: str, **values: float | Range) -> Level:
 
 
 def _shake(millimetres: float, frequency: float) -> Level:
-    shake = ShakeCfg(amplitude=1e-3 * millimetres, frequency=frequency)
+    change = part("shake", amplitude=1e-3 * millimetres, frequency=frequency)
     label = f"{millimetres:g} mm {frequency:g} Hz"
     source = "ours: a laboratory table on legs under an arm's jerks; 1.6 to 1.8 m/s² at the base"
-    return Level(label=label, change=lambda cfg: replace(cfg, shake=shake), source=source)
+    return Level(label=label, change=change, source=source)
 
 
-AIR = part("scene", air_density=AIR_DENSITY)
+AIR = part("randomization", air_density=AIR_DENSITY)
 HUMAN = part(
     "throws",
     release_x=(2.0, 3.0),
@@ -62,34 +67,7 @@ HUMAN = part(
     speed_deviation=0.05,
     angle_deviation=radians(2.5),
 )
-HUMAN_SOURCE = (
-    "derived: speed 5 % within a thrower (2.4 % in throwing contests, Walsh and Heazlewood; 7 % is the 95th "
-    "percentile of handball players, Int. J. Computer Science in Sport 15/1); 2.5° of angle from a release "
-    "timed to about 10 ms (Hore et al. 1996, J. Neurophysiol. 75, 1013, tennis balls at 3 m; taken as two "
-    "standard deviations) by a hand that turns at 9 rad/s (4.5 m/s on a radius of 0.5 m); released between "
-    "hip and chest, 2 to 3 m away"
-)
-CAMERA_POSITION_SOURCE = (
-    "1 cm: hand-eye calibration with a board (ours); 1 to 3 cm: users' errors of a D435 beside an arm "
-    "(librealsense issue 9784); 4 cm: twice its mean"
-)
-FOCAL_SOURCE = (
-    "2 %: two D435 differ by 1.5 % (608.9 px of realsense-ros issue 701, 618.2 px of the release); 5 %: the "
-    "maker's tolerance of the field of view, 69° ± 3°"
-)
-BIAS_SOURCE = (
-    "motion blur: in 8 ms of exposure an object of 4.5 m/s at 2.5 m moves by 9 px; a box that follows one "
-    "end of the streak is half of that off; 10 px: twice as dark"
-)
-DROPS_SOURCE = "ours; 30 %: background subtraction by KNN lost the object in 7 of 24 synthetic throws"
-LATENCY_SOURCE = (
-    "exposure, transfer and SAM 2 (18 to 20 ms on one H100, measured) are 2 to 3 steps; more than 100 ms of "
-    "a D435 alone is librealsense issue 6036; 0: no latency at all"
-)
-GAINS_SOURCE = "30 %: stiffness of the wrists identified from slow motion is 19 to 35 % off; 50 %: ours"
-DELAY_SOURCE = "servoj's look-ahead time, 0.03 s by default and 0.1 s as often set, minus what the gains lag"
 
-AIR_SOURCE = "density of air at 20 °C (International Standard Atmosphere); the thrower makes up for mean drag"
 CAMERA_MOUNT = part("sensing", camera_offset=0.02, camera_turn=radians(1.0), focal_error=0.02)
 DETECTOR = part("sensing", box_bias=5.0, drop_rate=0.15, latency_steps=(2, 4))
 FLIGHT = together(AIR, HUMAN, part("throws", spin=10.0))
@@ -112,10 +90,6 @@ EVERYTHING = together(
     AIR,
     part("throws", spin=10.0),
 )
-REALITY_SOURCE = (
-    "a careful laboratory: the smallest level of each axis, a third of a blur streak of bias, and what "
-    "cannot be avoided: air, spin, unknown mass. Throws are those of training: the thrower practises"
-)
 
 
 AXES: dict[str, Axis] = {
@@ -131,7 +105,7 @@ AXES: dict[str, Axis] = {
         Axis(
             name="camera_position",
             unit="cm",
-            levels=_sensing(CAMERA_POSITION_SOURCE, "camera_offset", (1, 2, 4), 1e-2),
+            levels=_sensing(sources.CAMERA_POSITION, "camera_offset", (1, 2, 4), 1e-2),
         ),
         Axis(
             name="camera_rotation",
@@ -143,8 +117,8 @@ AXES: dict[str, Axis] = {
                 radians(1.0),
             ),
         ),
-        Axis(name="focal_length", unit="%", levels=_sensing(FOCAL_SOURCE, "focal_error", (2, 5), 1e-2)),
-        Axis(name="box_bias", unit="px", levels=_sensing(BIAS_SOURCE, "box_bias", (5, 10))),
+        Axis(name="focal_length", unit="%", levels=_sensing(sources.FOCAL, "focal_error", (2, 5), 1e-2)),
+        Axis(name="box_bias", unit="px", levels=_sensing(sources.BIAS, "box_bias", (5, 10))),
         Axis(
             name="box_scale",
             unit="",
@@ -163,7 +137,7 @@ AXES: dict[str, Axis] = {
                 ),
             ),
         ),
-        Axis(name="drops", unit="%", levels=_sensing(DROPS_SOURCE, "drop_rate", (5, 15, 30), 1e-2)),
+        Axis(name="drops", unit="%", levels=_sensing(sources.DROPS, "drop_rate", (5, 15, 30), 1e-2)),
         Axis(
             name="blackout",
             unit="steps",
@@ -180,14 +154,23 @@ AXES: dict[str, Axis] = {
             name="latency",
             unit="steps",
             levels=tuple(
-                Level(label=f"{n}", change=_latency(n, n), source=LATENCY_SOURCE) for n in (0, 3, 4, 5)
+                Level(label=f"{n:g}", change=_latency(n, n), source=sources.LATENCY)
+                for n in (0, 1, 1.5, 2, 2.5, 3, 3.5, 4, 5)
+            ),
+        ),
+        Axis(
+            name="clock_error",
+            unit="",
+            levels=(
+                *_sensing(sources.CLOCK, "clock_error", (10, 20, 40), 1e-3, " ms"),
+                Level(label="no stamps", change=part("sensing", unstamped=1.0), source=sources.CLOCK),
             ),
         ),
         Axis(
             name="gains",
             unit="%",
             levels=tuple(
-                Level(label=f"±{percent}", change=_gains(percent / 100), source=GAINS_SOURCE)
+                Level(label=f"±{percent}", change=_gains(percent / 100), source=sources.GAINS)
                 for percent in (30, 50)
             ),
         ),
@@ -195,8 +178,20 @@ AXES: dict[str, Axis] = {
             name="command_delay",
             unit="",
             levels=tuple(
-                Level(label=label, change=part("randomization", command_delay=(n, n)), source=DELAY_SOURCE)
+                Level(label=label, change=_delay(n), source=sources.DELAY)
                 for n, label in ((1, "1 step"), (2, "2 steps"))
+            ),
+        ),
+        Axis(
+            name="latency_and_delay",
+            unit="steps",
+            levels=tuple(
+                Level(
+                    label=f"{latency:g} and {delay:g}",
+                    change=together(_latency(latency, latency), _delay(delay)),
+                    source=sources.LATENCY_AND_DELAY,
+                )
+                for latency, delay in ((2.5, 0.5), (3, 1))
             ),
         ),
         Axis(
@@ -205,6 +200,18 @@ AXES: dict[str, Axis] = {
             levels=(
                 Level(label="15", change=_mass(15, 15), source="foam; the lower end of the training"),
                 Level(label="60", change=_mass(60, 60), source="a tennis ball is 56.0 to 59.4 g (ITF rules)"),
+            ),
+        ),
+        Axis(
+            name="restitution",
+            unit="",
+            levels=tuple(
+                Level(
+                    label=f"{e:g}",
+                    change=part("randomization", restitution=(e, e)),
+                    source=sources.RESTITUTION,
+                )
+                for e in (0, 0.25, 0.5, 0.75)
             ),
         ),
         Axis(
@@ -231,8 +238,8 @@ AXES: dict[str, Axis] = {
             name="air",
             unit="",
             levels=(
-                Level(label="30 g", change=together(AIR, _mass(30, 30)), source=AIR_SOURCE),
-                Level(label="15 g", change=together(AIR, _mass(15, 15)), source=AIR_SOURCE),
+                Level(label="30 g", change=together(AIR, _mass(30, 30)), source=sources.AIR),
+                Level(label="15 g", change=together(AIR, _mass(15, 15)), source=sources.AIR),
             ),
         ),
         Axis(
@@ -245,7 +252,7 @@ AXES: dict[str, Axis] = {
                 _throws("far", "ours: released 2.9 to 3.5 m away", release_x=(2.9, 3.5)),
                 _throws("low", "ours: peak 1.3 to 1.6 m high; 1.6 to 1.9 in training", peak_z=(1.3, 1.6)),
                 _throws("high", "ours: peak 1.9 to 2.3 m high, the camera at 2.2 m", peak_z=(1.9, 2.3)),
-                Level(label="human", change=HUMAN, source=HUMAN_SOURCE),
+                Level(label="human", change=HUMAN, source=sources.HUMAN),
             ),
         ),
         Axis(name="shake", unit="", levels=(_shake(5, 3), _shake(10, 2))),
@@ -256,7 +263,7 @@ AXES: dict[str, Axis] = {
                 Level(label="camera mount", change=CAMERA_MOUNT, source="levels of the axes above"),
                 Level(label="detector", change=DETECTOR, source="levels of the axes above"),
                 Level(label="flight", change=FLIGHT, source="levels of the axes above"),
-                Level(label=REALITY, change=EVERYTHING, source=REALITY_SOURCE),
+                Level(label=REALITY, change=EVERYTHING, source=sources.REALITY),
             ),
         ),
     )

@@ -1,0 +1,143 @@
+"""What a policy was trained on: ranges, grids and variants, worked out by hand."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
+from pixel2catch.envs.tasks import TASKS
+from pixel2catch.evaluation.stress.axes import Change, part, together
+from pixel2catch.evaluation.stress.suite import select_settings
+from pixel2catch.evaluation.stress.trained import is_trained_on
+from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robot.joint_dynamics import JointDynamics
+
+NOMINAL = CatchEnvCfg()
+
+
+def task(name: str, **values: Any) -> CatchEnvCfg:
+    """The nominal task with other fields of one part."""
+    return part(name, **values)(NOMINAL)
+
+
+def with_variants(*changes: Change) -> CatchEnvCfg:
+    """The nominal task, with a variant for each change."""
+    variants = []
+    for change in changes:
+        each = change(NOMINAL)
+        variants.append(
+            TaskVariant(share=0.2, throws=each.throws, randomization=each.randomization, sensing=each.sensing)
+        )
+    return replace(NOMINAL, variants=tuple(variants))
+
+
+@pytest.mark.parametrize(
+    ("trained", "met", "expected"),
+    [
+        ((0.0, 0.6), (0.5, 0.5), True),
+        ((0.0, 0.6), (0.0, 0.6), True),
+        ((0.0, 0.6), (0.0, 0.7), False),
+        ((0.3, 0.6), (0.25, 0.25), False),
+    ],
+)
+def test_a_range_lies_within_a_range(trained, met, expected):
+    change = part("randomization", restitution=met)
+    assert is_trained_on(task("randomization", restitution=trained), change) == expected
+
+
+@pytest.mark.parametrize(
+    ("trained", "met", "expected"),
+    [
+        ((0.0, 0.02), 0.02, True),
+        ((0.0, 0.02), 0.03, False),
+        ((0.0, 0.02), (0.01, 0.02), True),
+        (0.02, 0.02, True),
+        (0.02, 0.01, False),  # never drawn
+        (0.02, (0.01, 0.02), False),
+        (0.0, 0.01, False),
+    ],
+)
+def test_a_number_counts_as_itself_and_a_range_as_all_of_it(trained, met, expected):
+    change = part("sensing", camera_offset=met)
+    assert is_trained_on(task("sensing", camera_offset=trained), change) == expected
+
+
+@pytest.mark.parametrize(
+    ("trained", "grid", "met", "expected"),
+    [
+        ((1, 2), 1.0, (1, 1), True),
+        ((1, 2), 1.0, (1.5, 1.5), False),
+        ((1, 2), 0.5, (1.5, 1.5), True),
+        ((1, 2), 0.0, (1.5, 1.5), True),
+        ((1, 3), 1.0, (1, 2), True),  # the same steps
+        ((1, 3), 2.0, (2, 2), False),  # 1 and 3 only
+        ((0.6, 4.3), 0.0, (2, 4), True),
+        ((0.6, 4.3), 0.0, (0, 0), False),
+        ((0.5, 4.5), 1.0, (3, 3), False),  # 0.5, 1.5, 2.5, 3.5, 4.5
+        ((3, 3), 0.0, (3, 3), True),
+    ],
+)
+def test_a_delay_on_a_grid_is_one_of_its_values(trained, grid, met, expected):
+    seen = task("sensing", latency_steps=trained, latency_grid=grid)
+    slow = task("randomization", command_delay=trained, command_delay_grid=grid)
+    if met != (1, 2):
+        assert is_trained_on(seen, part("sensing", latency_steps=met)) == expected
+    if met != (0, 0):
+        assert is_trained_on(slow, part("randomization", command_delay=met)) == expected
+
+
+def test_any_delay_between_is_more_than_its_grid():
+    between = part("sensing", latency_steps=(1, 3), latency_grid=0.0)
+    assert not is_trained_on(task("sensing", latency_steps=(1, 4)), between)
+    assert is_trained_on(task("sensing", latency_steps=(1, 4), latency_grid=0.0), between)
+
+
+def test_less_spin_than_the_largest_is_nothing_new():
+    assert is_trained_on(task("throws", spin=14.0), part("throws", spin=10.0))
+    assert not is_trained_on(task("throws", spin=14.0), part("throws", spin=25.0))
+
+
+def test_what_happens_in_some_episodes_may_happen_in_all():
+    never_stamped = part("sensing", unstamped=1.0)
+    assert is_trained_on(task("sensing", unstamped=0.05), never_stamped)
+    assert not is_trained_on(NOMINAL, never_stamped)
+    assert not is_trained_on(task("sensing", unstamped=1.0), part("sensing", unstamped=0.5))
+
+
+def test_gains_lie_within_joint_by_joint():
+    def gains(low: float, high: float) -> Change:
+        scale = ((low, high),) * len(JOINTS)
+        return part("randomization", gains=GainRanges(stiffness_scale=scale, damping_scale=scale))
+
+    assert is_trained_on(gains(0.7, 1.3)(NOMINAL), gains(0.8, 1.2))
+    assert is_trained_on(NOMINAL, gains(0.8, 1.2))
+    assert not is_trained_on(NOMINAL, gains(0.7, 1.3))  # the arm had 0.8 to 1.2
+
+
+def test_everything_must_be_in_one_variant():
+    late, heavy = part("sensing", latency_steps=(1, 4)), part("randomization", mass_scale=(1.0, 2.0))
+    both = together(part("sensing", latency_steps=(4, 4)), part("randomization", mass_scale=(2.0, 2.0)))
+    assert not is_trained_on(with_variants(late, heavy), both)
+    assert is_trained_on(with_variants(late, together(late, heavy)), both)
+    assert is_trained_on(with_variants(late, heavy), part("randomization", mass_scale=(2.0, 2.0)))
+    assert is_trained_on(with_variants(late), together())
+
+
+def test_what_no_range_describes_must_be_the_same():
+    assert not is_trained_on(NOMINAL, part("scene", object_scale=0.8))
+    assert is_trained_on(task("scene", object_scale=0.8), part("scene", object_scale=0.8))
+    assert not is_trained_on(NOMINAL, lambda cfg: replace(cfg, dynamics=JointDynamics.nominal()))
+
+
+def test_the_suite_holds_something_out_of_every_task():
+    trained = {
+        name: {each.name for each in select_settings(()) if is_trained_on(one, each.level.change)}
+        for name, one in TASKS.items()
+    }
+    nominal = {"nominal", "latency-1", "latency-2", "mass-15"}
+    assert trained["nominal"] == nominal | {"restitution-0", "restitution-0.25", "restitution-0.5"}
+    assert trained["nominal"] < trained["wide"]
+    held_out = {"latency-0", "latency-5", "camera_position-4", "drops-30", "throws-far", "restitution-0.75"}
+    assert not held_out & trained["wide"]
