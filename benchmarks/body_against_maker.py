@@ -3,14 +3,11 @@
 The makers' models are not part of this project; give the paths of your copies, URDF or MJCF, with their
 meshes at the paths that they name. Joints are told apart by their order in the tree, fingers by where their
 roots are, so that names do not matter, but for the arm's base and tool.
-
-* arm: pose of the tool, centres of mass, and inertia and gravity torques of the joints, at random positions.
+* arm: pose of the tool, centres of mass, inertia and gravity torques of the joints, at random positions;
 * hand: places of the last links at random positions, masses, extents of every link in its own frame, and how
   many random hand positions, within our limits, have a contact between fingers or with the palm. Where a
   model has no masses, those shown are of its shapes filled with water.
-
 Surfaces are the maker's collision shapes, or with `--surface visual` the convex hulls of what is drawn.
-
 Run: python benchmarks/body_against_maker.py --arm ur5e.urdf --hand allegro_hand_left.urdf
 """
 

@@ -9,7 +9,7 @@ import torch
 
 from pixel2catch.camera.features import PIXEL_FEATURES
 from pixel2catch.errors import PolicyMismatchError
-from pixel2catch.methods import METHODS, Method
+from pixel2catch.methods import MEMORIES, METHODS, Method, find_method
 from pixel2catch.policy import Policy, PolicyContract, build_mlp, contract_of
 
 METHOD = METHODS["proposed"]
@@ -87,6 +87,22 @@ def test_contract_of_every_method(method: Method) -> None:
     assert PolicyContract.from_dict(json.loads(json.dumps(contract.to_dict()))) == contract
 
 
+@pytest.mark.parametrize("memory", MEMORIES)
+@pytest.mark.parametrize("name", ["proposed", "catch_alone", "without_pf"])
+def test_contract_of_a_method_with_a_memory(name: str, memory: str) -> None:
+    """It has the terms of the memory behind the two frames; the frames are those without it."""
+    plain, method = contract_of(METHODS[name], "left"), contract_of(find_method(f"{name}+{memory}"), "left")
+    for agent, spec in zip(method.agents, find_method(method.method).agents, strict=True):
+        frames = plain.agents[agent].observation
+        assert method.agents[agent].observation[: len(frames)] == frames
+        remembered = [term for term, _ in method.agents[agent].observation[len(frames) :]]
+        assert remembered == [f"{term.__name__}[t]" for term in spec.memory]
+    assert method.method == f"{name}+{memory}"
+    assert PolicyContract.from_dict(json.loads(json.dumps(method.to_dict()))) == method
+    with pytest.raises(PolicyMismatchError, match=r"agents.*observation"):
+        method.require(plain)
+
+
 def test_sizes_of_the_paper() -> None:
     """Paper, Sec. IV-C: 25 numbers a frame for the arm, 39 for the hand, two frames."""
     assert {name: agent.num_inputs for name, agent in CONTRACT.agents.items()} == {"arm": 50, "hand": 78}
@@ -103,6 +119,27 @@ def test_a_mismatch_names_the_fields() -> None:
     assert "handedness: policy 'left', here 'right'" in message
     assert "agents.arm.observation" in message
     assert "camera" not in message
+
+
+def test_a_policy_of_another_task_fits() -> None:
+    """It says what it was trained for, and may act wherever its other fields fit."""
+    wide = dataclasses.replace(CONTRACT, task="wide")
+    assert CONTRACT.task == "nominal"
+    wide.require(CONTRACT)
+    CONTRACT.require(wide)
+    assert wide != CONTRACT
+    assert PolicyContract.from_dict(json.loads(json.dumps(wide.to_dict()))).task == "wide"
+    with pytest.raises(PolicyMismatchError, match="control_dt") as error:
+        wide.require(dataclasses.replace(CONTRACT, control_dt=0.02))
+    assert "task" not in str(error.value)
+
+
+def test_a_policy_from_before_there_were_tasks_is_of_the_papers(policy: Policy, tmp_path: Path) -> None:
+    policy.save(tmp_path)
+    text = json.loads((tmp_path / "policy.json").read_text())
+    assert text.pop("task") == "nominal"
+    rewrite(tmp_path, json.dumps(text))
+    assert Policy.load(tmp_path).contract == CONTRACT
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ Sources: observations paper Sec. IV-C, actions Sec. IV-D, rewards Eq. 3 and 4.
 Differs: the hand is also rewarded for a grasp (ours); the paper's success is a distance only.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -45,12 +45,14 @@ class AgentSpec:
         parts: The body parts that it moves, in joint order; its reward is the sum of theirs.
         teammates: Body parts that others move, whose reward it gets as well.
         observation: Terms of one observation frame.
+        memory: Terms of what it remembers of the images.
     """
 
     name: str
     parts: tuple[BodyPart, ...]
     teammates: tuple[BodyPart, ...] = ()
     observation: tuple[ObservationTerm, ...] = PAPER_TERMS
+    memory: tuple[ObservationTerm, ...] = ()
 
     @property
     def joints(self) -> slice:
@@ -78,7 +80,13 @@ class AgentSpec:
 
     def __add__(self, other: "AgentSpec") -> "AgentSpec":
         """One agent over the joints of both, with the sum of both rewards. Source: paper, S-A RL."""
-        return AgentSpec(name="robot", parts=(*self.parts, *other.parts), observation=self.observation)
+        return replace(self, name="robot", parts=(*self.parts, *other.parts))
+
+
+def _paying(agent: AgentSpec, term: RewardTerm) -> AgentSpec:
+    """The agent with one more reward term for each of its parts."""
+    parts = tuple(replace(part, reward=(*part.reward, term)) for part in agent.parts)
+    return replace(agent, parts=parts)
 
 
 COMMANDS: tuple[JointCommand, ...] = (*map(relative_command, ARM_JOINTS), *map(absolute_command, HAND_JOINTS))
@@ -121,3 +129,12 @@ HAND = AgentSpec(
         ),
     ),
 )
+
+
+RESTING_ARM = _paying(ARM, RewardTerm(function=rewards.unrest, weight=-0.01))
+RESTING_HAND = _paying(HAND, RewardTerm(function=rewards.self_contact, weight=-0.02))
+"""Arm and hand that also pay for moving a held object about, and for touching themselves.
+
+Source: ours. Larger weights, and paying for the motion of fingers, keep them from grasping at all
+(experiments/LOG.md).
+"""

@@ -5,6 +5,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.brain import Brain
@@ -17,10 +18,12 @@ from pixel2catch.deployment.servo_link import Decision, ServoEnd, link
 from pixel2catch.deployment.servo_state import Mode
 from pixel2catch.deployment.transport import Transport
 from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import PixelFeatureExtractor
 from pixel2catch.perception.prompt import GivenPrompter
 from pixel2catch.perception.segmenter import Segmenter
+from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import JOINTS
 
 HOME = np.array([joint.home for joint in JOINTS])
@@ -38,12 +41,18 @@ def picture(box: tuple[float, float, float, float] | None = BOX) -> np.ndarray:
     return image
 
 
-def brain(segmenter: Segmenter | None = None) -> Brain:
+def remembering(method: str = "shared_reward+boxes") -> Controller:
+    """A policy that knows how old its boxes are, with random networks."""
+    torch.manual_seed(0)
+    return Controller(Policy(contract_of(find_method(method), PROFILE.handedness)).eval(), PROFILE.handedness)
+
+
+def brain(segmenter: Segmenter | None = None, controller: Controller | None = None) -> Brain:
     """The shipped policy, and eyes for red if nothing is said."""
     policy, _ = load_policy(None)
     person = GivenPrompter()
     extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
-    return Brain(Controller(policy, PROFILE.handedness), extractor, person)
+    return Brain(controller or Controller(policy, PROFILE.handedness), extractor, person)
 
 
 def decision(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Decision:

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 import torch
-from loop_lab import BOX, HOME, PROFILE, brain, picture
+from loop_lab import BOX, HOME, PROFILE, brain, picture, remembering
 
-from pixel2catch.deployment.brain import BOX_AGE, Brain
+from pixel2catch.deployment.brain import BOX_AGE, LONGEST_LOOK, Brain
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.servo_link import Orders
+from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.perception.finder import CameraFrame
 from pixel2catch.perception.gate import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt
@@ -54,7 +56,8 @@ def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, 
         orders = think(thinking, frame(now - age, 4.0 * step), HOME, now)
         assert orders is not None
         box = torch.tensor([moved(4.0 * max(step - num_late, 0.0))])
-        expected = controller.step(joint_pos, box)[0].numpy()
+        boxes = BoxHistory.begun(box, torch.tensor([1.8]), 1)
+        expected = controller.step(joint_pos, boxes)[0].numpy()
         assert orders.joint_pos_target == pytest.approx(expected, abs=1e-6)
         assert (orders.target_stamp, orders.image_stamp) == (now, now - age)
 
@@ -91,3 +94,51 @@ def test_a_new_throw_forgets_the_old_one():
     assert first is not None
     assert expected is not None
     assert np.array_equal(first.joint_pos_target, expected.joint_pos_target)
+
+
+def seen_boxes(controller: Controller) -> BoxHistory:
+    assert controller.measurement is not None
+    return controller.measurement.boxes
+
+
+def test_a_policy_that_knows_ages_gets_what_was_measured_when_it_was_measured():
+    """Nothing between two images, and no box of an image in which nothing was found."""
+    controller = remembering()
+    thinking = brain(controller=controller)
+    thinking.begin(PROMPT)
+    stamps = [1.0, 1.0 + CONTROL_DT, 1.0 + 4.0 * CONTROL_DT]
+    for step, stamp in enumerate(stamps):
+        assert think(thinking, frame(stamp, 4.0 * step), HOME, stamp + 0.06)
+    thinking.see(CameraFrame(image=picture(None), stamp=1.0 + 5.0 * CONTROL_DT), 1.0 + 6.0 * CONTROL_DT)
+    now = 1.0 + 6.5 * CONTROL_DT
+    orders = thinking.decide(HOME, now)
+    assert orders is not None
+    assert orders.image_stamp == 1.0 + 5.0 * CONTROL_DT
+    boxes = seen_boxes(controller)
+    assert boxes.age[0].tolist() == pytest.approx([2.5, 5.5, 6.5, 7.5, 8.5, 9.5, 10.5, 11.5], abs=1e-4)
+    assert boxes.box[0].tolist() == [list(moved(by)) for by in (8.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
+
+
+@pytest.mark.parametrize("memory", ["age", "boxes", "fit"])
+def test_as_many_boxes_are_kept_as_the_policy_remembers(memory: str):
+    controller = remembering(f"shared_reward+{memory}")
+    thinking = brain(controller=controller)
+    thinking.begin(PROMPT)
+    for step in range(30):
+        thinking.see(frame(step * CONTROL_DT, step), step * CONTROL_DT)
+    thinking.decide(HOME, 29.5 * CONTROL_DT)
+    ages = seen_boxes(controller).age[0].tolist()
+    assert ages == pytest.approx([0.5 + i for i in range(controller.method.num_boxes)], abs=1e-3)
+
+
+def test_a_perception_that_hangs_is_said_and_gives_no_orders():
+    """A policy that knows ages may act on an old box, but only while images are looked at."""
+    thinking = brain(controller=remembering())
+    thinking.begin(PROMPT)
+    thinking.see(frame(1.0), 1.02)
+    for step in range(1, 40):
+        stamp = 1.0 + step * CONTROL_DT
+        thinking.see(CameraFrame(image=picture(None), stamp=stamp), stamp)
+        assert thinking.decide(HOME, stamp)
+    with pytest.raises(DeploymentError, match=r"looked at is 0\.4 s old"):
+        thinking.decide(HOME, 1.0 + 39 * CONTROL_DT + LONGEST_LOOK + 0.01)

@@ -12,10 +12,12 @@ from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.step import Step
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
 from pixel2catch.evaluation.loading import shipped_policies
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.snapshot import Measurement
-from pixel2catch.methods import METHODS
+from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 
@@ -27,8 +29,18 @@ STEADY_ACTIONS = RandomizationCfg(
 NUM_EPISODES = 2
 HEIGHT = len(JOINTS) + 2
 SEEN_BY_CAMERA = ("proposed", "only_wh", "only_center", "single_agent", "shared_reward", "journal")
+REMEMBERING = ("shared_reward+age", "shared_reward+boxes", "shared_reward+fit")
+LATE_AND_MISSING = SensingCfg(
+    latency_steps=(0.6, 4.3),
+    latency_grid=0.0,
+    drop_rate=0.3,
+    blackout_steps=4,
+    clock_error=0.01,
+    stamp_jitter=0.004,
+    unstamped=0.3,
+)
 HOME = torch.tensor([[joint.home for joint in JOINTS]])
-BOX = torch.tensor([[310.0, 200.0, 330.0, 225.0]])
+BOX = BoxHistory.begun(torch.tensor([[310.0, 200.0, 330.0, 225.0]]), torch.tensor([1.5]), 1)
 
 
 def policy_of(method: str) -> Policy:
@@ -37,7 +49,7 @@ def policy_of(method: str) -> Policy:
     if folder is not None:
         return Policy.load(folder)
     torch.manual_seed(0)
-    policy = Policy(contract_of(METHODS[method], "left")).eval()
+    policy = Policy(contract_of(find_method(method), "left")).eval()
     with torch.no_grad():
         for network in (policy.network(name) for name in policy.contract.agents):
             network.get_parameter("network.6.weight").mul_(20.0)
@@ -54,26 +66,51 @@ def steps(env: CatchEnv, policy: Policy) -> Iterator[Step]:
         yield step
 
 
-@pytest.mark.parametrize("method", SEEN_BY_CAMERA)
-def test_targets_are_those_of_the_environment_bit_for_bit(method: str):
-    """Whole episodes of one robot, with all noise of its sensors, and with a reset in between."""
+def require_parity(method: str, sensing: SensingCfg, most: float) -> list[BoxHistory]:
+    """Whole episodes of one robot, with all noise of its sensors, and with a reset in between.
+
+    Args:
+        method: The method.
+        sensing: What is wrong with the sensors.
+        most: Difference of two targets that is none [rad].
+
+    Returns:
+        The boxes of every step.
+    """
     policy = policy_of(method)
     controller = Controller(policy, "left")
-    env = CatchEnv(CatchEnvCfg(randomization=STEADY_ACTIONS), METHODS[method], num_envs=1, seed=3)
-    given, num_steps, num_ended = None, 0, 0
+    cfg = CatchEnvCfg(randomization=STEADY_ACTIONS, sensing=sensing)
+    env = CatchEnv(cfg, find_method(method), num_envs=1, seed=3)
+    given, boxes, num_ended = None, list[BoxHistory](), 0
     for step in steps(env, policy):
         if given is not None:
-            num_steps += 1
-            assert torch.equal(given, step.joint_pos_target), f"at step {num_steps}"
+            assert (given - step.joint_pos_target).abs().max() <= most, f"at step {len(boxes)}"
         if step.terminated.all():
             num_ended += 1
             controller.reset(step.measurement.joint_pos_target.clone())
         if num_ended > NUM_EPISODES:
             break
         sensed = clone(step.measurement)
-        given = controller.step(sensed.joint_pos, sensed.box)
+        given = controller.step(sensed.joint_pos, sensed.boxes)
+        boxes.append(sensed.boxes)
     env.close()
-    assert num_steps > 20 * NUM_EPISODES
+    assert len(boxes) > 20 * NUM_EPISODES
+    return boxes
+
+
+@pytest.mark.parametrize("method", SEEN_BY_CAMERA)
+def test_targets_are_those_of_the_environment_bit_for_bit(method: str):
+    require_parity(method, SensingCfg(), most=0.0)
+
+
+@pytest.mark.parametrize("method", REMEMBERING)
+def test_targets_of_policies_with_a_memory_are_those_of_the_environment(method: str):
+    """With latencies that are not whole steps, missing images, wrong stamps and none."""
+    boxes = require_parity(method, LATE_AND_MISSING, most=1e-6)
+    ages = torch.cat([each.age for each in boxes])
+    assert ages.shape[1] == find_method(method).num_boxes
+    assert (ages[:, 0] % 1.0).unique().numel() > 10
+    assert ages[:, 0].max() > 4.0
 
 
 def measured(controller: Controller) -> Measurement:
@@ -105,14 +142,21 @@ def test_what_is_no_number_is_refused_by_name_and_forgotten(bad: float):
     with pytest.raises(NonFiniteError, match="elbow_joint"):
         controller.step(joint_pos, BOX)
     box = torch.tensor([[0.0, bad, 1.0, 1.0]])
-    with pytest.raises(NonFiniteError, match="box"):
-        controller.step(HOME, box)
+    with pytest.raises(NonFiniteError, match="object's box"):
+        controller.step(HOME, replace(BOX, box=box[:, None]))
+    with pytest.raises(NonFiniteError, match="age of the object's box"):
+        controller.step(HOME, replace(BOX, age=torch.tensor([[bad]])))
     given, expected = (each.step(HOME, BOX) for each in (controller, twin))
     assert torch.equal(given, expected)
 
 
 @pytest.mark.parametrize(
-    ("method", "term"), [("without_pf", "initial_object_position"), ("object_position", "object_position")]
+    ("method", "term"),
+    [
+        ("without_pf", "initial_object_position"),
+        ("object_position", "object_position"),
+        ("object_position+fit", "object_position"),
+    ],
 )
 def test_a_policy_that_needs_a_tracker_is_refused(method: str, term: str):
     with pytest.raises(PolicyMismatchError, match=term):
@@ -122,7 +166,7 @@ def test_a_policy_that_needs_a_tracker_is_refused(method: str, term: str):
 def test_the_camera_of_the_policy_is_that_of_the_laboratory():
     """A policy trained for a calibrated camera runs with that one, and with no other."""
     calibrated = replace(RGB_CAMERA, pos=(0.02, -0.01, 2.19))
-    policy = Policy(contract_of(METHODS["proposed"], "left", calibrated)).eval()
+    policy = Policy(contract_of(find_method("proposed"), "left", calibrated)).eval()
     given = Controller(policy, "left", calibrated).step(HOME, BOX)
     assert given.isfinite().all()
     with pytest.raises(PolicyMismatchError, match=r"camera\.pos"):

@@ -1,6 +1,7 @@
 """The loop between camera, servo and operator, in memory."""
 
 import json
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -9,11 +10,11 @@ from loop_lab import (
     BOX,
     HOME,
     PROFILE,
-    RED,
     Surroundings,
     brain,
     decision,
     picture,
+    remembering,
     surroundings,
 )
 
@@ -22,22 +23,31 @@ from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.deploying import Deployment, read_prompt
 from pixel2catch.deployment.eyes import Eyes
 from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.stepwise import SlowSegmenter, StepClock
+from pixel2catch.deployment.stepwise import StepClock
 from pixel2catch.deployment.watchdog import Fault
+from pixel2catch.deployment.worker import CallerWorker, ThreadWorker, Worker
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.perception.color import ColorThreshold
-from pixel2catch.perception.segmenter import Segmenter
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.perception.extractor import Extraction
+from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 
 
 class Course:
     """A deployment that is led step by step."""
 
-    def __init__(self, around: Surroundings, segmenter: Segmenter | None = None) -> None:
+    def __init__(
+        self,
+        around: Surroundings,
+        worker: Worker[Extraction] | None = None,
+        controller: Controller | None = None,
+    ) -> None:
         self.around = around
-        eyes = Eyes(around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock)
-        self.deployment = Deployment(brain(segmenter), eyes, around.connection, PROFILE.operator)
+        thinking, camera = brain(controller=controller), PROFILE.camera
+        eyes = Eyes(
+            around.connection.transport, camera, RGB_CAMERA, around.clock, assumes_age=thinking.knows_age
+        )
+        self.deployment = Deployment(thinking, eyes, around.connection, PROFILE.operator, worker)
         self._prompts = around.lab.publisher(PROFILE.operator.prompt)
         self.statuses = around.lab.subscription(PROFILE.operator.status, 100)
 
@@ -107,20 +117,60 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
     policy, _ = load_policy(None)
     moved = HOME + 0.02
     expected = Controller(policy, PROFILE.handedness).step(
-        torch.tensor(moved[None], dtype=torch.float32), torch.tensor([BOX])
+        torch.tensor(moved[None], dtype=torch.float32),
+        BoxHistory.begun(torch.tensor([BOX]), torch.tensor([1.8]), 1),
     )
     with surroundings() as around:
 
         def move(_: float) -> None:
             around.servo.send(decision(Mode.ARMED, time=around.clock.now(), joint_pos=moved))
 
-        course = Course(around, SlowSegmenter(ColorThreshold(RED), StepClock(move), 0.01))
+        course = Course(around, CallerWorker(StepClock(move), lambda: 0.01))
         course.say(Mode.ARMED)
         around.show(picture())
         course.point(json.dumps({"box": BOX}))
         course.step()
         (orders,) = around.servo.receive()
         assert orders.joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
+
+
+def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without():
+    """The servo is told of the newest image; the age of the box is from the image that was looked at."""
+    with surroundings() as around:
+        worker = ThreadWorker[Extraction]()
+        course = Course(around, worker, remembering())
+        course.say(Mode.ARMED)
+        course.point(json.dumps({"box": BOX}))
+        stamps, taken = list[float](), 0.0
+        while len(stamps) < 6:
+            if len(stamps) < 3:
+                taken = around.show(picture(), age=0.02)
+            course.step()
+            stamps += [orders.target_stamp for orders in around.servo.receive()]
+        now = around.clock.now()
+        course.say(Mode.RUN, time=now, target_stamp=stamps[0], image_stamp=now)
+        course.step()
+        (orders,) = around.servo.receive()
+        assert orders.image_stamp == pytest.approx(taken, abs=0.005)
+        assert min(after - before for before, after in pairwise(stamps)) > 0.5 * CONTROL_DT
+        assert course.deployment.diary.num_missed >= 3
+        worker.close()
+
+
+def test_a_camera_without_stamps_is_told_of_once():
+    with surroundings() as around:
+        course = Course(around, controller=remembering())
+        course.say(Mode.ARMED)
+        course.point(json.dumps({"box": BOX}))
+        messages_said = list[str]()
+        for _ in range(4):
+            image = messages.image(picture(), 0.0)
+            around.lab.publisher(PROFILE.camera.image).publish(image)
+            messages_said.append(course.step()["message"])
+        assert [bool(said) for said in messages_said].count(True) == 1
+        assert "have no stamps" in "".join(messages_said)
+        newest = around.servo.receive()[-1]
+        assert around.clock.now() - newest.image_stamp < 0.1
 
 
 def test_stops_and_refusals_are_told_once_and_counted():

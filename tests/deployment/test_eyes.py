@@ -9,11 +9,14 @@ from loop_lab import HOME, PROFILE, Surroundings, picture, surroundings
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.eyes import Eyes
 from pixel2catch.errors import DeploymentError
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.mdp.sensing import ASSUMED_AGE
+from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 
 
-def eyes_in(around: Surroundings) -> Eyes:
-    return Eyes(around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock)
+def eyes_in(around: Surroundings, *, assumes_age: bool = False) -> Eyes:
+    return Eyes(
+        around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock, assumes_age=assumes_age
+    )
 
 
 def test_the_newest_image_counts_and_the_others_are_counted():
@@ -36,6 +39,57 @@ def test_the_stamp_is_of_the_exposure_on_the_monotonic_clock():
         frame, now = eyes.newest(), around.clock.now()
         assert frame is not None
         assert now - frame.stamp == pytest.approx(0.04, abs=0.01)
+
+
+def age_of_next(eyes: Eyes, around: Surroundings, stamp: float) -> float:
+    """Age of an image with this stamp in its header, in control steps."""
+    around.lab.publisher(PROFILE.camera.image).publish(messages.image(picture(), stamp))
+    frame = eyes.newest()
+    assert frame is not None
+    assert eyes.stamp == frame.stamp
+    return (around.clock.now() - frame.stamp) / CONTROL_DT
+
+
+@pytest.mark.parametrize(
+    ("age", "words"),
+    [(None, "have no stamps"), (-0.2, "stamps of 0.2 s ahead"), (86400.0, "stamps of 8.64e+04 s ago")],
+)
+def test_images_without_a_sound_stamp_are_as_old_as_training_assumes(age: float | None, words: str):
+    with surroundings() as around:
+        eyes = eyes_in(around, assumes_age=True)
+        for notice in (words, ""):
+            stamp = 0.0 if age is None else around.clock.stamp() - age
+            assert age_of_next(eyes, around, stamp) == pytest.approx(ASSUMED_AGE, abs=0.3)
+            said = eyes.take_notice()
+            assert notice in said
+            assert bool(said) == bool(notice)
+            assert not notice or "50 ms old" in said
+            assert not notice or "header.stamp" in said
+
+
+@pytest.mark.parametrize("age", [-0.04, 0.0, 0.3])
+def test_stamps_that_can_be_meant_are_believed(age: float):
+    with surroundings() as around:
+        eyes = eyes_in(around, assumes_age=True)
+        found = age_of_next(eyes, around, around.clock.stamp() - age)
+        assert found == pytest.approx(age / CONTROL_DT, abs=0.3)
+        assert eyes.take_notice() == ""
+
+
+def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp():
+    """It is as old as it says, and stops the robot; a camera that has stamps does not lose them."""
+    with surroundings() as around:
+        eyes = eyes_in(around, assumes_age=True)
+        age_of_next(eyes, around, around.clock.stamp() - 0.02)
+        assert age_of_next(eyes, around, around.clock.stamp() - 2.0) > 59.0
+        assert eyes.take_notice() == ""
+
+
+def test_a_policy_that_knows_no_ages_gets_the_stamps_as_they_are():
+    with surroundings() as around:
+        eyes = eyes_in(around)
+        assert age_of_next(eyes, around, around.clock.stamp() - 2.0) > 59.0
+        assert eyes.take_notice() == ""
 
 
 def test_joints_are_those_at_the_time_of_the_image():

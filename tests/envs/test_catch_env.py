@@ -10,12 +10,13 @@ from torch import Tensor
 from pixel2catch.camera.boxes import hold_box
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.step import Step
+from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.observations import observe, pixel_columns
 from pixel2catch.mdp.sensing import SensingCfg, detect
 from pixel2catch.mdp.snapshot import History
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
-from pixel2catch.methods import METHODS
+from pixel2catch.methods import METHODS, find_method
 from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.objects import OBJECTS
 
@@ -224,21 +225,21 @@ def test_a_tracker_is_as_late_as_the_box_and_the_first_position_stays():
     assert (path[-1] - first).norm(dim=-1).min() > 1.0
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", [*METHODS, "catch+fit", "single_agent+boxes", "without_pf+age"])
 def test_recorded_measurements_give_the_observations_again(name):
     """What a deployment needs: measurements of the robot alone determine what the policy sees."""
-    method = METHODS[name]
+    method = find_method(name)
     env = CatchEnv(replace(CatchEnvCfg(), episode=EpisodeCfg(max_steps=7)), method, num_envs=2, seed=5)
     columns, history = pixel_columns(method.pixel_features), None
     for step in rollout(env, 21, action=0.2):
-        now = type(step.measurement)(**{key: value.clone() for key, value in vars(step.measurement).items()})
+        now = clone(step.measurement)
         if step.terminated.all():
             history = History(now, now, now)
         elif history is not None:
             history = History(history.before, history.now, now)
         if history is not None:
             for agent in method.agents:
-                again = observe(agent.observation, agent.joints, columns, history)
+                again = observe(agent.observation, agent.memory, agent.joints, columns, history)
                 assert torch.equal(again, step.observation.policy[agent.name])
     assert history is not None
 

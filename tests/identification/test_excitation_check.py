@@ -58,9 +58,9 @@ def test_the_start_pose_keeps_all_distances():
     assert all(each.is_kept for each in (table, arm, hand))
     assert np.isinf(table.distance)
     assert table.sentence() == "robot and table: never nearer than 100 mm"
-    # outer links of a finger are apart by the 38.4 mm of the link between them, less two radii of 12 mm
-    assert hand.distance == pytest.approx(0.0144, abs=1e-6)
-    assert {body.split("_", 1)[1] for body in hand.bodies} == {"link_1", "link_3"}
+    # the thumb's third link, 27.5 mm wide, stands beside the palm
+    assert hand.distance == pytest.approx(0.010725, abs=1e-6)
+    assert set(hand.bodies) == {"palm", "thumb_link_2"}
 
 
 def test_a_folded_arm_is_too_near_to_itself_and_to_the_table():

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.snapshot import Measurement, Privileged, Transition
 from pixel2catch.robot.constants import JOINTS
 
@@ -17,10 +18,17 @@ def numbers(num_envs: int, size: int, start: float) -> Tensor:
     return start + torch.arange(size, dtype=torch.float32) + 100.0 * torch.arange(num_envs)[:, None]
 
 
-def measurement(num_envs: int = 1, start: float = 0.0) -> Measurement:
+def boxes(num_envs: int, num_boxes: int, start: float) -> BoxHistory:
+    """Boxes that differ by 10 px and 2 control steps, and in every number; the newest is 1.5 steps old."""
+    box = torch.stack([numbers(num_envs, 4, start - 10.0 * i) for i in range(num_boxes)], dim=1)
+    age = 1.5 + 2.0 * torch.arange(num_boxes, dtype=torch.float32) + 0.25 * torch.arange(num_envs)[:, None]
+    return BoxHistory(box=box, age=age)
+
+
+def measurement(num_envs: int = 1, start: float = 0.0, num_boxes: int = 1) -> Measurement:
     """A measurement in which every number is another one; `start` marks the control step."""
     return Measurement(
-        box=numbers(num_envs, 4, start + 1000.0),
+        boxes=boxes(num_envs, num_boxes, start + 1000.0),
         object_pos=numbers(num_envs, 3, start**2 + 1100.0),
         initial_object_pos=numbers(num_envs, 3, start + 1200.0),
         joint_pos=numbers(num_envs, NUM_JOINTS, start + 2000.0),
@@ -41,6 +49,8 @@ def privileged(**values: Tensor) -> Privileged:
         "object_lin_vel": torch.zeros(num_envs, 3),
         "is_touching": torch.zeros(num_envs, 5, dtype=torch.bool),
         "is_robot_on_table": torch.zeros(num_envs, dtype=torch.bool),
+        "is_self_contact": torch.zeros(num_envs, dtype=torch.bool),
+        "joint_vel": torch.zeros(num_envs, NUM_JOINTS),
     }
     return Privileged(**fields | values)
 

@@ -12,9 +12,10 @@ from snapshots import NUM_JOINTS, measurement, privileged, tensors
 from pixel2catch.agents import ARM, HAND, AgentSpec
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features, select_features
 from pixel2catch.mdp import observations
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.observations import Frame, observe, pixel_columns, privileged_state
 from pixel2catch.mdp.snapshot import History
-from pixel2catch.methods import METHODS, Method
+from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
 from pixel2catch.robot.constants import RGB_CAMERA
 
 PROPOSED = METHODS["proposed"]
@@ -26,6 +27,8 @@ SIZES = {
     "object_position": {"arm": 50, "hand": 78},
     "proposed": {"arm": 50, "hand": 78},
     "shared_reward": {"arm": 50, "hand": 78},
+    "catch": {"arm": 50, "hand": 78},
+    "catch_alone": {"robot": 2 * (6 + 7 + 19 + 19)},
     "journal": {"arm": 2 * (25 + 3 + 6), "hand": 2 * (39 + 3 + 13)},
     "only_wh": {"arm": 46, "hand": 74},
     "only_center": {"arm": 46, "hand": 74},
@@ -34,7 +37,15 @@ SIZES = {
 
 
 def observation(agent: AgentSpec, method: Method, history: History = HISTORY) -> torch.Tensor:
-    return observe(agent.observation, agent.joints, pixel_columns(method.pixel_features), history)
+    columns = pixel_columns(method.pixel_features)
+    return observe(agent.observation, agent.memory, agent.joints, columns, history)
+
+
+def seeing(box: list[list[float]], age: list[float]) -> Frame:
+    """A frame of a robot that remembers these boxes, newest first."""
+    boxes = BoxHistory(box=torch.tensor([box]), age=torch.tensor([age]))
+    now = dataclasses.replace(measurement(), boxes=boxes)
+    return Frame(before=measurement(), now=now, joints=ARM.joints, pixel_columns=())
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
@@ -56,12 +67,9 @@ def test_layout(agent: AgentSpec):
 
 def test_pixel_features_by_hand():
     """Centre (320, 120) of 640 x 480 after (310, 115); size (32, 24) after (20, 30)."""
-    first = measurement()
-    before = torch.tensor([[300.0, 100.0, 320.0, 130.0]])
-    now = torch.tensor([[304.0, 108.0, 336.0, 132.0]])
     frame = Frame(
-        before=type(first)(**{**vars(first), "box": before}),
-        now=type(first)(**{**vars(first), "box": now}),
+        before=seeing([[300.0, 100.0, 320.0, 130.0]], [1.0]).now,
+        now=seeing([[304.0, 108.0, 336.0, 132.0]], [1.0]).now,
         joints=ARM.joints,
         pixel_columns=pixel_columns(PROPOSED.pixel_features),
     )
@@ -102,7 +110,8 @@ def test_the_oracle_sees_position_and_change_in_place_of_pixels():
 
 def test_without_pixel_features_the_object_is_seen_at_the_beginning_only():
     method = METHODS["without_pf"]
-    later = dataclasses.replace(NOW, box=NOW.box + 50.0, object_pos=NOW.object_pos + 1.0)
+    boxes = dataclasses.replace(NOW.boxes, box=NOW.boxes.box + 50.0, age=NOW.boxes.age + 1.0)
+    later = dataclasses.replace(NOW, boxes=boxes, object_pos=NOW.object_pos + 1.0)
     for agent in method.agents:
         seen = observation(agent, method)
         assert torch.equal(seen, observation(agent, method, History(OLDEST, BEFORE, later)))
@@ -134,6 +143,68 @@ def test_agents_share_pixels_and_palm_but_no_joints():
     both = torch.cat((arm[:, 13:19], hand[:, 13:26]), dim=-1)
     assert torch.equal(both, NOW.joint_pos)
     assert both.shape[1] == NUM_JOINTS
+
+
+def test_age_is_that_of_the_newest_box():
+    frame = seeing([[0.0] * 4, [1.0] * 4], [2.5, 4.0])
+    assert observations.box_age(frame).tolist() == [[2.5]]
+
+
+def test_box_track_by_hand():
+    """Centre (320, 240) after (310, 244), size (20, 30) after (16, 32), 2 steps apart; as still before.
+
+    In a step the centre moved by (5, -2) px, the size grew by (2, -1).
+    """
+    newest, older = [310.0, 225.0, 330.0, 255.0], [302.0, 228.0, 318.0, 260.0]
+    track = observations.box_track(seeing([newest, older, older], [1.5, 3.5, 4.0]))
+    now, speeds, ages = [3.2, 2.4, 0.2, 0.3], [5.0, -2.0, 2.0, -1.0, 0.0, 0.0, 0.0, 0.0], [1.5, 3.5, 4.0]
+    torch.testing.assert_close(track, torch.tensor([now + speeds + ages]))
+
+
+def test_boxes_with_nearly_the_same_stamp_have_no_speed_without_bounds():
+    """Half a control step is the least that they are taken to be apart."""
+    track = observations.box_track(seeing([[12.0, 0.0, 12.0, 0.0], [10.0, 0.0, 10.0, 0.0]], [1.0, 1.1]))
+    assert track[0, 4].item() == pytest.approx(2.0 / 0.5)
+
+
+@pytest.mark.parametrize("memory", MEMORIES)
+@pytest.mark.parametrize("name", ["catch", "single_agent", "without_pf"])
+def test_a_memory_comes_after_the_frames(name: str, memory: str):
+    """And is of the newest measurement alone."""
+    plain, method = METHODS[name], remembering(METHODS[name], memory)
+    history = History(*(measurement(2, start, method.num_boxes) for start in (0.0, 0.25, 0.75)))
+    for agent, forgetful in zip(method.agents, plain.agents, strict=True):
+        columns = pixel_columns(method.pixel_features)
+        frame = Frame(before=history.before, now=history.now, joints=agent.joints, pixel_columns=columns)
+        remembered = [term(frame) for term in agent.memory]
+        expected = torch.cat((observation(forgetful, plain, history), *remembered), dim=-1)
+        assert torch.equal(observation(agent, method, history), expected)
+        other = History(measurement(2, 7.0, method.num_boxes), history.before, history.now)
+        size = sum(value.shape[1] for value in remembered)
+        assert torch.equal(observation(agent, method, other)[:, -size:], expected[:, -size:])
+
+
+def test_sizes_of_memories():
+    """One age; of eight boxes 4 numbers of the newest, 7 x 4 speeds, 8 ages."""
+    for memory, size in (("age", 1), ("boxes", 4 + 28 + 8)):
+        method = find_method(f"catch+{memory}")
+        history = History(*(measurement(1, start, method.num_boxes) for start in (0.0, 0.25, 0.75)))
+        sizes = {agent.name: observation(agent, method, history).shape[1] for agent in method.agents}
+        assert sizes == {"arm": 50 + size, "hand": 78 + size}
+
+
+@pytest.mark.parametrize("name", ["only_wh", "only_center"])
+def test_a_fit_tells_no_more_than_a_method_sees(name: str):
+    """Of boxes that differ in what it does not see, in their centres or in their sizes, it sees the same."""
+    method, generator = find_method(f"{name}+fit"), torch.Generator().manual_seed(0)
+    center, size = 100.0 + 200.0 * torch.rand(2, method.num_boxes, 2, generator=generator)
+    other = (center.flip(0), size) if name == "only_wh" else (center, size.flip(0))
+    ages, fits = [1.5 + number for number in range(method.num_boxes)], []
+    for middle, extent in ((center, size), other):
+        seen = seeing(torch.cat((middle - extent / 2, middle + extent / 2), dim=-1).tolist(), ages)
+        frame = dataclasses.replace(seen, pixel_columns=pixel_columns(method.pixel_features))
+        fits.append(torch.cat([term(frame) for term in method.agents[0].memory], dim=-1))
+    torch.testing.assert_close(*fits, atol=1e-4, rtol=1e-4)
 
 
 def test_columns_follow_the_names():

@@ -12,7 +12,7 @@ from pixel2catch.mdp.randomization import (
     GainRanges,
     RandomizationCfg,
     by_joint,
-    sample_command_delay,
+    sample_delay,
     sample_parameters,
 )
 from pixel2catch.mdp.sensing import SensingCfg
@@ -49,6 +49,8 @@ def test_numbers_of_table_1():
         "restitution": (0.0, 0.5),
         "friction": (0.5, 1.5),
         "command_delay": (0, 0),
+        "command_delay_grid": 1.0,
+        "air_density": 0.0,
     }
 
 
@@ -135,11 +137,47 @@ def test_latency_takes_every_value_of_its_range(steps):
     assert set(latency.tolist()) == set(range(steps[0], steps[1] + 1))
 
 
-@pytest.mark.parametrize("steps", [(0, 0), (2, 2), (0, 3)])
-def test_command_delay_takes_every_value_of_its_range(steps):
-    generator = torch.Generator().manual_seed(0)
-    delay = sample_command_delay(RandomizationCfg(command_delay=steps), 400, generator)
-    assert set(delay.tolist()) == set(range(steps[0], steps[1] + 1))
+def delays(limits: tuple[float, float], grid: float, num_envs: int = 3000) -> torch.Tensor:
+    return sample_delay(limits, grid, num_envs, torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(
+    ("limits", "grid", "expected"),
+    [
+        ((0, 0), 1.0, [0.0]),
+        ((2, 2), 1.0, [2.0]),
+        ((0, 3), 1.0, [0.0, 1.0, 2.0, 3.0]),
+        ((1.5, 2.5), 1.0, [1.5, 2.5]),
+        ((0.5, 1.5), 0.25, [0.5, 0.75, 1.0, 1.25, 1.5]),
+        ((1.0, 1.7), 0.3, [1.0, 1.3, 1.6]),
+        ((1.25, 1.25), 0.0, [1.25]),
+    ],
+)
+def test_delays_take_every_value_of_their_grid_as_often(limits, grid, expected):
+    values, counts = delays(limits, grid).unique(return_counts=True)
+    torch.testing.assert_close(values, torch.tensor(expected))
+    share = 1.0 / len(expected)
+    error = (3000 * share * (1.0 - share)) ** 0.5  # of a count
+    assert (counts - 3000 * share).abs().max() <= 4.0 * error
+
+
+def test_without_a_grid_any_delay_is_drawn():
+    drawn = delays((0.5, 2.5), 0.0)
+    assert 0.5 <= drawn.min() < 0.51
+    assert 2.49 < drawn.max() <= 2.5
+    assert drawn.mean().item() == pytest.approx(1.5, abs=4 * 2.0 / 12**0.5 / 3000**0.5)
+    assert len(drawn.unique()) > 2900
+
+
+@pytest.mark.parametrize(("steps", "grid"), [((0, 0), 1.0), ((2, 2), 1.0), ((1, 5), 1.0), ((0.6, 4.3), 0.0)])
+def test_a_seed_draws_the_same_at_every_latency(steps, grid):
+    """What is drawn after it, too, such as throws: levels of latency are compared on the same ones."""
+    generators = [torch.Generator().manual_seed(0) for _ in range(2)]
+    changed = SensingCfg(latency_steps=steps, latency_grid=grid)
+    for sensing, generator in zip((SensingCfg(), changed), generators, strict=True):
+        sample_parameters(RandomizationCfg(), sensing, OBJECT_IDS, 40, generator)
+    first, second = (torch.rand(3, generator=generator) for generator in generators)
+    assert torch.equal(first, second)
 
 
 def test_randomization_can_be_switched_off():

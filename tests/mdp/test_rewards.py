@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from snapshots import NUM_JOINTS, privileged, transition
 from torch import Tensor
 
-from pixel2catch.agents import ARM, HAND, AgentSpec
+from pixel2catch.agents import ARM, HAND, RESTING_ARM, RESTING_HAND, AgentSpec
 from pixel2catch.mdp import rewards
 from pixel2catch.mdp.rewards import RewardTerm, term_values
 from pixel2catch.mdp.snapshot import Transition
@@ -88,6 +88,21 @@ def test_grasp_takes_two_touching_parts():
     assert rewards.grasp(transition(now=now), ANY).tolist() == [1.0, 0.0, 0.0]
 
 
+def test_unrest_by_hand():
+    """Speeds 1, -2 and 0.5 rad/s of three joints: 1 + 4 + 0.25, once the object was held for six steps."""
+    speed = torch.zeros(4, NUM_JOINTS)
+    speed[:, :3] = torch.tensor([1.0, -2.0, 0.5])
+    speed[:, 10] = 3.0
+    step = transition(now=privileged(joint_vel=speed), held_steps=(0, 5, 6, 25))
+    assert rewards.unrest(step, slice(0, 6)).tolist() == [0.0, 0.0, 5.25, 5.25]
+    assert rewards.unrest(step, slice(6, 19)).tolist() == [0.0, 0.0, 9.0, 9.0]
+
+
+def test_self_contact():
+    now = privileged(is_self_contact=torch.tensor([True, False]))
+    assert rewards.self_contact(transition(now=now), ANY).tolist() == [1.0, 0.0]
+
+
 def eventful_step() -> Transition:
     """A hold completes while the object is low; the palm gains 0.5 m, each fingertip 1 m."""
     origin, low = at((0.0, 0.0, 0.0)), at((1.0, 0.0, 0.4))
@@ -137,6 +152,8 @@ def test_the_single_and_the_sharing_agents_get_the_sum_of_both(seed, held_steps)
             object_pos=torch.randn(3, 3, generator=generator),
             fingertip_pos=torch.randn(3, 4, 3, generator=generator),
             is_robot_on_table=torch.rand(3, generator=generator) < 0.5,
+            is_self_contact=torch.rand(3, generator=generator) < 0.5,
+            joint_vel=torch.randn(3, NUM_JOINTS, generator=generator),
         )
         for _ in range(2)
     ]
@@ -144,6 +161,9 @@ def test_the_single_and_the_sharing_agents_get_the_sum_of_both(seed, held_steps)
     step = transition(*snapshots, action=action, held_steps=(held_steps,) * 3)
     total = reward(ARM, step) + reward(HAND, step)
     for agent in (ARM + HAND, *METHODS["shared_reward"].agents):
+        torch.testing.assert_close(reward(agent, step), total)
+    total = reward(RESTING_ARM, step) + reward(RESTING_HAND, step)
+    for agent in (*METHODS["catch"].agents, *METHODS["catch_alone"].agents):
         torch.testing.assert_close(reward(agent, step), total)
 
 
@@ -155,6 +175,34 @@ def test_approaches_of_a_path_sum_to_its_ends(coordinates):
     total = sum(rewards.palm_approach(step, ANY) for step in steps)
     ends = rewards.palm_approach(transition(path[0], path[-1]), ANY)
     torch.testing.assert_close(total, ends, atol=1e-5, rtol=0)
+
+
+def test_resting_agents_pay_for_moving_what_they_hold_and_for_touching_themselves():
+    """The arm 0.01 times its squared speeds, 6 x 0.5², the hand 0.02 in contact, however its fingers move."""
+    speed = torch.cat((torch.full((1, 6), 0.5), torch.full((1, 13), -0.2)), dim=-1)
+    now = privileged(joint_vel=speed, is_self_contact=torch.tensor([True]))
+    held, free = transition(now=now, held_steps=(6,)), transition(now=now, held_steps=(5,))
+    for resting, plain, paid, unheld in (
+        (RESTING_ARM, ARM, -0.015, 0.0),
+        (RESTING_HAND, HAND, -0.02, -0.02),
+        (RESTING_ARM + RESTING_HAND, ARM + HAND, -0.035, -0.02),
+    ):
+        for step, expected in ((held, paid), (free, unheld)):
+            difference = reward(resting, step) - reward(plain, step)
+            assert difference.item() == pytest.approx(expected, abs=1e-5)
+    quiet = transition(now=privileged(), held_steps=(6,))
+    assert torch.equal(reward(RESTING_HAND, quiet), reward(HAND, quiet))
+
+
+def test_agents_of_catch_share_all_terms():
+    """Those of the paper and the grasp, and those of rest."""
+    arm, hand = [*ARM.reward_names, "arm.unrest"], [*HAND.reward_names, "hand.self_contact"]
+    names = {agent.name: list(agent.reward_names) for agent in METHODS["catch"].agents}
+    assert names == {"arm": arm + hand, "hand": hand + arm}
+    (alone,) = METHODS["catch_alone"].agents
+    assert list(alone.reward_names) == arm + hand
+    assert alone.name == "robot"
+    assert alone.joints == slice(0, NUM_JOINTS)
 
 
 def test_terms_are_weighted_columns_in_order():

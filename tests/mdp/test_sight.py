@@ -7,8 +7,8 @@ import torch
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import nominal_projection
-from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.sight import Sight, sample_sight, scaled_box, tracked_position
+from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
+from pixel2catch.mdp.sight import Sight, is_sight_exact, sample_sight, scaled_box, tracked_position
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 
@@ -25,18 +25,40 @@ MEASURED = replace(
 def draw(cfg: SensingCfg, num_envs: int = NUM_ENVS) -> tuple[Sight, Throw]:
     generator = torch.Generator().manual_seed(0)
     throw = sample_throws(ThrowCfg(), num_envs, generator)
-    sight = sample_sight(cfg, throw, generator)
-    assert sight is not None
-    return sight, throw
+    return sample_sight(cfg, throw, generator), throw
 
 
-def test_nothing_is_drawn_where_nothing_is_wrong():
-    generator = torch.Generator().manual_seed(0)
-    throw = sample_throws(ThrowCfg(), 3, generator)
-    before = generator.get_state()
-    for cfg in (SensingCfg(), SensingCfg(camera=ELSEWHERE)):
-        assert sample_sight(cfg, throw, generator) is None
-    assert torch.equal(generator.get_state(), before)
+def test_a_sight_is_exact_where_nothing_is_wrong():
+    assert is_sight_exact(SensingCfg())
+    assert is_sight_exact(SensingCfg(camera=ELSEWHERE, corner_noise=9.0, edge_noise=2.0, box_scale=1.2))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *({name: 0.01} for name in ("camera_offset", "camera_turn", "focal_error", "box_bias", "drop_rate")),
+        *({name: (0.0, 0.01)} for name in ("camera_turn", "clock_error", "blackout_steps")),
+        *({name: 0.01} for name in ("blackout_steps", "clock_error", "stamp_jitter", "unstamped")),
+        {"camera": MEASURED},
+        {"camera": replace(ELSEWHERE, focal_std=0.01)},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_a_sight_with_any_error_is_not_exact(changes):
+    assert not is_sight_exact(SensingCfg(**changes))
+
+
+def test_without_errors_the_sight_is_that_of_the_camera():
+    """As in those episodes of a task in which nothing is wrong, beside others."""
+    sight, _ = draw(SensingCfg(camera=ELSEWHERE), num_envs=3)
+    nominal = nominal_projection(ELSEWHERE.camera, torch.zeros(1))
+    torch.testing.assert_close(sight.camera.center, nominal.center.expand(3, 3))
+    torch.testing.assert_close(sight.camera.matrix, nominal.matrix.expand(3, 3, 3))
+    for value in (sight.box_bias, sight.drop_rate, sight.blackout_steps, sight.clock_error):
+        assert not value.any()
+    assert sight.is_stamped.all()
+    assert not any(sight.is_dark(torch.full((3,), step)).any() for step in range(90))
+    assert not sight.age_error(torch.ones(3), torch.Generator().manual_seed(0)).any()
 
 
 def test_a_calibrated_camera_is_drawn_as_well_as_it_is_known():
@@ -98,7 +120,7 @@ def test_a_bias_has_its_length_in_every_direction_of_the_image():
 
 def test_a_blackout_is_once_in_the_flight():
     sight, throw = draw(SensingCfg(blackout_steps=6))
-    is_dark = torch.stack([sight.is_dark(torch.full((NUM_ENVS,), step), 6) for step in range(90)])
+    is_dark = torch.stack([sight.is_dark(torch.full((NUM_ENVS,), step)) for step in range(90)])
     assert (is_dark.sum(dim=0) == 6).all()
     first = is_dark.int().argmax(dim=0)
     assert (first >= throw.hover_steps).all()
@@ -106,6 +128,63 @@ def test_a_blackout_is_once_in_the_flight():
     assert (first + 6 <= last_of_flight + 0.5).all()
     share = (first - throw.hover_steps) / (throw.flight_time() / CONTROL_DT - 6.0)
     assert share.mean() == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "limits"),
+    [("drop_rate", (0.1, 0.3)), ("camera_offset", (0.01, 0.03)), ("box_bias", (2.0, 6.0))],
+)
+def test_an_amount_may_be_each_episodes_own(name, limits):
+    sight, _ = draw(SensingCfg(**{name: limits}))
+    offset = sight.camera.center - torch.tensor(RGB_CAMERA.pos)
+    sizes = {"drop_rate": sight.drop_rate, "camera_offset": offset.norm(dim=-1)}
+    drawn = sizes.get(name, sight.box_bias.norm(dim=-1))
+    low, high = limits
+    slack = 1e-3 * high
+    assert low - slack <= drawn.min() < low + 0.01 * (high - low) + slack
+    assert high - 0.01 * (high - low) - slack < drawn.max() <= high + slack
+    assert drawn.mean().item() == pytest.approx(
+        (low + high) / 2, abs=4 * (high - low) / 12**0.5 / NUM_ENVS**0.5
+    )
+
+
+def test_blackouts_of_any_length_are_of_whole_steps():
+    """From 0 to 2 steps: 1 is twice as likely as either end."""
+    sight, _ = draw(SensingCfg(blackout_steps=(0.0, 2.0)))
+    steps, counts = sight.blackout_steps.unique(return_counts=True)
+    assert steps.tolist() == [0, 1, 2]
+    error = (NUM_ENVS * 0.25) ** 0.5
+    assert (counts - NUM_ENVS * torch.tensor([0.25, 0.5, 0.25])).abs().max() < 4 * error
+
+
+def test_a_clock_is_wrong_by_as_much_either_way_in_every_image_of_an_episode():
+    """20 ms are 0.6 control steps."""
+    sight, _ = draw(SensingCfg(clock_error=0.02))
+    torch.testing.assert_close(sight.clock_error.abs(), torch.full((NUM_ENVS,), 0.02 / CONTROL_DT))
+    assert (sight.clock_error > 0).float().mean() == pytest.approx(0.5, abs=4 * 0.5 / NUM_ENVS**0.5)
+    generator = torch.Generator().manual_seed(0)
+    for latency in (torch.zeros(NUM_ENVS), torch.full((NUM_ENVS,), 3.5)):
+        assert torch.equal(sight.age_error(latency, generator), sight.clock_error)
+
+
+def test_the_jitter_of_stamps_is_new_in_every_image():
+    sight, _ = draw(SensingCfg(stamp_jitter=0.004))
+    generator, latency = torch.Generator().manual_seed(0), torch.ones(NUM_ENVS)
+    errors = torch.stack([sight.age_error(latency, generator) for _ in range(3)])
+    expected = torch.full((3,), 0.004 / CONTROL_DT)
+    torch.testing.assert_close(errors.std(dim=1), expected, rtol=4 / (2 * NUM_ENVS) ** 0.5, atol=0)
+    assert torch.corrcoef(errors).sub(torch.eye(3)).abs().max() < 4 / NUM_ENVS**0.5
+
+
+def test_images_without_stamps_are_taken_for_as_old_as_in_training():
+    """Whatever their latency, and however wrong a clock is that stamps nothing."""
+    sight, _ = draw(SensingCfg(unstamped=0.3, clock_error=0.02, stamp_jitter=0.004))
+    latency = torch.linspace(0.0, 4.0, NUM_ENVS)
+    age = latency + sight.age_error(latency, torch.Generator().manual_seed(0))
+    missing = ~sight.is_stamped
+    assert missing.float().mean() == pytest.approx(0.3, abs=4 * (0.3 * 0.7 / NUM_ENVS) ** 0.5)
+    torch.testing.assert_close(age[missing], torch.full_like(age[missing], ASSUMED_AGE))
+    assert (age[~missing] - latency[~missing]).abs().min() > 0.05
 
 
 def test_a_box_is_scaled_about_its_centre():

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pixel2catch.mdp.throws import Throw, ThrowCfg, launch_velocity, sample_throws, uniform
+from pixel2catch.mdp.throws import Throw, ThrowCfg, drawn, launch_velocity, sample_throws, uniform
 from pixel2catch.robot.constants import GRAVITY
 
 CFG = ThrowCfg()
@@ -140,6 +140,25 @@ def test_errors_of_the_thrower_have_their_deviations_and_leave_the_rest():
     torch.testing.assert_close(error.std(dim=0), torch.tensor([0.02, 0.03, 0.03]), rtol=0.08, atol=0)
     assert error.mean(dim=0).abs().max() < 0.003
     assert torch.corrcoef(error.T).sub(torch.eye(3)).abs().max() < 0.08
+
+
+def test_a_throwers_deviation_may_be_each_episodes_own():
+    """Uniform from 0 to s, the relative errors of all throws have the deviation s / √3."""
+    meant = throws(num_envs=20_000).lin_vel.norm(dim=-1)
+    thrown = throws(dataclasses.replace(CFG, speed_deviation=(0.0, 0.06)), num_envs=20_000)
+    error = thrown.lin_vel.norm(dim=-1) / meant - 1.0
+    assert error.std().item() == pytest.approx(0.06 / 3**0.5, rel=0.04)
+
+
+def test_amounts_are_numbers_or_ranges():
+    generator = torch.Generator().manual_seed(0)
+    before = generator.get_state()
+    assert drawn(0.25, 3, generator).tolist() == [0.25] * 3
+    assert torch.equal(generator.get_state(), before), "a number draws nothing"
+    values = drawn((2.0, 4.0), 2000, generator)
+    assert 2.0 <= values.min() < 2.02
+    assert 3.98 < values.max() <= 4.0
+    assert drawn((1.5, 1.5), 2, generator).tolist() == [1.5] * 2
 
 
 def test_spin_is_uniform_in_size_and_has_no_preferred_axis():

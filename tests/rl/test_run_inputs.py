@@ -66,3 +66,11 @@ def test_a_file_of_that_name_is_not_overwritten(name: str, tmp_path: Path) -> No
     with pytest.raises(CheckpointError, match="name another folder"):
         train(given(name, written(tmp_path / "measured.json")), ReachingEnv, CONTRACT, tmp_path)
     assert mine.read_text() == "mine"
+
+
+def test_resuming_needs_the_same_task(tmp_path: Path) -> None:
+    wide = dataclasses.replace(CONTRACT, task="wide")
+    train(SHORT, ReachingEnv, wide, tmp_path)
+    with pytest.raises(CheckpointError, match="for the task 'wide'; train with --task wide"):
+        train(SHORT, ReachingEnv, CONTRACT, tmp_path, resume=True)
+    assert train(SHORT, ReachingEnv, wide, tmp_path, resume=True).transitions == 1024

@@ -208,7 +208,7 @@ def test_restitution_sets_the_rebound(simulation):
 
 def test_gains_set_the_speed_of_a_joint(simulation):
     """A heavily damped servo moves at k / d times the distance of its command."""
-    stiffness, damping, distance, joint = 2066.0, 202.0, 0.02, 5
+    stiffness, damping, distance, joint = 2066.0, 202.0, 0.01, 5
     scale = torch.tensor([[0.8, 1.0], [1.2, 1.0], [1.0, 0.8], [1.0, 1.2]], dtype=torch.float64)
     simulation.expand("actuator_gainprm")[:, joint, 0] = (stiffness * scale[:, 0]).to(simulation.dtype)
     simulation.expand("actuator_biasprm")[:, joint, 1] = (-stiffness * scale[:, 0]).to(simulation.dtype)

@@ -5,15 +5,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 from pixel2catch.cli.main import main
+from pixel2catch.deployment import messages
+from pixel2catch.deployment.pace import SHIFT
+from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.deployment.stepwise import StepClock
+from pixel2catch.deployment.tape import ORDERS
 from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.methods import find_method
+from pixel2catch.perception.rosbag_images import opened_bag
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.twin.camera import LATENCY
 from pixel2catch.twin.drivers import CYCLE
-from pixel2catch.twin.lockstep import HOP
-from pixel2catch.twin.stepping import PERCEPTION_TIME, SteppingCfg, rehearse_in_step
+from pixel2catch.twin.lockstep import HOP, PERCEPTION_TIME
+from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
 
 POLICY, _ = load_policy(None)
 ONE = SteppingCfg(task=task_of(POLICY, physics_hz=120.0), throws=1, seed=3, is_plain=True)
@@ -76,6 +86,71 @@ def test_perception_takes_the_time_that_is_said(report: dict[str, Any]):
     told = LATENCY + PERCEPTION_TIME + 2 * HOP
     assert 1e3 * told <= times["p50"] <= times["max"] <= 1e3 * (told + 3 * CYCLE)
     assert report["deploy"]["thinking_ms"]["p50"] == pytest.approx(1e3 * PERCEPTION_TIME)
+
+
+def knowing_ages(policy: Policy) -> Policy:
+    """The same policy of a method that knows how old its boxes are, which makes nothing of it."""
+    contract = policy.contract
+    aware = Policy(contract_of(find_method(f"{contract.method}+age"), contract.handedness)).eval()
+    for name in contract.agents:
+        state = aware.network(name).state_dict()
+        for key, value in policy.network(name).state_dict().items():
+            state[key] = torch.zeros_like(state[key]) + ("std" in key)
+            state[key][..., : value.shape[-1]] = value
+        aware.network(name).load_state_dict(state)
+    return aware
+
+
+SLOW = replace(ONE, throws=2, perception_time=0.06, perception_jitter=0.01, clock_error=0.005)
+
+
+def decisions(tape: Path) -> np.ndarray:
+    """When each decision was made, and the stamp of the newest image then [s]."""
+    rows: list[tuple[float, float]] = []
+    with opened_bag(tape) as reader:
+        wanted = [each for each in reader.connections if each.topic == ORDERS.name]
+        for _, _, data in reader.messages(wanted):
+            orders = Orders.of(messages.read_float_array(data))
+            rows.append((orders.target_stamp, orders.image_stamp))
+    return np.array(rows)
+
+
+def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_path: Path):
+    """And the robot does not stop, as images come in time."""
+    tape = tmp_path / "tape"
+    report = rehearse_in_step(replace(SLOW, record=tape), knowing_ages(POLICY), lambda _: None)
+    assert [(throw["stops"], throw["problem"]) for throw in report["throws"]] == [([], "")] * 2
+    made, newest = decisions(tape).T
+    gaps = np.diff(made)
+    gaps = gaps[gaps < 0.1]  # between two throws nothing is decided
+    assert len(gaps) > 100
+    assert gaps.mean() == pytest.approx(CONTROL_DT, rel=0.01)
+    assert np.abs(gaps - CONTROL_DT).max() <= CYCLE + SHIFT + 1e-6
+    assert (made - newest).max() < LATENCY + CONTROL_DT + 0.005 + 2 * CYCLE
+    deploy = report["deploy"]
+    assert deploy["num_missed"] / deploy["num_steps"] == pytest.approx(0.5, abs=0.1)
+    assert deploy["stops"] == {"stop request": 2}
+    told = 1e3 * (LATENCY + SLOW.clock_error + SLOW.perception_time)
+    times = deploy["image_to_command_ms"]
+    assert told <= times["p50"] <= times["p95"] <= told + 10.0 + 3e3 * CONTROL_DT
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.06, 0.1])
+def test_a_rehearsal_with_slow_perception_can_be_repeated(seconds: float):
+    cfg = replace(SLOW, perception_time=seconds)
+    reports = [rehearse_in_step(cfg, knowing_ages(POLICY), lambda _: None) for _ in range(2)]
+    for report in reports:
+        assert report["stops"] == {}
+        report["deploy"].pop("servo_tick_ms")  # in real time
+    assert reports[0] == reports[1]
+
+
+@pytest.mark.slow
+def test_a_policy_that_knows_ages_catches_as_often_where_it_makes_nothing_of_them():
+    """At 10 ms boxes are as old as the younger ones of its training, in every step."""
+    report = rehearse_in_step(replace(ONE, throws=10, seed=0), knowing_ages(POLICY), lambda _: None)
+    assert report["success_rate"] >= 0.7
 
 
 def test_what_was_recorded_is_decided_once_more(out: Path, capsys: pytest.CaptureFixture[str]):

@@ -41,6 +41,9 @@ def test_a_throw_is_rehearsed_and_reported(
         (["--plain"], "--lockstep: add it"),
         (["--lockstep", "--clock", "0.5"], "--clock is for real time"),
         (["--lockstep", "--perception-ms", "-1"], "perception_ms is -1"),
+        (["--lockstep", "--perception-jitter-ms", "nan"], "perception_jitter_ms is nan"),
+        (["--perception-jitter-ms", "5"], "go with --lockstep: add it"),
+        (["--clock-error-ms", "-5"], "go with --lockstep: add it"),
     ],
 )
 def test_nonsense_is_refused_before_anything_starts(

@@ -44,6 +44,15 @@ def test_an_image_comes_when_it_is_due_and_not_before():
     assert (camera.num_images, camera.num_late, camera.num_lost) == (1, 0, 0)
 
 
+def test_a_clock_that_is_late_makes_images_older_and_no_later():
+    drawing = SlowDrawing()
+    camera = Camera(drawing, latency=0.015, clock_error=0.02)
+    camera.expose(exposure(0.1))
+    drawing.finish(0)
+    assert developed(camera, 0.114) == []
+    assert developed(camera, 0.116) == [(pytest.approx(0.08), 0)]
+
+
 def test_a_late_image_keeps_its_time_and_is_counted():
     drawing = SlowDrawing()
     camera = Camera(drawing, latency=0.015)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pixel2catch.deployment.clock import Clock
     from pixel2catch.deployment.deploying import Deployment
     from pixel2catch.deployment.profile import Profile
-    from pixel2catch.perception.segmenter import Segmenter
     from pixel2catch.robot.constants import CameraSpec
 
 
@@ -57,36 +56,29 @@ class Deploy:
             from pixel2catch.deployment.deploying import Deployment
             from pixel2catch.deployment.eyes import Eyes
             from pixel2catch.deployment.priority import BRAIN, set_niceness
+            from pixel2catch.deployment.worker import ThreadWorker
         set_niceness(BRAIN)
         self.sight.prepare()
         notes: list[str] = []
         camera, profile = self.sight.camera_spec(notes), self.link.load()
-        brain = self._brain(profile, camera)
+        brain = self.make_brain(profile, camera)
         for note in notes:
             say(note)
         with ExitStack() as stack:
+            worker = stack.enter_context(closing(ThreadWorker())) if brain.knows_age else None
             connection = self.link.connect(profile, self.record, self.record_images, stack)
-            eyes = Eyes(connection.transport, profile.camera, camera, connection.clock)
-            deployment = Deployment(brain, eyes, connection, profile.operator)
-            self._loop(deployment, connection.clock)
+            clock = connection.clock
+            eyes = Eyes(connection.transport, profile.camera, camera, clock, assumes_age=brain.knows_age)
+            deployment = Deployment(brain, eyes, connection, profile.operator, worker)
+            self._loop(deployment, clock)
         print(
             json.dumps({"summary": deployment.diary.summary()})
             if self.json
             else "\n".join(lines(deployment.diary.summary()))
         )
 
-    def _brain(self, profile: "Profile", camera: "CameraSpec") -> "Brain":
+    def make_brain(self, profile: "Profile", camera: "CameraSpec") -> "Brain":
         """Perception and policy, for this robot and camera."""
-        return self._brain_with(self.sight.make_segmenter(), profile, camera)
-
-    def slow_brain(self, profile: "Profile", camera: "CameraSpec", clock: "Clock", seconds: float) -> "Brain":
-        """Perception and policy; an image takes so many seconds of a clock."""
-        from pixel2catch.deployment.stepwise import SlowSegmenter
-
-        return self._brain_with(SlowSegmenter(self.sight.make_segmenter(), clock, seconds), profile, camera)
-
-    def _brain_with(self, segmenter: "Segmenter", profile: "Profile", camera: "CameraSpec") -> "Brain":
-        """Policy, and perception by a segmenter."""
         from pixel2catch.deployment.brain import make_brain
         from pixel2catch.deployment.controller import Controller
         from pixel2catch.evaluation.loading import load_policy
@@ -97,7 +89,7 @@ class Deploy:
         profile.require(policy.contract.commands)
         robot = RobotMask(camera, handedness=profile.handedness) if self.mask_robot else None
         prompter = self.sight.make_prompter(camera)
-        return make_brain(controller, segmenter, prompter, camera, robot)
+        return make_brain(controller, self.sight.make_segmenter(), prompter, camera, robot)
 
     def _loop(self, deployment: "Deployment", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""

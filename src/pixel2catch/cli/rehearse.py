@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,10 @@ class Rehearse:
         dynamics: Dynamics file of the robot that the twin is. Default: the nominal robot.
         domain: DDS domain (ROS_DOMAIN_ID), one that nobody else uses.
         lockstep: One process whose time goes on when it has nothing to do, instead of real time.
-        perception_ms: With --lockstep: time that perception takes for an image.
+        perception_ms: With --lockstep: least time that perception takes for an image.
+        perception_jitter_ms: With --lockstep: how much longer it may take, drawn for each image.
+        clock_error_ms: With --lockstep: how much older images are by their stamps than they are; negative:
+            younger.
         plain: With --lockstep: images that show nothing but the object's box; they need no OpenGL.
         record: New folder for a rosbag2 (MCAP) of all that `deploy` saw, decided and commanded.
         out: New or empty folder for report.json and what both processes print.
@@ -49,6 +53,8 @@ class Rehearse:
     domain: int = 77
     lockstep: bool = False
     perception_ms: float = 10.0
+    perception_jitter_ms: float = 0.0
+    clock_error_ms: float = 0.0
     plain: bool = False
     record: Path | None = None
     out: Path = Path("rehearsal")
@@ -87,8 +93,11 @@ class Rehearse:
         RealClock(self.clock)  # refuses what is no rate
         if self.throws < 1:
             raise InvalidValueError(f"throws is {self.throws}; it must be 1 or more")
-        if self.perception_ms < 0.0:
-            raise InvalidValueError(f"perception_ms is {self.perception_ms:g}; it must be 0 or more")
+        for name in ("perception_ms", "perception_jitter_ms"):
+            if not 0.0 <= (value := getattr(self, name)) < inf:
+                raise InvalidValueError(f"{name} is {value:g}; it must be a number, 0 or more")
+        if (self.perception_jitter_ms or self.clock_error_ms) and not self.lockstep:
+            raise InvalidValueError("--perception-jitter-ms and --clock-error-ms go with --lockstep: add it")
         if self.lockstep and self.clock != 1.0:
             raise InvalidValueError("--clock is for real time; leave it out, or --lockstep")
         if self.plain and not self.lockstep:
@@ -111,6 +120,8 @@ class Rehearse:
             throws=self.throws,
             seed=self.seed,
             perception_time=1e-3 * self.perception_ms,
+            perception_jitter=1e-3 * self.perception_jitter_ms,
+            clock_error=1e-3 * self.clock_error_ms,
             is_plain=self.plain,
             record=self.record,
         )
@@ -154,7 +165,10 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
     if "clock" in report:
         yield f"{report['num_throws']} throws in {report['seconds']:.0f} s at clock {report['clock']:g}"
     else:
-        yield f"{report['num_throws']} throws in lockstep, perception {1e3 * report['perception_time']:g} ms"
+        least, jitter = 1e3 * report["perception_time"], 1e3 * report["perception_jitter"]
+        times = f"{least:g} to {least + jitter:g}" if jitter else f"{least:g}"
+        error = f", clock error {1e3 * report['clock_error']:g} ms" if report["clock_error"] else ""
+        yield f"{report['num_throws']} throws in lockstep, perception {times} ms{error}"
     yield from (f"stopped by itself: {reason}: {count}" for reason, count in report["stops"].items())
     yield from lines(report["deploy"])
     yield "twin: " + ", ".join(f"{name} {value}" for name, value in report["twin"].items())

@@ -50,9 +50,14 @@ class Replay:
         notes: list[str] = []
         profile, camera = Profile.load(self.profile), self.sight.camera_spec(notes)
         deploy = Deploy(policy=self.policy, mask_robot=self.mask_robot, sight=self.sight)
-        cfg = ReplayCfg(tape=self.tape, out=self.out, profile=profile, camera=camera)
-        seconds = 1e-3 * self.perception_ms
-        diary = replay(cfg, lambda clock: deploy.slow_brain(profile, camera, clock, seconds))
+        cfg = ReplayCfg(
+            tape=self.tape,
+            out=self.out,
+            profile=profile,
+            camera=camera,
+            perception_time=1e-3 * self.perception_ms,
+        )
+        diary = replay(cfg, deploy.make_brain(profile, camera))
         report = {"deploy": diary.summary(), "decided": compare(decided(self.tape), decided(self.out))}
         print(json.dumps(report) if self.json else "\n".join([*notes, *_lines(report)]))
 

@@ -17,6 +17,8 @@ class Train:
     Attributes:
         method: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
             shared_reward or journal.
+        task: What it is trained for: nominal, the paper's task, or wide, with what laboratories do to it.
+            Default: nominal.
         preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
         device: Where to simulate and learn: cpu, cuda, cuda:1, ... Default: cuda where there is one.
         physics_hz: Physics steps in a second, multiples of 30; several: one after the other, in equal shares.
@@ -25,10 +27,13 @@ class Train:
         camera: Camera file of the camera that is simulated, as `calibrate` writes it; the run keeps a copy.
             Every episode draws pose and focal length within what the file leaves open. Its images must be
             rectified, and the policy is for this camera. Default: the release's camera, known exactly.
-        latency_steps: Control steps between image and delivered box: least and most. Default: 1 2, as the
-            release; a camera that may be later needs a policy that learnt so.
+        latency_steps: Control steps between image and delivered box in nominal episodes: least and most.
+            Default: 1 2, as the release.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
         resume: Go on from the last checkpoint in that folder.
+        start: Policy to go on from, or its training run; of the same method. Value networks begin anew, and
+            so does exploration: give an --initial-log-std of about -2. Default: untrained networks.
+        start_transitions: Transitions after such a start in which the value networks alone learn.
         seed: Seed of networks, exploration and environments.
         num_envs: Environments that are simulated side by side, in all processes of torchrun together.
         transitions: Length of the training: control steps, summed over the environments.
@@ -53,16 +58,19 @@ class Train:
     """
 
     method: Positional[str] = "proposed"
+    task: str | None = None
     preset: Literal["fast", "cpu", "paper"] | None = None
     device: str | None = None
     physics_hz: tuple[float, ...] | None = None
     dynamics: Path | None = None
     camera: Path | None = None
-    latency_steps: tuple[int, int] | None = None
+    latency_steps: tuple[float, float] | None = None
     out: Path | None = None
     resume: bool = False
     seed: int | None = None
     num_envs: int | None = None
+    start: Path | None = None
+    start_transitions: int | None = None
     transitions: int | None = None
     rollout_steps: int | None = None
     epochs: int | None = None
@@ -85,16 +93,18 @@ class Train:
 
     def run(self) -> None:
         """Train to the end."""
-        from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+        from pixel2catch.envs.catch_env import CatchEnv
+        from pixel2catch.envs.tasks import find_task
         from pixel2catch.methods import find_method
         from pixel2catch.policy import contract_of
         from pixel2catch.rl import train
 
         method, cfg = find_method(self.method), self.resolve()
-        task = CatchEnvCfg().with_files(cfg.dynamics, cfg.camera)
+        task = find_task(cfg.task).with_files(cfg.dynamics, cfg.camera)
         scenes = {rate: dataclasses.replace(task.scene, physics_hz=rate) for rate in cfg.physics_hz}
         sensing = dataclasses.replace(task.sensing, latency_steps=cfg.latency_steps)
         contract = contract_of(method, task.scene.handedness, sensing.camera.camera)
+        contract = dataclasses.replace(contract, task=cfg.task)
 
         def make_env(cfg: "TrainCfg") -> CatchEnv:
             stage = dataclasses.replace(task, scene=scenes[cfg.physics_hz[0]], sensing=sensing)

@@ -1,6 +1,7 @@
 """What happens in a control step between the newest image and the servo: perception, then the policy."""
 
 from collections import deque
+from math import inf
 
 import numpy as np
 import torch
@@ -10,8 +11,11 @@ from torch import Tensor
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.motion import Joints
 from pixel2catch.deployment.servo_link import Orders
+from pixel2catch.errors import DeploymentError
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
 from pixel2catch.perception.finder import CameraFrame
+from pixel2catch.perception.gate import Verdict
 from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
@@ -19,7 +23,7 @@ from pixel2catch.perception.tracking import LaterPrompter
 from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
 
 BOX_AGE = 1.8 * CONTROL_DT
-"""How old the boxes are that the policy gets, if images are not older [s]. Source: ours.
+"""How old the boxes are that a policy gets which does not know it, if images are not older [s]. Source: ours.
 
 In training they are one or two control steps old. The policy leads the object by so much, and reaches beyond
 it where boxes are younger: in simulation `proposed` catches 92 % of 200 throws with boxes one control step
@@ -29,37 +33,67 @@ where perception takes 10 to 17 ms by chance.
 """
 
 MEMORY = 8
-"""Boxes that are kept, one an image."""
+"""Boxes that are kept at least, one an image."""
+
+LONGEST_LOOK = 0.4
+"""Age of the newest image that was looked at from which perception hangs [s].
+
+Source: ours; where an image takes 100 ms, it is up to 0.25 s old when the next one is done.
+"""
 
 
 class Brain:
     """Perception and policy, without a network and without a clock.
 
-    Args:
-        controller: The policy.
-        extractor: The perception.
-        person: What tells the extractor's prompter where the operator points.
+    Only `perceive` may run in another thread than the rest; nothing else of perception may run meanwhile.
+
+    Attributes:
+        knows_age: Whether the policy is told how old the boxes are. One that is not gets all of the same age.
     """
 
     def __init__(
         self, controller: Controller, extractor: PixelFeatureExtractor, person: GivenPrompter
     ) -> None:
-        """Begin before the first throw."""
+        """Begin before the first throw.
+
+        Args:
+            controller: The policy.
+            extractor: The perception.
+            person: What tells the extractor's prompter where the operator points.
+        """
         self._controller, self._extractor, self._person = controller, extractor, person
-        self._stamps: deque[float] = deque(maxlen=MEMORY)
-        self._boxes: deque[Float[Tensor, " 4"]] = deque(maxlen=MEMORY)
+        self.knows_age = controller.method.knows_age
+        num_boxes = max(MEMORY, controller.method.num_boxes)
+        self._looked = -inf
+        self._stamps: deque[float] = deque(maxlen=num_boxes)
+        self._boxes: deque[Float[Tensor, " 4"]] = deque(maxlen=num_boxes)
 
     def begin(self, prompt: Prompt | None = None) -> None:
         """A new throw begins: nothing is known of the object but where the operator points."""
-        self._extractor.reset()
+        self.forget()
+        self.point(prompt)
+
+    def forget(self) -> None:
+        """A new throw begins for the policy: nothing is known of the object."""
         self._controller.reset()
+        self._looked = -inf
         self._stamps.clear()
         self._boxes.clear()
+
+    def point(self, prompt: Prompt | None) -> None:
+        """A new throw begins for the perception, which looks where the operator points."""
+        self._extractor.reset()
         if prompt is not None:
             self._person.give(prompt)
 
     def see(self, frame: CameraFrame | None, now: float) -> Extraction:
-        """Look at the newest image: the longer half of a control step.
+        """Look at the newest image, and remember its box: `perceive` and `remember`."""
+        seen = self.perceive(frame, now)
+        self.remember(frame, seen)
+        return seen
+
+    def perceive(self, frame: CameraFrame | None, now: float) -> Extraction:
+        """Look at the newest image: what takes most of the time.
 
         Args:
             frame: The newest image, be it the same as before; none before the first.
@@ -68,11 +102,24 @@ class Brain:
         Raises:
             PerceptionError: The first image has the wrong size.
         """
-        seen = self._extractor.step(frame, now)
-        if frame and seen.is_valid and (not self._stamps or frame.stamp > self._stamps[-1]):
+        return self._extractor.step(frame, now)
+
+    def remember(self, frame: CameraFrame | None, seen: Extraction) -> None:
+        """Keep the box of an image for the policy.
+
+        Where nothing was seen, the last box gets older for a policy that knows it; for another one it is also
+        the box of this image, as in its training.
+
+        Args:
+            frame: The image, be it the same as before; none before the first.
+            seen: What was seen in it.
+        """
+        if frame is None or not seen.is_valid or frame.stamp <= self._looked:
+            return
+        self._looked = frame.stamp
+        if seen.verdict is Verdict.SEEN or not self.knows_age:
             self._stamps.append(frame.stamp)
             self._boxes.append(seen.box[0])
-        return seen
 
     def decide(self, joint_pos: Joints, now: float) -> Orders | None:
         """Let the policy decide on what was seen, and on joints as they are now.
@@ -89,21 +136,32 @@ class Brain:
 
         Raises:
             NonFiniteError: A joint position is infinite.
+            DeploymentError: No image was looked at for long, by a perception that is not waited for.
         """
         if not self._boxes or np.isnan(joint_pos).any():
             return None
-        target = self._controller.step(
-            torch.tensor(joint_pos[None], dtype=torch.float32), self._box_at(now - BOX_AGE)
-        )
-        return Orders(
-            joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=self._stamps[-1]
+        boxes = self._measured(now) if self.knows_age else self._box_at(now - BOX_AGE)
+        target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), boxes)
+        return Orders(joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=self._looked)
+
+    def _measured(self, now: float) -> BoxHistory:
+        """The measured boxes, each as old as it is."""
+        if now - self._looked > LONGEST_LOOK:
+            raise DeploymentError(
+                f"the newest image that was looked at is {now - self._looked:.1f} s old: look at the camera, "
+                "and with 'pixel2catch track' at which stage of perception takes so long."
+            )
+        return BoxHistory.of_stamps(
+            torch.stack(list(self._boxes)), list(self._stamps), now, self._controller.method.num_boxes
         )
 
-    def _box_at(self, moment: float) -> Float[Tensor, "1 4"]:
-        """Where the object was [px], between two images or in the newest one that is not newer [s]."""
+    def _box_at(self, moment: float) -> BoxHistory:
+        """Where the object was, between two images or in the newest one that is not newer [s]."""
         edges = np.transpose([box.numpy() for box in self._boxes])
         box = [np.interp(moment, self._stamps, edge) for edge in edges]
-        return torch.tensor([box], dtype=torch.float32)
+        return BoxHistory.begun(
+            torch.tensor([box], dtype=torch.float32), torch.tensor([BOX_AGE / CONTROL_DT]), num_boxes=1
+        )
 
 
 def make_brain(

@@ -1,4 +1,4 @@
-"""From joint positions and the object's box to joint targets, once in every control step, as in training.
+"""From joint positions and the object's boxes to joint targets, once in every control step, as in training.
 
 Observation builder, policy and action map are the very ones of the environment.
 """
@@ -12,6 +12,7 @@ from torch import Tensor
 from pixel2catch.agents import COMMANDS
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
 from pixel2catch.mdp.actions import ActionMap
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.observations import Frame, observe, pixel_columns
 from pixel2catch.mdp.snapshot import History, Measurement
 from pixel2catch.methods import Method, find_method
@@ -55,7 +56,8 @@ class Controller:
         self._action_map = ActionMap.of(COMMANDS, torch.device("cpu"))
         self._past: _Past | None = None
         self._held: Tensor | None = None
-        at_zero = self._measure(torch.zeros(1, len(JOINTS)), torch.zeros(1, 4))
+        nowhere = BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), self.method.num_boxes)
+        at_zero = self._measure(torch.zeros(1, len(JOINTS)), nowhere)
         _refuse_trackers(self.method, self._columns, at_zero)
 
     def reset(self, joint_pos_target: Float[Tensor, "1 num_joints"] | None = None) -> None:
@@ -72,13 +74,13 @@ class Controller:
         return None if self._past is None else self._past.history.now
 
     def step(
-        self, joint_pos: Float[Tensor, "1 num_joints"], box: Float[Tensor, "1 4"]
+        self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory
     ) -> Float[Tensor, "1 num_joints"]:
         """Decide on the next control step.
 
         Args:
             joint_pos: Joint encoders in joint order [rad].
-            box: Newest box of the object: xmin, ymin, xmax, ymax [px].
+            boxes: The last measured boxes of the object, as many as the method remembers.
 
         Returns:
             Where the joints shall be at its end [rad].
@@ -86,14 +88,15 @@ class Controller:
         Raises:
             NonFiniteError: There is a NaN or an infinity; nothing is remembered of it.
         """
-        _refuse_non_finite(joint_pos, box)
-        past, now = self._past, self._measure(joint_pos, box)
+        _refuse_non_finite(joint_pos, boxes)
+        past, now = self._past, self._measure(joint_pos, boxes)
         history = History(now, now, now)
         if past is not None:
             history = History(past.history.before, past.history.now, now)
         agents = self.method.agents
         observations = {
-            agent.name: observe(agent.observation, agent.joints, self._columns, history) for agent in agents
+            agent.name: observe(agent.observation, agent.memory, agent.joints, self._columns, history)
+            for agent in agents
         }
         actions = self._policy.act(observations)
         action = torch.cat([actions[agent.name] for agent in agents], dim=-1)
@@ -101,13 +104,13 @@ class Controller:
         self._past = _Past(history, action, target)
         return target
 
-    def _measure(self, joint_pos: Float[Tensor, "1 num_joints"], box: Float[Tensor, "1 4"]) -> Measurement:
+    def _measure(self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> Measurement:
         """The measurement as the environment makes it; what only a tracker sees is not a number."""
         past = self._past
         palm_pos, palm_quat = palm_pose(joint_pos[:, : len(ARM_JOINTS)])
         held = joint_pos if self._held is None else self._held
         return Measurement(
-            box=box,
+            boxes=boxes,
             object_pos=_UNKNOWN,
             initial_object_pos=_UNKNOWN,
             joint_pos=joint_pos,
@@ -125,7 +128,8 @@ def _refuse_trackers(method: Method, columns: tuple[int, ...], measurement: Meas
     """Refuse a method whose observation depends on what a measurement does not have."""
     for agent in method.agents:
         frame = Frame(before=measurement, now=measurement, joints=agent.joints, pixel_columns=columns)
-        blind = [term.__name__ for term in agent.observation if not term(frame).isfinite().all()]
+        terms = (*agent.observation, *agent.memory)
+        blind = [term.__name__ for term in terms if not term(frame).isfinite().all()]
         if blind:
             raise PolicyMismatchError(
                 f"a policy of method '{method.name}' reads {', '.join(blind)}, which one camera cannot give; "
@@ -133,10 +137,11 @@ def _refuse_trackers(method: Method, columns: tuple[int, ...], measurement: Meas
             )
 
 
-def _refuse_non_finite(joint_pos: Float[Tensor, "1 num_joints"], box: Float[Tensor, "1 4"]) -> None:
+def _refuse_non_finite(joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> None:
     is_good = joint_pos.isfinite()[0].tolist()
     bad = [joint.name for joint, good in zip(JOINTS, is_good, strict=True) if not good]
-    bad += [] if box.isfinite().all() else ["the object's box"]
+    bad += [] if boxes.box.isfinite().all() else ["the object's box"]
+    bad += [] if boxes.age.isfinite().all() else ["the age of the object's box"]
     if bad:
         raise NonFiniteError(
             f"a reading has a NaN or an infinity for {', '.join(bad)}; stop, and look at what sent it."

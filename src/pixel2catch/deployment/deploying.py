@@ -2,6 +2,8 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,13 +12,16 @@ from pixel2catch.deployment import messages
 from pixel2catch.deployment.brain import BOX_AGE, Brain
 from pixel2catch.deployment.connection import Connection
 from pixel2catch.deployment.eyes import Eyes
-from pixel2catch.deployment.pace import Pace
+from pixel2catch.deployment.looking import Look, Looking
+from pixel2catch.deployment.pace import DecisionTimer, Pace
 from pixel2catch.deployment.profile import OperatorTopics
 from pixel2catch.deployment.report import ACTIVE, Diary
 from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.deployment.servo_state import Mode
 from pixel2catch.deployment.tape import ORDERS, SERVO
+from pixel2catch.deployment.worker import CallerWorker, Worker
 from pixel2catch.errors import DeploymentError, NonFiniteError
+from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.finder import CameraFrame
 from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
@@ -34,11 +39,21 @@ PATIENCE = 1.5 * CONTROL_DT
 class Deployment:
     """Runs a brain.
 
+    A policy that knows how old its boxes are decides at even times, while images are looked at. One that does
+    not decides on each image when it has been looked at, and when the box is as old as in its training.
+
     Attributes:
         diary: What has happened.
     """
 
-    def __init__(self, brain: Brain, eyes: Eyes, connection: Connection, topics: OperatorTopics) -> None:
+    def __init__(
+        self,
+        brain: Brain,
+        eyes: Eyes,
+        connection: Connection,
+        topics: OperatorTopics,
+        worker: Worker[Extraction] | None = None,
+    ) -> None:
         """Announce and listen.
 
         Args:
@@ -46,6 +61,7 @@ class Deployment:
             eyes: The camera.
             connection: Network, servo, clock and recording.
             topics: Topics of the operator.
+            worker: Who looks at images; the caller itself if absent.
         """
         self.diary = Diary()
         self._brain, self._eyes = brain, eyes
@@ -56,9 +72,13 @@ class Deployment:
         self._status = connection.transport.publisher(topics.status)
         self._joint_pos = np.full(len(JOINTS), np.nan)
         self._mode = int(Mode.IDLE)
+        self._worker = worker or CallerWorker(connection.clock)
+        self._looking = Looking(brain, self._worker, connection.clock)
         self._frame: CameraFrame | None = None
+        self._look: Look | None = None
+        self._seen: Extraction | None = None
         self._due = connection.clock.now()
-        self._message, self._pace = "", Pace(LONGEST_AGE)
+        self._message, self._pace, self._timer = "", Pace(LONGEST_AGE), DecisionTimer(self._due)
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
         """Go from control step to control step.
@@ -73,13 +93,13 @@ class Deployment:
         """
         while not is_over():
             status = self.poll()
-            if status is None:
-                self._transport.wait(POLL)
-            else:
+            if status is not None:
                 on_status(status)
+            elif (left := self._due - self._clock.now()) > 0.0:
+                self._transport.wait(min(POLL, left))
 
     def poll(self) -> dict[str, Any] | None:
-        """Make a control step if there is a new image, or if one is overdue.
+        """Make a control step if it is time.
 
         Returns:
             Its status; none if there was nothing to do.
@@ -90,6 +110,10 @@ class Deployment:
         """
         self._hear()
         frame = self._eyes.newest()
+        if self._tape:
+            self._tape.see(self._eyes.packets)
+        if self._brain.knows_age:
+            return self._poll_at_even_times(frame)
         if frame is None and self._clock.now() < self._due:
             return None
         return self._step(frame)
@@ -101,7 +125,7 @@ class Deployment:
             self._eyes.remember(decision.time, decision.joint_pos)
             self._joint_pos = decision.joint_pos
             if decision.mode == Mode.ARMED and self._mode != Mode.ARMED:
-                self._brain.begin()
+                self._looking.begin(None)
             self._mode = decision.mode
             if self._tape:
                 self._tape.note(SERVO, decision.row, decision.time)
@@ -116,49 +140,74 @@ class Deployment:
     def _point(self, data: bytes) -> None:
         """Begin a throw where the operator points."""
         try:
-            self._brain.begin(read_prompt(data))
+            self._looking.begin(read_prompt(data))
             self._message = ""
         except DeploymentError as error:
             self._message = str(error)
+
+    def _poll_at_even_times(self, frame: CameraFrame | None) -> dict[str, Any] | None:
+        """Have images looked at, and decide when it is time, whether that is done or not."""
+        if frame:
+            self._looking.offer(frame)
+        if look := self._looking.go_on():
+            self._look, self._seen = look, look.seen
+            self._timer.learn(look.frame.stamp, look.end)
+        now = self._clock.now()
+        if now < self._timer.due:
+            return None
+        took, is_missed = self._look.took if self._look else 0.0, self._look is None
+        self._look = None
+        orders, complaint = self._decide()
+        if orders:
+            self.diary.order(orders)
+            orders = replace(orders, image_stamp=min(self._eyes.stamp, now))
+        self._timer.advance(now, is_even=orders is not None)
+        self._due = self._timer.due
+        return self._conclude(orders, complaint, began=now - took, is_missed=is_missed)
 
     def _step(self, frame: CameraFrame | None) -> dict[str, Any]:
         """One control step; without a new image it is the last one's again."""
         is_missed = frame is None
         begin = self._clock.now()
         self._frame = frame or self._frame
-        seen = self._brain.see(self._frame, begin)
+        look = partial(self._brain.perceive, self._frame, begin)
+        if frame:
+            self._worker.start(look)
+        self._seen = self._worker.finish() if frame else look()
+        self._brain.remember(self._frame, self._seen)
         looked = self._clock.now()
         if frame:
             self._clock.sleep_until(self._pace.moment(frame.stamp, looked))
         waited = self._clock.now() - looked
         self._hear()
         orders, complaint = self._decide()
+        self._due = self._due + CONTROL_DT if is_missed else begin + PATIENCE
+        return self._conclude(orders, complaint, began=begin + waited, is_missed=is_missed)
+
+    def _conclude(
+        self, orders: Orders | None, complaint: str, *, began: float, is_missed: bool
+    ) -> dict[str, Any]:
+        """Send orders, and publish and record what happened in a control step that began at a time [s]."""
         if orders and self._mode in ACTIVE:
             self._servo.send(orders)
-        end = self._clock.now()
+        end, seen = self._clock.now(), self._seen
         if self._mode in ACTIVE:
-            self.diary.think(took=end - begin - waited, is_missed=is_missed)
-        self._due = self._due + CONTROL_DT if is_missed else begin + PATIENCE
-        message = self._message or self._eyes.message or complaint or seen.message
-        status = self.diary.status(seen, message)
+            self.diary.think(took=end - began, is_missed=is_missed)
+        message = self._message or self._eyes.message or complaint or (seen.message if seen else "")
+        status = self.diary.status(seen, self._eyes.take_notice() or message)
         self._status.publish(messages.text(json.dumps(status)))
-        self._record(orders, end)
+        if self._tape:
+            if orders:
+                self._tape.note(ORDERS, orders.row, end)
+            self._tape.roll()
         return status
 
     def _decide(self) -> tuple[Orders | None, str]:
         """Orders, if there can be any, and what is wrong."""
         try:
             return self._brain.decide(self._joint_pos, self._clock.now()), ""
-        except NonFiniteError as error:
+        except (NonFiniteError, DeploymentError) as error:
             return None, str(error)
-
-    def _record(self, orders: Orders | None, now: float) -> None:
-        if self._tape is None:
-            return
-        self._tape.see(self._eyes.packets)
-        if orders:
-            self._tape.note(ORDERS, orders.row, now)
-        self._tape.roll()
 
 
 def read_prompt(data: bytes) -> Prompt:

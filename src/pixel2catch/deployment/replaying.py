@@ -13,12 +13,13 @@ from jaxtyping import Float
 
 from pixel2catch.deployment import messages
 from pixel2catch.deployment.bag import ReplayTransport
+from pixel2catch.deployment.brain import Brain
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.deployment.recorder import Recorder
 from pixel2catch.deployment.report import Diary
 from pixel2catch.deployment.servo_link import Decision, Orders
 from pixel2catch.deployment.servo_process import ServoSetup
-from pixel2catch.deployment.stepwise import MakeBrain, Nodes, StepClock, Stepwise
+from pixel2catch.deployment.stepwise import Nodes, PerceptionTime, StepClock, Stepwise
 from pixel2catch.deployment.tape import ORDERS, SERVO, Tape
 from pixel2catch.errors import DeploymentError
 from pixel2catch.perception.rosbag_images import opened_bag
@@ -34,20 +35,22 @@ class ReplayCfg:
         out: New folder for the recording of this one, without images.
         profile: The robot of then.
         camera: Its camera.
+        perception_time: Time that perception takes for an image [s].
     """
 
     tape: Path
     out: Path
     profile: Profile
     camera: CameraSpec
+    perception_time: float = 0.01
 
 
-def replay(cfg: ReplayCfg, make_brain: MakeBrain) -> Diary:
+def replay(cfg: ReplayCfg, brain: Brain) -> Diary:
     """Replay, and return what happened.
 
     Args:
         cfg: What is replayed.
-        make_brain: Makes perception and policy.
+        brain: Perception and policy.
 
     Raises:
         PerceptionError: The recording cannot be read.
@@ -62,7 +65,7 @@ def replay(cfg: ReplayCfg, make_brain: MakeBrain) -> Diary:
         tape = Tape(recorder, node, cfg.profile, clock, "none")
         nodes = Nodes(servo=node, brain=node, clock=clock, tape=tape)
         setup = ServoSetup(profile=cfg.profile, is_dry_run=True)
-        robot = Stepwise(setup, cfg.camera, nodes, make_brain)
+        robot = Stepwise(setup, cfg.camera, nodes, brain, PerceptionTime(cfg.perception_time))
         stack.callback(robot.close)
 
         def run_until(moment: float) -> None:

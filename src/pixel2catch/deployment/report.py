@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.deployment.servo_link import Decision
+from pixel2catch.deployment.servo_link import Decision, Orders
 from pixel2catch.deployment.servo_state import Clamp, Mode
 from pixel2catch.deployment.watchdog import Fault
 from pixel2catch.perception.extractor import Extraction
@@ -32,8 +32,8 @@ class Diary:
 
     Attributes:
         num_steps: Control steps in which the robot was armed or moved; only these count.
-        num_missed: Control steps for which no new image had come in time.
-        num_overruns: Control steps that took longer than one.
+        num_missed: Control steps for which no new image had come, or been looked at, in time.
+        num_overruns: Control steps whose image took longer than one.
         stops: How often the robot was stopped, by the reasons.
         refusals: How often it could not be armed, by the reasons.
         clamps: Servo ticks in which a command was held back, by what.
@@ -52,6 +52,7 @@ class Diary:
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _thinking: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _ticks: deque[float] = field(default_factory=lambda: deque(maxlen=SERVO_MEMORY))
+    _orders: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
     _last: Decision | None = None
     _refused: int = 0
     _clamped: int = 0
@@ -60,7 +61,7 @@ class Diary:
         """Note a control step of an armed robot.
 
         Args:
-            took: From the arrival of the image to the orders, without waiting [s].
+            took: For perception and policy, without waiting [s].
             is_missed: Whether there was no new image.
         """
         self.num_steps += 1
@@ -68,6 +69,10 @@ class Diary:
         if not is_missed:
             self._thinking.append(took)
             self.num_overruns += took > CONTROL_DT
+
+    def order(self, orders: Orders) -> None:
+        """Note orders by the image that they were decided on, of which the servo is not told."""
+        self._orders.append((orders.target_stamp, orders.image_stamp))
 
     def obey(self, decision: Decision, dt: float) -> None:
         """Note a tick of the servo, which is to come every so often [s]."""
@@ -84,7 +89,8 @@ class Diary:
             if decision.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
                 self.stops[", ".join(words(Fault, decision.stopped_by))] += 1
             if decision.mode in ACTIVE and decision.target_stamp > last.target_stamp:
-                self._latencies.append(decision.time - decision.image_stamp)
+                image_stamp = dict(self._orders).get(decision.target_stamp, decision.image_stamp)
+                self._latencies.append(decision.time - image_stamp)
         self._last = decision
 
     def status(self, seen: Extraction | None, message: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ For rehearsals and replays in which it does not matter how fast the machine is.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from random import Random
 from typing import final
 
 from pixel2catch.deployment.brain import Brain
@@ -16,7 +17,8 @@ from pixel2catch.deployment.servo_link import link
 from pixel2catch.deployment.servo_process import Servo, ServoSetup
 from pixel2catch.deployment.tape import Tape
 from pixel2catch.deployment.transport import Transport
-from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.deployment.worker import CallerWorker
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.robot.constants import CameraSpec
 
 
@@ -50,36 +52,31 @@ class StepClock(Clock):
 
 
 @final
-class SlowSegmenter(Segmenter):
-    """Another segmenter, that takes its time."""
+class PerceptionTime:
+    """How long perception takes for each image, drawn evenly from a range."""
 
-    def __init__(self, segmenter: Segmenter, clock: Clock, seconds: float) -> None:
-        """Slow this one down.
+    def __init__(self, least: float, jitter: float = 0.0, seed: int = 0) -> None:
+        """Begin to draw.
 
         Args:
-            segmenter: What finds the object.
-            clock: Whose time it takes.
-            seconds: How much of it, for each image [s].
+            least: The least time [s].
+            jitter: How much more it may be [s].
+            seed: Of the draws.
+
+        Raises:
+            InvalidValueError: A time is negative.
         """
-        self._segmenter, self._clock, self._seconds = segmenter, clock, seconds
+        if least < 0.0 or jitter < 0.0:
+            raise InvalidValueError(
+                f"perception takes {1e3 * least:g} ms, and up to {1e3 * jitter:g} ms more; neither can be "
+                "less than 0"
+            )
+        self._least, self._jitter = least, jitter
+        self._random = Random(seed)
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
-        """See `Segmenter.start`."""
-        self._clock.sleep_until(self._clock.now() + self._seconds)
-        return self._segmenter.start(image, prompt, ignored)
-
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
-        """See `Segmenter.track`."""
-        self._clock.sleep_until(self._clock.now() + self._seconds)
-        return self._segmenter.track(image, ignored)
-
-    def reset(self) -> None:
-        """See `Segmenter.reset`."""
-        self._segmenter.reset()
-
-
-MakeBrain = Callable[[Clock], Brain]
-"""Makes perception and policy; its `SlowSegmenter` takes time of this clock."""
+    def __call__(self) -> float:
+        """The time for the next image [s]."""
+        return self._least + self._jitter * self._random.random()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,14 +103,22 @@ class Stepwise:
         deployment: The brain's loop.
     """
 
-    def __init__(self, setup: ServoSetup, camera: CameraSpec, nodes: Nodes, make_brain: MakeBrain) -> None:
+    def __init__(
+        self,
+        setup: ServoSetup,
+        camera: CameraSpec,
+        nodes: Nodes,
+        brain: Brain,
+        perception_time: PerceptionTime,
+    ) -> None:
         """Put both in place.
 
         Args:
             setup: What the servo is the servo of.
             camera: The camera of the laboratory.
             nodes: How they hear of it.
-            make_brain: Makes what catches.
+            brain: What catches.
+            perception_time: How long it looks at an image.
         """
         brain_end, servo_end = link()
         self._ends, clock = (brain_end, servo_end), nodes.clock
@@ -125,8 +130,9 @@ class Stepwise:
             clock=clock,
             tape=nodes.tape,
         )
-        eyes = Eyes(nodes.brain, setup.profile.camera, camera, clock)
-        self.deployment = Deployment(make_brain(clock), eyes, connection, setup.profile.operator)
+        profile, worker = setup.profile, CallerWorker(clock, perception_time)
+        eyes = Eyes(nodes.brain, profile.camera, camera, clock, assumes_age=brain.knows_age)
+        self.deployment = Deployment(brain, eyes, connection, profile.operator, worker)
         self._is_thinking = False
 
     def tick(self) -> None:

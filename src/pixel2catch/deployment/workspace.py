@@ -15,8 +15,8 @@ from pixel2catch.robot.constants import PALM_POS, TABLE, UR5E_DH, TableSpec, Vec
 from pixel2catch.robot.kinematics import joint_matrices
 from pixel2catch.robot.ur5e import LINKS, Capsule
 
-HAND_LOWER: Vec3 = (-0.05, -0.17, -0.11)
-HAND_UPPER: Vec3 = (0.14, 0.17, 0.24)
+HAND_LOWER: Vec3 = (-0.06, -0.18, -0.11)
+HAND_UPPER: Vec3 = (0.15, 0.18, 0.25)
 """Corners of a box about the arm's last link and the hand, left or right, whatever the fingers do [m].
 
 In the hand frame. Source: the model over all joint positions, rounded up.

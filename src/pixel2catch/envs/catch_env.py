@@ -1,6 +1,6 @@
 """The catching environment: act, simulate, judge, reset, observe."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,16 +12,19 @@ from pixel2catch.envs.draws import Episode, draw_episode
 from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.eye import Eye, ProjectingEye
 from pixel2catch.envs.physics_log import PhysicsLog
+from pixel2catch.envs.senses import Command, Senses
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.step import Observation, Step
+from pixel2catch.envs.told import drawn_parameters
 from pixel2catch.envs.world import NUM_ARM_JOINTS, CatchWorld
 from pixel2catch.mdp.actions import ActionMap
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.delay import DelayLine
 from pixel2catch.mdp.masks import assign, clone, select
 from pixel2catch.mdp.observations import observe, pixel_columns, privileged_state
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
-from pixel2catch.mdp.snapshot import History, Measurement, Privileged, Transition
+from pixel2catch.mdp.snapshot import History, Measurement, Transition
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
 from pixel2catch.robot.constants import CONTROL_DT
@@ -120,7 +123,8 @@ class CatchEnv:
             self._disturbed(action), self._senses.history.now.joint_pos
         )
         commands = self._commands.pushed(target)
-        log = self.world.run(commands.delivered(self._episode.command_delay), self._base_acceleration())
+        late = commands.interpolated(self._episode.command_delay)
+        log = self.world.run(late, self._base_acceleration(), self._episode.drag)
         transition = self._transition(action, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
@@ -128,7 +132,7 @@ class CatchEnv:
         self.statistics.add(terminated, record, terms)
         self._begin(terminated, record)
         assign(self._commands, select(terminated, self._waiting_commands(), commands))
-        self._sense(terminated, _Command(action=action, joint_pos_target=target), log)
+        self._sense(terminated, Command(action=action, joint_pos_target=target), log)
         return Step(
             observation=self._observe(),
             rewards={name: values.sum(dim=-1) for name, values in terms.items()},
@@ -140,15 +144,17 @@ class CatchEnv:
             joint_pos_target=target,
         )
 
-    def _first_senses(self) -> "_Senses":
+    def _first_senses(self) -> Senses:
         """What is seen and measured at the beginning of an episode."""
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
-        detection, _ = self.eye.look(now, self._episode)
-        started = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
-        measurement = self._measure(started, detection, detection.object_pos)
-        senses = _Senses(
-            detections=DelayLine.filled(detection, self.cfg.sensing.latency_steps[1]),
+        image = self.eye.look(now, self._episode)
+        detection = self.eye.disturbed(image, self._episode)
+        started = Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        measurement = self._measure(started, detection, self._first_boxes(detection), detection.object_pos)
+        senses = Senses(
+            image=image,
+            detections=DelayLine.filled(detection, self.cfg.longest_latency),
             history=History(measurement, measurement, measurement),
             before=now,
             now=now,
@@ -164,7 +170,7 @@ class CatchEnv:
 
     def _waiting_commands(self) -> DelayLine[Tensor]:
         """The line of targets at the beginning of an episode: to stay where the joints are."""
-        return DelayLine.filled(self.world.joint_pos, self.cfg.randomization.command_delay[1])
+        return DelayLine.filled(self.world.joint_pos, self.cfg.longest_command_delay)
 
     def _base_acceleration(self) -> Float[Tensor, "decimation num_envs 3"] | None:
         """Acceleration of a base that shakes, in the middle of each physics step to come [m/s²]."""
@@ -195,26 +201,32 @@ class CatchEnv:
         self.world.release(is_released, self._episode.throw)
         self.world.forward(ended | is_released)
 
-    def _sense(self, begun: Bool[Tensor, " num_envs"], command: "_Command", log: PhysicsLog) -> None:
-        """Look and measure after a control step; nothing of an ended episode survives."""
-        senses = self._senses
+    def _sense(self, begun: Bool[Tensor, " num_envs"], command: Command, log: PhysicsLog) -> None:
+        """Look and measure after a control step; nothing of an ended episode survives.
+
+        Images are taken a fraction of a control step before it, and arrive after whole ones.
+        """
+        senses, latency = self._senses, self._episode.parameters.latency
         truth = self.world.privileged(log.cleared(begun))
-        detected, is_seen = self.eye.look(truth, self._episode)
-        detection = detected.held(begun | is_seen, senses.detections.newest)
-        detections = select(
-            begun,
-            DelayLine.filled(detection, self.cfg.sensing.latency_steps[1]),
-            senses.detections.pushed(detection),
-        )
+        image = self.eye.look(truth, self._episode)
+        exposed = image.exposed_before(select(begun, image, senses.image), latency - latency.floor())
+        detected = self.eye.disturbed(exposed, self._episode)
+        detection = detected.held(begun | detected.is_seen, senses.detections.newest)
+        first = DelayLine.filled(detection, self.cfg.longest_latency)
+        detections = select(begun, first, senses.detections.pushed(detection))
         joint_pos = self.world.joint_pos
-        started = _Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        started = Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        delivered = detections.delivered(latency)
+        boxes = senses.history.now.boxes.advanced(delivered.box, self._age(delivered), delivered.stale == 0.0)
         now = self._measure(
             select(begun, started, command),
-            detections.delivered(self._episode.parameters.latency),
+            delivered,
+            select(begun, self._first_boxes(detection), boxes),
             select(begun, detection.object_pos, senses.history.now.initial_object_pos),
         )
         history = History(senses.history.before, senses.history.now, now)
-        updated = _Senses(
+        updated = Senses(
+            image=image,
             detections=detections,
             history=select(begun, History(now, now, now), history),
             before=select(begun, truth, senses.now),
@@ -222,8 +234,20 @@ class CatchEnv:
         )
         assign(senses, updated)
 
+    def _age(self, detection: Detection) -> Float[Tensor, " num_envs"]:
+        """How old a detection is when it is delivered, by its stamp [control steps]."""
+        return self._episode.parameters.latency + detection.stale + detection.age_error
+
+    def _first_boxes(self, detection: Detection) -> BoxHistory:
+        """The boxes before an episode begins, of an object that hovers."""
+        return BoxHistory.begun(detection.box, self._age(detection), self.method.num_boxes)
+
     def _measure(
-        self, command: "_Command", detection: Detection, initial_object_pos: Float[Tensor, "num_envs 3"]
+        self,
+        command: Command,
+        detection: Detection,
+        boxes: BoxHistory,
+        initial_object_pos: Float[Tensor, "num_envs 3"],
     ) -> Measurement:
         """What the robot measures now, with the noise of its encoders."""
         joint_pos = self.world.joint_pos
@@ -231,7 +255,7 @@ class CatchEnv:
         joint_pos = joint_pos + self._episode.parameters.joint_bias + self.cfg.sensing.joint_noise * noise
         palm_pos, palm_quat = palm_pose(joint_pos[:, :NUM_ARM_JOINTS])
         return Measurement(
-            box=detection.box,
+            boxes=boxes,
             object_pos=detection.object_pos,
             initial_object_pos=initial_object_pos,
             joint_pos=joint_pos,
@@ -245,26 +269,11 @@ class CatchEnv:
         """The inputs of all networks."""
         senses = self._senses
         policy = {
-            agent.name: observe(agent.observation, agent.joints, self._pixel_columns, senses.history)
+            agent.name: observe(
+                agent.observation, agent.memory, agent.joints, self._pixel_columns, senses.history
+            )
             for agent in self.method.agents
         }
+        told = (drawn_parameters(self._episode),) if self.cfg.is_value_told else ()
         truth = privileged_state(senses.before, senses.now)
-        return Observation(policy=policy, state=torch.cat((*policy.values(), truth), dim=-1))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Command:
-    """What was last commanded."""
-
-    action: Float[Tensor, "num_envs num_joints"]
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Senses:
-    """What was seen and measured up to now."""
-
-    detections: DelayLine[Detection]
-    history: History
-    before: Privileged
-    now: Privileged
+        return Observation(policy=policy, state=torch.cat((*policy.values(), *told, truth), dim=-1))

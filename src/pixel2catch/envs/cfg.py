@@ -1,9 +1,11 @@
 """The definition of the task."""
 
 from dataclasses import dataclass, field, replace
+from math import ceil
 from pathlib import Path
 
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
@@ -13,6 +15,33 @@ from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.objects import SEEN
 from pixel2catch.robot.scene import SceneCfg
+
+COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera")
+"""What of the sensors is not drawn for an episode."""
+
+COMMON_RANDOMIZATION = ("arm_action_noise", "hand_action_noise")
+"""What of the randomization is not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskVariant:
+    """Other ranges that hold in a share of the episodes.
+
+    Attributes:
+        share: The share.
+        throws: Where from and where to.
+        randomization: What differs from episode to episode.
+        sensing: Noise and delay of the sensors; of these only what is drawn for an episode may differ.
+    """
+
+    share: float
+    throws: ThrowCfg
+    randomization: RandomizationCfg
+    sensing: SensingCfg
+
+    def of(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
+        """The task with these ranges."""
+        return replace(task, throws=self.throws, randomization=self.randomization, sensing=self.sensing)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +57,8 @@ class CatchEnvCfg:
         sensing: The camera; noise and delay of camera and encoders.
         shake: How the table shakes.
         episode: When an episode ends.
+        variants: Ranges that differ in a share of the episodes each; in the rest the others hold.
+        is_value_told: Whether the value networks know what was drawn for an episode.
     """
 
     scene: SceneCfg = field(default_factory=SceneCfg)
@@ -38,11 +69,45 @@ class CatchEnvCfg:
     sensing: SensingCfg = field(default_factory=SensingCfg)
     shake: ShakeCfg = field(default_factory=ShakeCfg)
     episode: EpisodeCfg = field(default_factory=EpisodeCfg)
+    variants: tuple[TaskVariant, ...] = ()
+    is_value_told: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse shares of more than everything, and variants in what is not drawn for an episode."""
+        if sum(variant.share for variant in self.variants) > 1.0 + 1e-6:
+            raise InvalidValueError(
+                f"the shares of the variants are {[variant.share for variant in self.variants]}; their sum "
+                "must not exceed 1"
+            )
+        for variant in self.variants:
+            for part, names in (("sensing", COMMON_SENSING), ("randomization", COMMON_RANDOMIZATION)):
+                for name in names:
+                    if getattr(getattr(variant, part), name) != getattr(getattr(self, part), name):
+                        raise InvalidValueError(f"{part}.{name} differs in a variant; it must be the task's")
+
+    @property
+    def all_variants(self) -> tuple["CatchEnvCfg", ...]:
+        """The task itself, and as it is in each of its variants."""
+        return (self, *(variant.of(self) for variant in self.variants))
+
+    @property
+    def longest_latency(self) -> int:
+        """Most whole control steps between image and delivered box."""
+        return max(int(each.sensing.latency_steps[1]) for each in self.all_variants)
+
+    @property
+    def longest_command_delay(self) -> int:
+        """Control steps between a command and its effect at the most, rounded up."""
+        return max(ceil(each.randomization.command_delay[1]) for each in self.all_variants)
 
     def with_dynamics(self, file: DynamicsFile) -> "CatchEnvCfg":
         """The task with the joint dynamics of a file, and its ranges for their gains."""
+        variants = tuple(
+            replace(variant, randomization=replace(variant.randomization, gains=file.gains))
+            for variant in self.variants
+        )
         randomization = replace(self.randomization, gains=file.gains)
-        return replace(self, dynamics=file.dynamics, randomization=randomization)
+        return replace(self, dynamics=file.dynamics, randomization=randomization, variants=variants)
 
     def with_camera(self, file: CameraFile) -> "CatchEnvCfg":
         """The task seen by the camera of a file: in every episode another one, as it may be.
@@ -50,8 +115,11 @@ class CatchEnvCfg:
         Raises:
             InvalidValueError: If its images have another size than those of policies.
         """
+        variants = tuple(
+            replace(variant, sensing=replace(variant.sensing, camera=file)) for variant in self.variants
+        )
         scene, sensing = replace(self.scene, camera=file.camera), replace(self.sensing, camera=file)
-        return replace(self, scene=scene, sensing=sensing)
+        return replace(self, scene=scene, sensing=sensing, variants=variants)
 
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
         """The task with the robot of a dynamics file and the camera of a camera file.
@@ -63,5 +131,5 @@ class CatchEnvCfg:
         Raises:
             InvalidValueError: If a file cannot be read, or the camera's images have another size.
         """
-        task = self.with_dynamics(DynamicsFile.load(dynamics))
+        task = self if dynamics is None else self.with_dynamics(DynamicsFile.load(dynamics))
         return task if camera is None else task.with_camera(CameraFile.load(camera))

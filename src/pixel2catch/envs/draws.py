@@ -9,10 +9,16 @@ from torch import Tensor
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.episodes import EpisodeRecord
-from pixel2catch.mdp.randomization import EpisodeParameters, sample_command_delay, sample_parameters
+from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.randomization import (
+    EpisodeParameters,
+    RandomizationCfg,
+    sample_delay,
+    sample_parameters,
+)
 from pixel2catch.mdp.shaking import Shake, sample_shake
-from pixel2catch.mdp.sight import Sight, sample_sight
-from pixel2catch.mdp.throws import Throw, sample_throws
+from pixel2catch.mdp.sight import Sight, is_sight_exact, sample_sight
+from pixel2catch.mdp.throws import Throw, drawn, sample_throws
 from pixel2catch.robot.objects import OBJECTS
 from pixel2catch.robot.scene import SceneCfg
 
@@ -24,9 +30,10 @@ class Episode:
     Attributes:
         parameters: Object, dynamics, biases and latency.
         throw: The throw, in the frame of the robot's base.
-        sight: What is wrong with the sight; in training only how well the camera is known.
-        shake: How the table shakes; it stands still in training.
-        command_delay: Control steps between a command and its effect.
+        sight: What is wrong with the sight; none if nothing ever is.
+        shake: How the table shakes; none if it stands still.
+        command_delay: Control steps between a command and its effect; not always whole.
+        drag: Deceleration of the object by air over the square of its speed [1/m]; none without air.
         record: What became of the episode so far.
     """
 
@@ -34,7 +41,8 @@ class Episode:
     throw: Throw
     sight: Sight | None
     shake: Shake | None
-    command_delay: Int[Tensor, " num_envs"]
+    command_delay: Float[Tensor, " num_envs"]
+    drag: Float[Tensor, " num_envs"] | None
     record: EpisodeRecord
 
 
@@ -43,33 +51,72 @@ def draw_episode(
 ) -> Episode:
     """Draw an episode for every environment, on the generator's device.
 
-    What not every task disturbs is drawn last, so that a seed throws the same with and without it.
+    Each is of one of the task's variants, or of none, by their shares.
     """
-    parameters = sample_parameters(cfg.randomization, cfg.sensing, object_ids, num_envs, generator)
-    throw = sample_throws(cfg.throws, num_envs, generator, _drag(cfg.scene, parameters))
-    sight = sample_sight(cfg.sensing, throw, generator)
+    episode = _draw(cfg, cfg, object_ids, num_envs, generator)
+    if not cfg.variants:
+        return episode
+    chance = torch.rand(num_envs, generator=generator, device=generator.device)
+    for variant in cfg.variants:
+        other = _draw(variant.of(cfg), cfg, object_ids, num_envs, generator)
+        episode = select((chance >= 0.0) & (chance < variant.share), other, episode)
+        chance = chance - variant.share
+    return episode
+
+
+def _draw(
+    cfg: CatchEnvCfg,
+    task: CatchEnvCfg,
+    object_ids: Int[Tensor, " num_objects"],
+    num_envs: int,
+    generator: torch.Generator,
+) -> Episode:
+    """Draw from one set of ranges.
+
+    What not every task disturbs is drawn last, so that a seed throws the same with and without it.
+
+    Args:
+        cfg: The ranges.
+        task: The whole task, whose variants decide what an episode holds.
+        object_ids: What is thrown.
+        num_envs: Number of episodes.
+        generator: Where they are drawn from.
+    """
+    randomization = cfg.randomization
+    parameters = sample_parameters(randomization, cfg.sensing, object_ids, num_envs, generator)
+    drag = None
+    if any(each.randomization.air_density for each in task.all_variants):
+        density = drawn(randomization.air_density, num_envs, generator)
+        by_object = _drag_by_object(cfg.scene, generator.device)
+        drag = density * by_object[parameters.object_id] / parameters.mass_scale
+    throw = sample_throws(cfg.throws, num_envs, generator, drag)
+    is_exact = all(is_sight_exact(each.sensing) for each in task.all_variants)
+    sight = None if is_exact else sample_sight(cfg.sensing, throw, generator)
     shake = sample_shake(cfg.shake, num_envs, generator)
     return Episode(
         parameters=parameters,
         throw=throw if shake is None else shake.seen_from_base(throw),
         sight=sight,
         shake=shake,
-        command_delay=sample_command_delay(cfg.randomization, num_envs, generator),
+        command_delay=_command_delay(randomization, num_envs, generator),
+        drag=drag,
         record=EpisodeRecord.start(parameters.object_id, throw.aim),
     )
 
 
-def _drag(scene: SceneCfg, parameters: EpisodeParameters) -> Float[Tensor, " num_envs"] | None:
-    """Mean deceleration of each object by air, over the square of its speed [1/m]; nothing without air."""
-    if not scene.air_density:
-        return None
-    by_object = _drag_by_object(scene, parameters.mass_scale.device)
-    return by_object[parameters.object_id] / parameters.mass_scale
+def _command_delay(
+    cfg: RandomizationCfg, num_envs: int, generator: torch.Generator
+) -> Float[Tensor, " num_envs"]:
+    """Nothing is drawn where all episodes have the same, so that a seed goes on as without a delay."""
+    first, last = cfg.command_delay
+    if first == last:
+        return torch.full((num_envs,), float(first), device=generator.device)
+    return sample_delay(cfg.command_delay, cfg.command_delay_grid, num_envs, generator)
 
 
 @lru_cache(maxsize=8)
 def _drag_by_object(scene: SceneCfg, device: torch.device) -> Float[Tensor, " num_objects"]:
-    """The same of every object at its own mass, in the order of the object table; copied only once."""
+    """Of every object at its own mass in air of 1 kg/m³, in the order of the object table; copied once."""
     thrown = [spec.scaled(scene.object_scale) for spec in OBJECTS.values()]
-    values = [0.5 * scene.air_density * spec.drag_area / spec.mass for spec in thrown]
+    values = [0.5 * spec.drag_area / spec.mass for spec in thrown]
     return torch.tensor(values, dtype=torch.float32, device=device)

@@ -39,7 +39,8 @@ class Drives:
         self._qvel = simulation.bind("qvel")[:, :NUM_JOINTS]
         self._ctrl = simulation.bind("ctrl")
         self._friction = simulation.bind("qfrc_applied")[:, :NUM_JOINTS]
-        self._servos = Servos.on(simulation.device, simulation.dtype, dynamics)
+        efforts = simulation.model.actuator_forcerange[:, 1].tolist()
+        self._servos = Servos.on(simulation.device, simulation.dtype, dynamics, efforts)
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
         self._command = torch.zeros_like(self._ctrl)

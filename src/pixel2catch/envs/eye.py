@@ -1,10 +1,9 @@
 """The camera and what finds the object in its images: from the true state to a `Detection`."""
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
 import torch
-from jaxtyping import Bool
-from torch import Tensor
 
 from pixel2catch.camera.boxes import perturb_box
 from pixel2catch.camera.pinhole import Projection, nominal_projection
@@ -20,13 +19,17 @@ class Eye(ABC):
     """Looks at the object of every environment, once in every control step."""
 
     @abstractmethod
-    def look(self, truth: Privileged, episode: Episode) -> tuple[Detection, Bool[Tensor, " num_envs"]]:
-        """What the present image shows of the object, and whether it was found at all.
+    def look(self, truth: Privileged, episode: Episode) -> Detection:
+        """What an image of this moment shows of the object, and whether it is found at all.
 
         Args:
             truth: What there is to see.
             episode: The present episodes; one that has just begun has made no step.
         """
+
+    @abstractmethod
+    def disturbed(self, detection: Detection, episode: Episode) -> Detection:
+        """What the sensors make of it."""
 
 
 class ProjectingEye(Eye):
@@ -42,7 +45,7 @@ class ProjectingEye(Eye):
         """
         self._cfg, self._world, self._generator = cfg, world, generator
 
-    def look(self, truth: Privileged, episode: Episode) -> tuple[Detection, Bool[Tensor, " num_envs"]]:
+    def look(self, truth: Privileged, episode: Episode) -> Detection:
         """See `Eye.look`.
 
         Rays to hidden points start where the camera was calibrated: the rest changes little of what it hides.
@@ -52,17 +55,35 @@ class ProjectingEye(Eye):
         box, is_seen = detect(points, is_visible, cfg.least_visible, camera)
         if cfg.box_scale != 1.0:
             box = scaled_box(box, cfg.box_scale)
+        exact = torch.zeros_like(box[:, 0])
+        return Detection(
+            box=box, object_pos=truth.object_pos, is_seen=is_seen, stale=exact, age_error=exact.clone()
+        )
+
+    def disturbed(self, detection: Detection, episode: Episode) -> Detection:
+        """Noise, and what is wrong with the sight of the episode."""
+        cfg, sight, box = self._cfg, episode.sight, detection.box
         noise = 2.0 * torch.rand(box.shape, generator=self._generator, device=box.device) - 1.0
         error = (cfg.corner_noise + cfg.edge_noise) * noise
         shift = 0.5 * cfg.edge_noise * (noise[:, :2] + noise[:, 2:])
-        if episode.sight is not None:
-            error = error + episode.sight.box_bias.repeat(1, 2)
-            shift = shift + episode.sight.box_bias
-        object_pos = truth.object_pos
-        if episode.sight is not None or episode.shake is not None or cfg.edge_noise:
+        is_seen, age_error = detection.is_seen, detection.age_error
+        if sight is not None:
+            error = error + sight.box_bias.repeat(1, 2)
+            shift = shift + sight.box_bias
+            chance = torch.rand(len(box), generator=self._generator, device=box.device)
+            is_seen = is_seen & (chance >= sight.drop_rate) & ~sight.is_dark(episode.record.steps)
+            age_error = sight.age_error(episode.parameters.latency, self._generator)
+        object_pos = detection.object_pos
+        if sight is not None or episode.shake is not None or cfg.edge_noise:
+            camera = self._camera(episode)
             object_pos = tracked_position(camera, cfg.camera.camera, object_pos, shift)
-        detection = Detection(box=perturb_box(box, error, RGB_CAMERA), object_pos=object_pos)
-        return detection, is_seen & self._has_image(episode)
+        return replace(
+            detection,
+            box=perturb_box(box, error, RGB_CAMERA),
+            object_pos=object_pos,
+            is_seen=is_seen,
+            age_error=age_error,
+        )
 
     def _camera(self, episode: Episode) -> Projection:
         """The true camera, in the frame of the robot's base."""
@@ -71,13 +92,3 @@ class ProjectingEye(Eye):
         if episode.shake is None:
             return camera
         return camera.moved(-episode.shake.displacement(CONTROL_DT * episode.record.steps))
-
-    def _has_image(self, episode: Episode) -> Bool[Tensor, " num_envs"] | bool:
-        """Whether an image arrived, in which the object may be found."""
-        has_image = True
-        if self._cfg.drop_rate:
-            chance = torch.rand(len(episode.throw.pos), generator=self._generator, device=self._world.device)
-            has_image = chance >= self._cfg.drop_rate
-        if episode.sight is not None and self._cfg.blackout_steps:
-            has_image = ~episode.sight.is_dark(episode.record.steps, self._cfg.blackout_steps) & has_image
-        return has_image

@@ -1,5 +1,6 @@
 """The joint servos between command and simulation: speed and effort limits, and dry friction."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -48,10 +49,20 @@ class Servos:
     frictionloss: Float[Tensor, " num_joints"]
 
     @classmethod
-    def on(cls, device: torch.device, dtype: torch.dtype, dynamics: JointDynamics) -> "Servos":
-        """Copy the joints' limits, and the friction of all of them, to a device."""
-        limits = ([getattr(joint, name) for joint in JOINTS] for name in ("effort_limit", "velocity_limit"))
-        return cls(*(torch.tensor(v, dtype=dtype, device=device) for v in (*limits, dynamics.frictionloss)))
+    def on(
+        cls, device: torch.device, dtype: torch.dtype, dynamics: JointDynamics, efforts: Sequence[float]
+    ) -> "Servos":
+        """Copy the limits of all joints, and their friction, to a device.
+
+        Args:
+            device: Where to.
+            dtype: As what.
+            dynamics: Of all joints.
+            efforts: Their largest torques [N·m].
+        """
+        speeds = [joint.velocity_limit for joint in JOINTS]
+        values = (efforts, speeds, dynamics.frictionloss)
+        return cls(*(torch.tensor(each, dtype=dtype, device=device) for each in values))
 
     def limited(
         self, command: Float[Tensor, "num_envs num_joints"], state: ServoState

@@ -143,6 +143,7 @@ class CatchWorld:
         self,
         joint_pos_target: Float[Tensor, "num_envs num_joints"],
         base_acceleration: Float[Tensor, "num_steps num_envs 3"] | None = None,
+        drag: Float[Tensor, " num_envs"] | None = None,
         num_steps: int | None = None,
     ) -> PhysicsLog:
         """Simulate one control step; the commands ramp linearly to the target (a first-order hold).
@@ -150,25 +151,38 @@ class CatchWorld:
         Args:
             joint_pos_target: Where the joints shall be at its end [rad].
             base_acceleration: Acceleration of a base that shakes in the middle of each physics step [m/s²].
+            drag: Deceleration of the object by air over the square of its speed [1/m].
             num_steps: Physics steps, if not those of a control step.
         """
         num_steps = num_steps or self._decimation
         increment = self._drives.increment(joint_pos_target, num_steps)
         log = None
         for i in range(num_steps):
-            if base_acceleration is not None:
-                self._push_object(-base_acceleration[i])
+            if base_acceleration is not None or drag is not None:
+                self._push_object(None if base_acceleration is None else -base_acceleration[i], drag)
             self._drives.advance(increment)
             self.simulation.step()
             log = self._read_log() if log is None else log.merged(self._read_log())
         assert log is not None
         return log
 
-    def _push_object(self, acceleration: Float[Tensor, "num_envs 3"]) -> None:
-        """Apply the force that accelerates a free object so [m/s²]."""
+    def _push_object(
+        self,
+        acceleration: Float[Tensor, "num_envs 3"] | None,
+        drag: Float[Tensor, " num_envs"] | None,
+    ) -> None:
+        """Apply the force that accelerates a free object so [m/s²], and that of the air.
+
+        Air slows it against its velocity, by what its mean face feels; that it tumbles is neglected.
+        """
         force = self._fields.qfrc_applied[:, NUM_JOINTS : NUM_JOINTS + 3]
+        total = torch.zeros_like(force) if acceleration is None else acceleration.to(force)
+        if drag is not None:
+            velocity = self._fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3]
+            speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
+            total = total - drag.to(force)[:, None] * speed * velocity
         mass = self.simulation.expand("body_mass")[:, self.objects.indices.body]
-        force.copy_(mass[:, None] * acceleration.to(force))
+        force.copy_(mass[:, None] * total)
 
     def quiet_log(self) -> PhysicsLog:
         """The log of a control step in which nothing was touched."""
@@ -184,6 +198,8 @@ class CatchWorld:
             object_lin_vel=_snapshot(fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3]),
             is_touching=log.is_touching,
             is_robot_on_table=log.is_robot_on_table,
+            is_self_contact=log.is_self_contact,
+            joint_vel=_snapshot(fields.qvel[:, :NUM_JOINTS]),
         )
 
     def surface_points(
@@ -234,6 +250,7 @@ class CatchWorld:
         fields = self._fields
         found = fields.sensordata[:, self._sensors.found] > 0
         depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
+        torque_share = (fields.actuator_force.abs() / self._drives.effort_limit).float()
         hand = len(HAND_PARTS)
         return PhysicsLog(
             is_touching=found[:, :hand],
@@ -242,7 +259,8 @@ class CatchWorld:
             penetration=depth[:, hand],
             table_penetration=depth[:, hand + 1],
             joint_speed=fields.qvel[:, :NUM_ARM_JOINTS].abs().amax(dim=-1).float(),
-            torque_share=(fields.actuator_force.abs() / self._drives.effort_limit).amax(dim=-1).float(),
+            torque_share=torque_share.amax(dim=-1),
+            hand_torque_share=torque_share[:, NUM_ARM_JOINTS:].mean(dim=-1),
         )
 
 

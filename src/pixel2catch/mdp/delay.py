@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from jaxtyping import Int
+import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.mdp.masks import select
@@ -21,12 +22,18 @@ class DelayLine(Generic[T]):
 
     ages: tuple[T, ...]
 
-    def delivered(self, delay: Int[Tensor, " num_envs"]) -> T:
-        """The value that is `delay` control steps old."""
+    def delivered(self, delay: Float[Tensor, " num_envs"]) -> T:
+        """The value that is `delay` control steps old, or the next newer one where there is none."""
         result = self.ages[0]
         for age, value in enumerate(self.ages[1:], start=1):
             result = select(delay >= age, value, result)
         return result
+
+    def interpolated(self: "DelayLine[Tensor]", delay: Float[Tensor, " num_envs"]) -> Tensor:
+        """Values (num_envs, k) that are `delay` control steps old, linear between those that were sent."""
+        ages = torch.stack(self.ages, dim=1)
+        distance = delay[:, None] - torch.arange(len(self.ages), device=delay.device)
+        return (torch.clamp(1.0 - distance.abs(), min=0.0)[..., None] * ages).sum(dim=1)
 
     def pushed(self, value: T) -> "DelayLine[T]":
         """The line one control step later."""

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pixel2catch.camera import box_history
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
 from pixel2catch.mdp.snapshot import History, Measurement, Privileged
 from pixel2catch.robot.constants import RGB_CAMERA
@@ -76,6 +77,44 @@ def joint_pos_target(frame: Frame) -> Float[Tensor, "num_envs k"]:
     return frame.now.joint_pos_target[:, frame.joints]
 
 
+def box_age(frame: Frame) -> Float[Tensor, "num_envs 1"]:
+    """Age of the newest measured box, by its stamp [control steps]. Source: ours."""
+    return frame.now.boxes.age[:, :1]
+
+
+def box_track(frame: Frame) -> Float[Tensor, "num_envs k"]:
+    """The remembered boxes: centre and size of the newest [100 px], speeds between boxes [px/step], ages.
+
+    Source: ours.
+    """
+    box, age = frame.now.boxes.box, frame.now.boxes.age
+    what = torch.cat((0.5 * (box[..., :2] + box[..., 2:]), box[..., 2:] - box[..., :2]), dim=-1)
+    gap = (age[:, 1:] - age[:, :-1]).clamp(min=0.5)
+    speed = (what[:, :-1] - what[:, 1:]) / gap[..., None]
+    return torch.cat((what[:, 0] / 100.0, speed.flatten(1), age), dim=-1)
+
+
+def box_fit(frame: Frame) -> Float[Tensor, "num_envs k"]:
+    """Path and growth of the box, fitted to the remembered boxes and carried on to the present.
+
+    A method that does not see the centre of the box, or not its size, does not see what is fitted to it.
+    Source: ours, see `camera.box_history`.
+    """
+    features = box_history.box_fit(frame.now.boxes.box, frame.now.boxes.age, RGB_CAMERA)
+    seen = {PIXEL_FEATURES[column].lstrip("d") for column in frame.pixel_columns}
+    names = enumerate(box_history.BOX_FIT_FEATURES)
+    return torch.stack([features[:, i] for i, name in names if _is_fit_seen(name, seen)], dim=-1)
+
+
+def _is_fit_seen(name: str, seen: set[str]) -> bool:
+    """Whether a feature of the fit follows from what of a box is seen: its centre, its size or both."""
+    what = name.removesuffix("_short").removesuffix("_long")
+    needs_size = what.startswith("far") or what in ("size", "growth")
+    needs_center = what not in ("age", "size", "growth", "far", "far_growth")
+    sees_center, sees_size = not seen.isdisjoint(("cx", "cy")), not seen.isdisjoint(("w", "h"))
+    return (sees_center or not needs_center) and (sees_size or not needs_size)
+
+
 PROPRIOCEPTION: tuple[ObservationTerm, ...] = (palm_pose, joint_pos, last_action)
 PAPER_TERMS: tuple[ObservationTerm, ...] = (pixels, *PROPRIOCEPTION)
 JOURNAL_TERMS: tuple[ObservationTerm, ...] = (*PAPER_TERMS, palm_displacement, joint_pos_target)
@@ -87,14 +126,27 @@ def pixel_columns(names: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def observe(
-    terms: tuple[ObservationTerm, ...], joints: slice, columns: tuple[int, ...], history: History
+    terms: tuple[ObservationTerm, ...],
+    memory: tuple[ObservationTerm, ...],
+    joints: slice,
+    columns: tuple[int, ...],
+    history: History,
 ) -> Float[Tensor, "num_envs size"]:
-    """An agent's observation: its terms on both frames of the history, oldest first."""
+    """An agent's observation: its terms on both frames of the history, oldest first, then what it remembers.
+
+    Args:
+        terms: Terms of a frame.
+        memory: Terms of the newest frame alone, which look back by themselves.
+        joints: The agent's columns in joint order.
+        columns: The columns of `PIXEL_FEATURES` that the method uses.
+        history: The last measurements.
+    """
     frames = (
         Frame(before=history.oldest, now=history.before, joints=joints, pixel_columns=columns),
         Frame(before=history.before, now=history.now, joints=joints, pixel_columns=columns),
     )
-    return torch.cat([term(frame) for frame in frames for term in terms], dim=-1)
+    values = [term(frame) for frame in frames for term in terms]
+    return torch.cat([*values, *(term(frames[1]) for term in memory)], dim=-1)
 
 
 def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_envs 21"]:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.throws import Range, uniform
+from pixel2catch.mdp.throws import Amount, Range, uniform
 from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
 
 TABLE_1_GAINS: tuple[Range, ...] = ((0.8, 1.2),) * len(ARM_JOINTS) + ((0.7, 1.3),) * len(HAND_JOINTS)
@@ -65,8 +65,11 @@ class RandomizationCfg:
         mass_scale: Factor on the object's mass and inertia.
         restitution: Restitution of contacts with the object.
         friction: Sliding friction of contacts with the object (release).
-        command_delay: Control steps between a command and its effect, first and last (ours, for tests of
-            policies; training has none).
+        command_delay: Control steps between a command and its effect, first and last of the draw per episode
+            (ours; the paper's training has none).
+        command_delay_grid: Difference of neighbouring delays that are drawn [control steps]; 0 draws any.
+        air_density: Density of the air that slows the object [kg/m³]; 0 is none, as in the paper's training,
+            1.2 is real.
     """
 
     gains: GainRanges = field(default_factory=GainRanges)
@@ -78,7 +81,9 @@ class RandomizationCfg:
     mass_scale: Range = (0.5, 1.5)
     restitution: Range = (0.0, 0.5)
     friction: Range = (0.5, 1.5)
-    command_delay: tuple[int, int] = (0, 0)
+    command_delay: Range = (0, 0)
+    command_delay_grid: float = 1.0
+    air_density: Amount = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +100,7 @@ class EpisodeParameters:
         mass_scale: Factor on the object's mass.
         restitution: Restitution of contacts with the object.
         friction: Sliding friction of contacts with the object.
-        latency: Control steps between image and delivered box.
+        latency: Control steps between image and delivered box; not always whole.
     """
 
     object_id: Int[Tensor, " num_envs"]
@@ -107,7 +112,7 @@ class EpisodeParameters:
     mass_scale: Float[Tensor, " num_envs"]
     restitution: Float[Tensor, " num_envs"]
     friction: Float[Tensor, " num_envs"]
-    latency: Int[Tensor, " num_envs"]
+    latency: Float[Tensor, " num_envs"]
 
 
 def sample_parameters(
@@ -118,7 +123,6 @@ def sample_parameters(
     device = generator.device
     offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * len(JOINTS)
     scalars = uniform((cfg.mass_scale, cfg.restitution, cfg.friction), num_envs, generator)
-    first, last = sensing.latency_steps
 
     def normal() -> Tensor:
         return torch.randn(num_envs, len(JOINTS), generator=generator, device=device)
@@ -135,7 +139,7 @@ def sample_parameters(
         mass_scale=scalars[:, 0],
         restitution=scalars[:, 1],
         friction=scalars[:, 2],
-        latency=torch.randint(first, last + 1, (num_envs,), generator=generator, device=device),
+        latency=sample_delay(sensing.latency_steps, sensing.latency_grid, num_envs, generator),
     )
 
 
@@ -155,14 +159,22 @@ def _flags(values: tuple[bool, ...], device: torch.device) -> Bool[Tensor, " num
     return torch.tensor(values, device=device)
 
 
-def sample_command_delay(
-    cfg: RandomizationCfg, num_envs: int, generator: torch.Generator
-) -> Int[Tensor, " num_envs"]:
-    """Draw the delay of an episode's commands [control steps], on the generator's device."""
-    first, last = cfg.command_delay
-    if first == last:
-        return torch.full((num_envs,), first, device=generator.device)
-    return torch.randint(first, last + 1, (num_envs,), generator=generator, device=generator.device)
+def sample_delay(
+    limits: Range, grid: float, num_envs: int, generator: torch.Generator
+) -> Float[Tensor, " num_envs"]:
+    """Draw a delay for every episode, on the generator's device [control steps].
+
+    Args:
+        limits: First and last, both included.
+        grid: Difference of neighbouring delays, all of which are as likely; 0 draws any.
+        num_envs: Number of episodes.
+        generator: Where they are drawn from.
+    """
+    if not grid:
+        return uniform((limits,), num_envs, generator)[:, 0]
+    first, last = limits
+    count = int((last - first) / grid + 1e-6) + 1
+    return first + grid * torch.randint(count, (num_envs,), generator=generator, device=generator.device)
 
 
 @lru_cache(maxsize=8)

@@ -13,6 +13,9 @@ from torch import Tensor
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_dropped, is_near, is_success, palm_distance
 
+SETTLE_STEPS = 6
+"""Control steps that a held object may take to come to rest, with the robot. Source: ours; release: 5."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RewardTerm:
@@ -82,6 +85,21 @@ def action_square(transition: Transition, joints: slice) -> Float[Tensor, " num_
 def grasp(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
     """One while at least two parts of the hand touch the object. Source: ours, so that a hold is a grasp."""
     return (transition.now.is_touching.sum(dim=-1) >= 2).float()
+
+
+def unrest(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """Sum of the squared speeds of the agent's joints once the object has been held a while [rad²/s²].
+
+    Source: ours, so that a robot that holds an object stands still; the release weights actions 50 times
+    higher then.
+    """
+    speed = transition.now.joint_vel[:, joints].square().sum(dim=-1)
+    return torch.where(transition.held_steps >= SETTLE_STEPS, speed, 0.0)
+
+
+def self_contact(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """One while the robot touches itself. Source: ours: finger tips that press on each other wear."""
+    return transition.now.is_self_contact.float()
 
 
 def _fingertip_distance(snapshot: Privileged) -> Float[Tensor, "num_envs 4"]:

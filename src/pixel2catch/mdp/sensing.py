@@ -3,17 +3,19 @@
 Training and evaluation in simulation only: on the robot the sensors themselves do this.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.camera.boxes import box_of_points, hold_box
+from pixel2catch.camera.boxes import box_of_points
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.camera.visibility import is_in_view
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.throws import Amount, Range
 from pixel2catch.robot.constants import RGB_CAMERA
 
 RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)
@@ -28,6 +30,8 @@ class SensingCfg:
         corner_noise: Largest error of each edge of the box, uniform [px] (Source: paper).
         latency_steps: Control steps between image and delivered box, first and last of the draw per episode
             (Source: release).
+        latency_grid: Difference of neighbouring latencies that are drawn [control steps] (Source: release,
+            whole steps); 0 draws any, as there are outside a simulation.
         joint_noise: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation
             noise).
         joint_bias: Standard deviation of their error in an episode [rad] (Source: release).
@@ -36,8 +40,8 @@ class SensingCfg:
         camera: The camera, as a pinhole, and how well it is known: the true camera of an episode is drawn
             within that. The default is the release's, known exactly.
         camera_offset: Distance of the true camera from that one, in a random direction [m]. This and what
-            follows disturbs nothing in training (Source: ours, for tests of policies; values with their
-            sources are in `evaluation.stress.suite`).
+            follows is nothing in the paper's training (Source: ours; values with their sources are in
+            `envs.tasks` and `evaluation.stress.suite`).
         camera_turn: Angle between the two, about a random axis [rad].
         focal_error: Relative error of the focal length, of random sign.
         box_bias: Shift of every box of an episode in a random direction [px].
@@ -45,22 +49,30 @@ class SensingCfg:
         edge_noise: Largest error of each edge on top of `corner_noise` [px].
         drop_rate: Share of the images in which the object is not found.
         blackout_steps: Control steps of each flight, at a random time, without any image.
+        clock_error: How far the stamps of all images of an episode are off, early or late [s].
+        stamp_jitter: Standard deviation of the error of each stamp [s].
+        unstamped: Share of the episodes whose images have no stamps: their age is then taken for
+            `ASSUMED_AGE`.
     """
 
     corner_noise: float = 5.0
-    latency_steps: tuple[int, int] = (1, 2)
+    latency_steps: Range = (1, 2)
+    latency_grid: float = 1.0
     joint_noise: float = 0.005
     joint_bias: float = 0.001
     least_visible: float = 0.05
     camera: CameraFile = RELEASE_CAMERA
-    camera_offset: float = 0.0
-    camera_turn: float = 0.0
-    focal_error: float = 0.0
-    box_bias: float = 0.0
+    camera_offset: Amount = 0.0
+    camera_turn: Amount = 0.0
+    focal_error: Amount = 0.0
+    box_bias: Amount = 0.0
     box_scale: float = 1.0
     edge_noise: float = 0.0
-    drop_rate: float = 0.0
-    blackout_steps: int = 0
+    drop_rate: Amount = 0.0
+    blackout_steps: Amount = 0
+    clock_error: Amount = 0.0
+    stamp_jitter: Amount = 0.0
+    unstamped: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a camera whose pixels mean something else to a policy."""
@@ -72,6 +84,10 @@ class SensingCfg:
             )
 
 
+ASSUMED_AGE = 1.5
+"""Age of a box without a stamp when it arrives [control steps]. Source: release, mean of its latencies."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Detection:
     """What is known of the object from one image.
@@ -79,16 +95,39 @@ class Detection:
     Attributes:
         box: Its bounding box [px].
         object_pos: Its position by a tracker, world frame [m].
+        is_seen: Whether it was found in that image; if not, box and position are of the last one in which it
+            was.
+        stale: Control steps since that one.
+        age_error: What its stamp makes its age appear larger [control steps].
     """
 
     box: Float[Tensor, "num_envs 4"]
     object_pos: Float[Tensor, "num_envs 3"]
+    is_seen: Bool[Tensor, " num_envs"]
+    stale: Float[Tensor, " num_envs"]
+    age_error: Float[Tensor, " num_envs"]
 
     def held(self, is_seen: Bool[Tensor, " num_envs"], previous: "Detection") -> "Detection":
-        """This detection where the object is seen, else the previous one."""
-        box = hold_box(self.box, is_seen, previous.box)
-        object_pos = torch.where(is_seen[:, None], self.object_pos, previous.object_pos)
-        return Detection(box=box, object_pos=object_pos)
+        """This detection where the object is seen, else the previous one, a control step older."""
+        later = replace(previous, is_seen=torch.zeros_like(is_seen), stale=previous.stale + 1.0)
+        return select(is_seen, self, later)
+
+    def exposed_before(self, previous: "Detection", time: Float[Tensor, " num_envs"]) -> "Detection":
+        """What an image shows that was taken some time before this one, and after the previous one.
+
+        An object's box moves almost linearly in a control step: in free flight the error is under 0.6 px.
+
+        Args:
+            previous: What the image a control step before this one shows.
+            time: From the exposure to this image, from 0 to 1 [control steps].
+        """
+        share = time[:, None]
+        return replace(
+            self,
+            box=torch.lerp(self.box, previous.box, share),
+            object_pos=torch.lerp(self.object_pos, previous.object_pos, share),
+            is_seen=self.is_seen & (previous.is_seen | (time == 0.0)),
+        )
 
 
 def detect(

@@ -1,7 +1,7 @@
 """What is wrong with the sight of an episode: the camera, the boxes, the images that are missing.
 
 Source: ours; with the defaults of `SensingCfg` nothing is. A calibrated camera differs from episode to
-episode, in training too, as far as its calibration leaves it open; the rest is for tests of policies.
+episode as far as its calibration leaves it open.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.camera.pinhole import Projection, back_project, nominal_projection
-from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.throws import Throw, random_directions
+from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
+from pixel2catch.mdp.throws import Amount, Throw, drawn, random_directions
 from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
 
 
@@ -23,38 +23,79 @@ class Sight:
     Attributes:
         camera: The true camera; a tracker assumes the one that it was drawn about.
         box_bias: Shift of every box, along u and v [px].
+        drop_rate: Share of the images in which the object is not found.
         blackout_start: Control step of the episode at which the images fail.
+        blackout_steps: Control steps for which they do.
+        clock_error: What the stamps make every box appear older [control steps].
+        stamp_jitter: Standard deviation of such an error of each image [control steps].
+        is_stamped: Whether images have stamps.
     """
 
     camera: Projection
     box_bias: Float[Tensor, "num_envs 2"]
+    drop_rate: Float[Tensor, " num_envs"]
     blackout_start: Int[Tensor, " num_envs"]
+    blackout_steps: Int[Tensor, " num_envs"]
+    clock_error: Float[Tensor, " num_envs"]
+    stamp_jitter: Float[Tensor, " num_envs"]
+    is_stamped: Bool[Tensor, " num_envs"]
 
-    def is_dark(self, steps: Int[Tensor, " num_envs"], blackout_steps: int) -> Bool[Tensor, " num_envs"]:
+    def is_dark(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
         """Whether there is no image after so many control steps of the episode."""
-        return (steps >= self.blackout_start) & (steps < self.blackout_start + blackout_steps)
+        return (steps >= self.blackout_start) & (steps < self.blackout_start + self.blackout_steps)
+
+    def age_error(
+        self, latency: Float[Tensor, " num_envs"], generator: torch.Generator
+    ) -> Float[Tensor, " num_envs"]:
+        """What the stamp of an image makes its box appear older [control steps]."""
+        jitter = torch.randn(len(latency), generator=generator, device=latency.device)
+        error = self.clock_error + self.stamp_jitter * jitter
+        return torch.where(self.is_stamped, error, ASSUMED_AGE - latency)
 
 
-def sample_sight(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> Sight | None:
-    """Draw what is wrong, on the generator's device; nothing is drawn where nothing can be."""
-    errors = (cfg.camera_offset, cfg.camera_turn, cfg.focal_error, cfg.box_bias, cfg.blackout_steps)
+def is_sight_exact(cfg: SensingCfg) -> bool:
+    """Whether nothing can be wrong with the sight but the noise of training."""
+    errors = (
+        *(cfg.camera_offset, cfg.camera_turn, cfg.focal_error, cfg.box_bias, cfg.drop_rate),
+        *(cfg.blackout_steps, cfg.clock_error, cfg.stamp_jitter, cfg.unstamped),
+    )
+    return not any((*errors, *cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
+
+
+def sample_sight(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> Sight:
+    """Draw what is wrong, on the generator's device."""
     is_uncertain = any((*cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
-    if not (any(errors) or is_uncertain):
-        return None
     num_envs = len(throw.pos)
     offset, turn = (random_directions(num_envs, generator) for _ in range(2))
-    chance = torch.rand(num_envs, 3, generator=generator, device=generator.device)
-    zoom = 1.0 + cfg.focal_error * (1.0 - 2.0 * (chance[:, 0] < 0.5).float())
+    chance = torch.rand(num_envs, 5, generator=generator, device=generator.device)
+
+    def amount(value: Amount) -> Float[Tensor, " num_envs"]:
+        return drawn(value, num_envs, generator)
+
+    zoom = 1.0 + amount(cfg.focal_error) * _sign(chance[:, 0])
     spec = cfg.camera.camera
     camera = cfg.camera.sample(num_envs, generator) if is_uncertain else nominal_projection(spec, offset)
     bias_angle = 2.0 * torch.pi * chance[:, 1]
     flight_steps = throw.flight_time() / CONTROL_DT
-    latest = torch.clamp(flight_steps - cfg.blackout_steps, min=0.0)
+    blackout_steps = amount(cfg.blackout_steps).round()
+    latest = torch.clamp(flight_steps - blackout_steps, min=0.0)
+    direction = torch.stack((torch.cos(bias_angle), torch.sin(bias_angle)), dim=-1)
+    turn, offset = amount(cfg.camera_turn)[:, None] * turn, amount(cfg.camera_offset)[:, None] * offset
     return Sight(
-        camera=camera.zoomed(zoom, spec).turned(cfg.camera_turn * turn).moved(cfg.camera_offset * offset),
-        box_bias=cfg.box_bias * torch.stack((torch.cos(bias_angle), torch.sin(bias_angle)), dim=-1),
+        camera=camera.zoomed(zoom, spec).turned(turn).moved(offset),
+        box_bias=amount(cfg.box_bias)[:, None] * direction,
+        drop_rate=amount(cfg.drop_rate),
         blackout_start=throw.hover_steps + (chance[:, 2] * latest).round().long(),
+        blackout_steps=blackout_steps.long(),
+        clock_error=amount(cfg.clock_error) / CONTROL_DT * _sign(chance[:, 3]),
+        stamp_jitter=amount(cfg.stamp_jitter) / CONTROL_DT,
+        is_stamped=chance[:, 4] >= cfg.unstamped,
     )
+
+
+def _sign(chance: Float[Tensor, " num_envs"]) -> Float[Tensor, " num_envs"]:
+    """-1 or 1, from draws in [0, 1)."""
+    return 1.0 - 2.0 * (chance < 0.5).float()
 
 
 def scaled_box(box: Float[Tensor, "num_envs 4"], factor: float) -> Float[Tensor, "num_envs 4"]:

@@ -10,6 +10,8 @@ from typing import NamedTuple
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from pixel2catch.mdp.box_history import BoxHistory
+
 FINGERS = ("index", "middle", "ring", "thumb")
 HAND_PARTS = ("palm", *FINGERS)
 
@@ -19,7 +21,7 @@ class Measurement:
     """What the robot knows at one control step, in simulation and in the laboratory.
 
     Attributes:
-        box: Newest delivered bounding box of the object: xmin, ymin, xmax, ymax [px].
+        boxes: The last measured bounding boxes of the object, as many as the method remembers.
         object_pos: Position of the object's centre by a tracker, as old as the box, world frame [m]. Only
             methods that others are compared with read it.
         initial_object_pos: The first such position of the episode [m].
@@ -30,7 +32,7 @@ class Measurement:
         action: Last actions of all agents in joint order, in [-1, 1].
     """
 
-    box: Float[Tensor, "num_envs 4"]
+    boxes: BoxHistory
     object_pos: Float[Tensor, "num_envs 3"]
     initial_object_pos: Float[Tensor, "num_envs 3"]
     joint_pos: Float[Tensor, "num_envs num_joints"]
@@ -38,6 +40,11 @@ class Measurement:
     palm_pos: Float[Tensor, "num_envs 3"]
     palm_quat: Float[Tensor, "num_envs 4"]
     action: Float[Tensor, "num_envs num_joints"]
+
+    @property
+    def box(self) -> Float[Tensor, "num_envs 4"]:
+        """Newest measured box of the object: xmin, ymin, xmax, ymax [px]."""
+        return self.boxes.box[:, 0]
 
 
 class History(NamedTuple):
@@ -59,6 +66,8 @@ class Privileged:
         object_lin_vel: Its velocity [m/s].
         is_touching: Which of `HAND_PARTS` touched the object since the step before.
         is_robot_on_table: Whether the robot touched the table since the step before.
+        is_self_contact: Whether the robot touched itself since the step before.
+        joint_vel: Joint speeds [rad/s].
     """
 
     palm_pos: Float[Tensor, "num_envs 3"]
@@ -67,6 +76,8 @@ class Privileged:
     object_lin_vel: Float[Tensor, "num_envs 3"]
     is_touching: Bool[Tensor, "num_envs 5"]
     is_robot_on_table: Bool[Tensor, " num_envs"]
+    is_self_contact: Bool[Tensor, " num_envs"]
+    joint_vel: Float[Tensor, "num_envs num_joints"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ Source: release, unless a line says otherwise.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import torch
 from jaxtyping import Float, Int
@@ -14,6 +14,9 @@ from pixel2catch.mdp.drag import flight_time, velocity_through_air
 from pixel2catch.robot.constants import GRAVITY
 
 Range = tuple[float, float]
+
+Amount = float | Range
+"""A number, or the range from which every episode draws its own, uniformly."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +48,8 @@ class ThrowCfg:
     peak_z: Range = (1.6, 1.9)
     clearance: float = 0.2
     hover_steps: tuple[int, int] = (5, 19)
-    speed_deviation: float = 0.0
-    angle_deviation: float = 0.0
+    speed_deviation: Amount = 0.0
+    angle_deviation: Amount = 0.0
     spin: float = 0.0
 
 
@@ -119,11 +122,14 @@ def _released(
     """The intended velocity with the thrower's errors of speed, elevation and azimuth [m/s]."""
     if not (cfg.speed_deviation or cfg.angle_deviation):
         return lin_vel
-    error = torch.randn(len(lin_vel), 3, generator=generator, device=lin_vel.device)
-    speed = torch.linalg.vector_norm(lin_vel, dim=-1) * (1.0 + cfg.speed_deviation * error[:, 0])
+    num_envs = len(lin_vel)
+    error = torch.randn(num_envs, 3, generator=generator, device=lin_vel.device)
+    angle_deviation = drawn(cfg.angle_deviation, num_envs, generator)
+    faster = drawn(cfg.speed_deviation, num_envs, generator) * error[:, 0]
+    speed = torch.linalg.vector_norm(lin_vel, dim=-1) * (1.0 + faster)
     along = torch.linalg.vector_norm(lin_vel[:, :2], dim=-1)
-    elevation = torch.atan2(lin_vel[:, 2], along) + cfg.angle_deviation * error[:, 1]
-    azimuth = torch.atan2(lin_vel[:, 1], lin_vel[:, 0]) + cfg.angle_deviation * error[:, 2]
+    elevation = torch.atan2(lin_vel[:, 2], along) + angle_deviation * error[:, 1]
+    azimuth = torch.atan2(lin_vel[:, 1], lin_vel[:, 0]) + angle_deviation * error[:, 2]
     level = speed * torch.cos(elevation)
     return torch.stack(
         (level * torch.cos(azimuth), level * torch.sin(azimuth), speed * torch.sin(elevation)), dim=-1
@@ -146,6 +152,13 @@ def launch_velocity(
     return torch.cat((horizontal, (GRAVITY * rise)[:, None]), dim=-1)
 
 
+def drawn(amount: Amount, num_envs: int, generator: torch.Generator) -> Float[Tensor, " num_envs"]:
+    """The amount of every episode, on the generator's device; a number draws nothing."""
+    if isinstance(amount, tuple):
+        return uniform((amount,), num_envs, generator)[:, 0]
+    return torch.full((num_envs,), float(amount), device=generator.device)
+
+
 def uniform(
     ranges: tuple[Range, ...], num_envs: int, generator: torch.Generator
 ) -> Float[Tensor, "num_envs k"]:
@@ -160,7 +173,7 @@ def random_directions(num_envs: int, generator: torch.Generator) -> Float[Tensor
     return torch.nn.functional.normalize(normal, dim=-1)
 
 
-@lru_cache(maxsize=32)
+@cache
 def _bounds(
     ranges: tuple[Range, ...], device: torch.device
 ) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:

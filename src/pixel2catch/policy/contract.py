@@ -45,6 +45,7 @@ class PolicyContract:
         control_dt: Time between two actions [s].
         camera: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation.
         handedness: "left" or "right": which hand is on the arm.
+        task: Name of the task that it was trained for; it may act in others.
         format_version: Version of the file format.
     """
 
@@ -55,6 +56,7 @@ class PolicyContract:
     control_dt: float
     camera: dict[str, int | float | tuple[float, ...]]
     handedness: str
+    task: str = "nominal"
     format_version: int = FORMAT_VERSION
 
     def to_dict(self) -> dict[str, Any]:
@@ -74,7 +76,7 @@ class PolicyContract:
                 f"policy field 'format_version' is {version}, this code reads {FORMAT_VERSION}; "
                 "train again or use the version of this package that wrote the policy."
             )
-        values = _fields(cls, data, "")
+        values = _fields(cls, {"task": "nominal", **data}, "")
         values["pixel_features"] = tuple(values["pixel_features"])
         values["agents"] = {
             name: _agent(agent, f"agents.{name}.") for name, agent in values["agents"].items()
@@ -91,7 +93,8 @@ class PolicyContract:
         Raises:
             PolicyMismatchError: They differ; the message names every field that does, with both values.
         """
-        ours, theirs = dict(leaves(self.to_dict())), dict(leaves(expected.to_dict()))
+        same_task = dataclasses.replace(expected, task=self.task)
+        ours, theirs = dict(leaves(self.to_dict())), dict(leaves(same_task.to_dict()))
         fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
         if fields:
             lines = [f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields]

@@ -5,6 +5,7 @@ import dataclasses
 import torch
 
 from pixel2catch.agents import COMMANDS, AgentSpec
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.observations import Frame, pixel_columns
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import Method
@@ -34,21 +35,25 @@ def contract_of(method: Method, handedness: str, camera: CameraSpec = RGB_CAMERA
 
 
 def _agent_contract(agent: AgentSpec, method: Method) -> AgentContract:
-    """Two consecutive frames, oldest first, as `mdp.observations.observe` puts them."""
-    blank = _blank_measurement()
+    """Two consecutive frames, oldest first, then the memory, as `mdp.observations.observe` puts them."""
+    blank = _blank_measurement(method.num_boxes)
     columns = pixel_columns(method.pixel_features)
     frame = Frame(before=blank, now=blank, joints=agent.joints, pixel_columns=columns)
-    sizes = [(term.__name__, term(frame).shape[-1]) for term in agent.observation]
+    sizes, memory = (
+        [(term.__name__, term(frame).shape[-1]) for term in terms]
+        for terms in (agent.observation, agent.memory)
+    )
+    frames = ((f"{name}[{when}]", size) for when in ("t-1", "t") for name, size in sizes)
     return AgentContract(
-        observation=tuple((f"{name}[{when}]", size) for when in ("t-1", "t") for name, size in sizes),
+        observation=(*frames, *((f"{name}[t]", size) for name, size in memory)),
         joints=tuple(joint.name for joint in JOINTS[agent.joints]),
     )
 
 
-def _blank_measurement() -> Measurement:
+def _blank_measurement(num_boxes: int) -> Measurement:
     joints = torch.zeros(1, len(JOINTS))
     return Measurement(
-        box=torch.zeros(1, 4),
+        boxes=BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), num_boxes),
         object_pos=torch.zeros(1, 3),
         initial_object_pos=torch.zeros(1, 3),
         joint_pos=joints,

@@ -59,7 +59,13 @@ def load_checkpoint(path: Path, learner: Learner, contract: PolicyContract) -> P
         PolicyMismatchError: It was trained under another contract; the message names the fields.
     """
     state = _read(path, learner.cfg.device)
-    PolicyContract.from_dict(json.loads(state["contract"])).require(contract)
+    saved = PolicyContract.from_dict(json.loads(state["contract"]))
+    saved.require(contract)
+    if saved.task != contract.task:
+        raise CheckpointError(
+            f"checkpoint '{path}' is of a training for the task '{saved.task}'; train with --task "
+            f"{saved.task}, or name another folder."
+        )
     try:
         learner.load_state_dict(state["learner"])
     except (KeyError, RuntimeError, ValueError) as error:

@@ -31,8 +31,15 @@ class TrainCfg:
     """Dynamics file of the robot that is simulated; the nominal robot if absent."""
     camera: Path | None = None
     """Camera file of the camera that is simulated; the release's if absent."""
-    latency_steps: tuple[int, int] = SensingCfg.latency_steps
+    task: str = "nominal"
+    """Name of the task: "nominal" (paper), or "wide", with what laboratories do to it as well (ours)."""
+    latency_steps: tuple[float, float] = SensingCfg.latency_steps
     """Control steps between image and delivered box, first and last of the draw per episode."""
+    start: Path | None = None
+    """Policy to go on from, of the same method; value networks begin anew. Without one everything does."""
+    start_transitions: int = 2_000_000
+    """Transitions after such a start in which the value networks alone learn; in as many again the learning
+    rate rises. Source: ours."""
     transitions: int = 51_200_000
     """Length of the training: control steps, summed over the environments. Source: release."""
     rollout_steps: int = 8
@@ -74,7 +81,15 @@ class TrainCfg:
 
     def __post_init__(self) -> None:
         """Refuse values with which no training is possible."""
-        for name in ("num_envs", "transitions", "rollout_steps", "epochs", "mini_batches", "learning_rate"):
+        for name in (
+            "num_envs",
+            "transitions",
+            "start_transitions",
+            "rollout_steps",
+            "epochs",
+            "mini_batches",
+            "learning_rate",
+        ):
             if getattr(self, name) <= 0:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be greater than 0.")
         if not self.physics_hz:

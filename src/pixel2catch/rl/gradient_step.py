@@ -47,6 +47,7 @@ class GradientStep:
         rate = torch.tensor(cfg.learning_rate, device=cfg.device)
         self.optimizer = torch.optim.Adam(self._parameters, lr=rate, fused=True, capturable=self._is_cuda)
         self.totals = torch.zeros(3, device=cfg.device)
+        self._policy_weight = torch.ones((), device=cfg.device)
         self._batch: Batch | None = None
         self._graph: torch.cuda.CUDAGraph | None = None
         self._num_steps = 0
@@ -78,6 +79,20 @@ class GradientStep:
             self._step(self._batch)
         self._num_steps += 1
 
+    def rest_policy(self) -> None:
+        """Let the value network alone learn, until `wake_policy`."""
+        self._policy_weight.fill_(0.0)
+
+    def wake_policy(self) -> None:
+        """Let the policy learn, too, with an optimiser that has seen none of its gradients.
+
+        Adam's averages of gradients that were 0 would make its first step three times as long as any other.
+        """
+        self._policy_weight.fill_(1.0)
+        for parameter in self._policy.parameters():
+            for value in self.optimizer.state.get(parameter, {}).values():
+                value.zero_()
+
     def on_restored(self) -> None:
         """Forget what depends on the optimiser's former state, or on the device that the new is from."""
         self.close()
@@ -101,7 +116,7 @@ class GradientStep:
         value_loss = cfg.value_loss_scale * nn.functional.mse_loss(batch.returns, values)
         entropy_loss = -cfg.entropy_scale * self._policy.entropy()
         self.optimizer.zero_grad()
-        (policy_loss + value_loss + entropy_loss).backward()
+        (self._policy_weight * (policy_loss + entropy_loss) + value_loss).backward()
         with torch.no_grad():
             kl = (ratio - 1.0 - log_ratio).mean()
             losses = torch.stack((policy_loss, value_loss, kl))

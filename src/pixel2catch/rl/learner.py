@@ -7,6 +7,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.environment import Environment, Observation, Step
@@ -15,6 +16,9 @@ from pixel2catch.rl.mappo import build_mappo
 from pixel2catch.rl.memory import RolloutMemory
 from pixel2catch.rl.models import GaussianPolicy, ValueFunction
 from pixel2catch.rl.workers import OneProcess, Workers
+
+ADOPTED_SAMPLES = 1e7
+"""Samples that the input statistics of a policy count for where a training goes on from it. Source: ours."""
 
 
 class Learner:
@@ -33,6 +37,7 @@ class Learner:
         self.agents = tuple(env.action_sizes)
         self.models = cast(dict[str, dict[str, GaussianPolicy | ValueFunction]], self.mappo.models)
         self.memories = cast(dict[str, RolloutMemory], self.mappo.memories)
+        self._is_resting = False
         self._never = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=cfg.device)
 
     @torch.no_grad()
@@ -78,8 +83,11 @@ class Learner:
         Args:
             progress: Share of the training that is over, 0 to 1.
         """
+        begun = progress * self.cfg.transitions / self.cfg.start_transitions if self.cfg.start else 2.0
+        self._rest_policies(begun < 1.0)
         if self.cfg.schedule == "linear":
-            self._set_learning_rate(progress)
+            is_rising = 1.0 <= begun < 2.0
+            self._set_learning_rate(progress, begun - 1.0 if is_rising else 1.0)
         with _tensor_cores():
             self.mappo.post_interaction(timestep=0, timesteps=0)
         return self._pop_metrics()
@@ -105,6 +113,25 @@ class Learner:
             target.input_std.copy_(scaler.running_variance.float().sqrt() + scaler.epsilon)
         return policy.eval()
 
+    @torch.no_grad()
+    def adopt(self, policy: Policy) -> None:
+        """Go on from the networks and the input statistics of a policy: the inverse of `export`.
+
+        Raises:
+            InvalidValueError: Its hidden layers have other sizes.
+        """
+        if policy.hidden != tuple(self.cfg.hidden):
+            raise InvalidValueError(
+                f"the policy to start from has hidden layers {policy.hidden}; train with --hidden "
+                f"{' '.join(map(str, policy.hidden))}, or start from another."
+            )
+        for agent in self.agents:
+            source, scaler = policy.network(agent), self.mappo._observation_preprocessor[agent]
+            self.models[agent]["policy"].network.load_state_dict(source.network.state_dict())
+            scaler.running_mean.copy_(source.input_mean)
+            scaler.running_variance.copy_((source.input_std.double() - scaler.epsilon).square())
+            scaler.current_count.fill_(ADOPTED_SAMPLES)
+
     def state_dict(self) -> dict[str, Any]:
         """Return everything that learning goes on from: networks, optimisers and statistics, by agent."""
         return {
@@ -122,10 +149,19 @@ class Learner:
     def _states(self, observation: Observation) -> dict[str, Tensor | None]:
         return {agent: observation.state for agent in self.agents}
 
-    def _set_learning_rate(self, progress: float) -> None:
+    def _set_learning_rate(self, progress: float, share: float) -> None:
         first, last = self.cfg.learning_rate, self.cfg.final_learning_rate
         for step in self.mappo.steps.values():
-            step.learning_rate.fill_(first + (last - first) * min(progress, 1.0))
+            step.learning_rate.fill_(share * (first + (last - first) * min(progress, 1.0)))
+
+    def _rest_policies(self, is_resting: bool) -> None:
+        """Let the value networks alone learn, so that a policy is not led by values that mean nothing yet."""
+        for step in self.mappo.steps.values():
+            if is_resting:
+                step.rest_policy()
+            elif self._is_resting:
+                step.wake_policy()
+        self._is_resting = is_resting
 
     def _pop_metrics(self) -> dict[str, float]:
         tracked = {name: values[-1] for name, values in self.mappo.tracking_data.items()}

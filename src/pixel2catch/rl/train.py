@@ -11,7 +11,7 @@ import torch
 
 from pixel2catch.errors import CheckpointError
 from pixel2catch.interruption import StopRequest
-from pixel2catch.policy import PolicyContract
+from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.rl.checkpoint import Progress, load_checkpoint, save_checkpoint
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.environment import Environment, Observation
@@ -79,10 +79,24 @@ def train(
             torch.manual_seed(cfg.seed)
             learner = stack.enter_context(contextlib.closing(Learner(share, stages.env, workers)))
             training = _Training(cfg, stages, contract, folder, learner)
+            if cfg.start and not resume:
+                with workers.together():
+                    learner.adopt(_policy_to_start_from(cfg.start, contract))
             if resume:
                 training.progress = load_checkpoint(folder.checkpoint, learner, contract)
             workers.diverge(cfg.seed, training.progress.transitions)
         return training.run()
+
+
+def _policy_to_start_from(folder: Path, contract: PolicyContract) -> Policy:
+    """Read a policy that a training goes on from.
+
+    Raises:
+        PolicyMismatchError: There is none, or it does not fit; the message names the field.
+    """
+    policy = Policy.load(folder / "policy" if (folder / "policy").is_dir() else folder)
+    policy.contract.require(contract)
+    return policy
 
 
 class _Training:

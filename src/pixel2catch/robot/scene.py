@@ -123,10 +123,6 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     """Solver options. Source: ours, `benchmarks/contact_quality.py`.
 
     The "discrete" integrator damps restitution away; speculative contacts halve it, and Warp lacks them.
-
-    Air acts by MuJoCo's inertia model: each face of the box with a body's inertia has the drag coefficient 1.
-    That is right for cubes; spheres, which have 0.47 on a larger face, are slowed 1.6 times too much.
-    Source: MuJoCo documentation, Computation, Fluid forces.
     """
     spec.compiler.degree = False
     option = spec.option
@@ -136,7 +132,6 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.iterations = 10
     option.ls_iterations = 20
-    option.density = cfg.air_density
 
 
 def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:

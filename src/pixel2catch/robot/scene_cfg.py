@@ -25,7 +25,6 @@ class SceneCfg:
         object_restitution: Speed after over speed before an impact; randomised per environment.
         object_solimp: Impedance of a contact with the object.
         object_scale: Factor on every object's size; its mass stays.
-        air_density: Density of the air that slows what moves [kg/m³]; 0 is none, 1.2 is real.
     """
 
     handedness: Handedness = "left"
@@ -37,7 +36,6 @@ class SceneCfg:
     object_restitution: float = 0.25
     object_solimp: tuple[float, float, float, float, float] = SOLIMP
     object_scale: float = 1.0
-    air_density: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a size without room, and a rate that does not divide a control step into physics steps."""

@@ -32,14 +32,20 @@ class Camera:
         num_lost: Images that were never drawn, as the ones before took too long.
     """
 
-    def __init__(self, draw: Callable[[Exposure], "Future[Image]"], latency: float = LATENCY) -> None:
+    def __init__(
+        self,
+        draw: Callable[[Exposure], "Future[Image]"],
+        latency: float = LATENCY,
+        clock_error: float = 0.0,
+    ) -> None:
         """Begin without an image.
 
         Args:
             draw: Begins to draw.
             latency: Time from the middle of the exposure to the wire [s].
+            clock_error: How late the clock is that stamps the images [s].
         """
-        self._draw, self._latency = draw, latency
+        self._draw, self._latency, self._clock_error = draw, latency, clock_error
         self._waiting: deque[tuple[float, Future[Image]]] = deque()
         self._is_overdue = False
         self.num_images, self.num_late, self.num_lost = 0, 0, 0
@@ -52,7 +58,7 @@ class Camera:
             self._waiting.append((exposure.moment.time, self._draw(exposure)))
 
     def developed(self, now: float) -> Iterator[tuple[float, Image]]:
-        """Yield the images that are due, each with the time of the middle of its exposure [s]."""
+        """Yield the images that are due, each with its stamp: the middle of its exposure [s]."""
         while self._waiting and self._waiting[0][0] + self._latency <= now:
             time, image = self._waiting[0]
             if not image.done():
@@ -62,7 +68,7 @@ class Camera:
             self.num_images += 1
             self.num_late += self._is_overdue
             self._is_overdue = False
-            yield time, image.result()
+            yield time - self._clock_error, image.result()
 
 
 @contextmanager

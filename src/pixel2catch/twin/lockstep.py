@@ -10,12 +10,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pixel2catch.deployment.brain import Brain
 from pixel2catch.deployment.limits import ServoLimits
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.deployment.recorder import Recorder
 from pixel2catch.deployment.servo_process import ServoSetup
-from pixel2catch.deployment.stepwise import MakeBrain, Nodes, StepClock, Stepwise
+from pixel2catch.deployment.stepwise import Nodes, PerceptionTime, StepClock, Stepwise
 from pixel2catch.deployment.tape import Tape
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.segmenter import Image
@@ -36,6 +37,9 @@ Source: ours, for DDS between two processes.
 ROUNDING = 1e-9
 """Difference of two times that is none [s]."""
 
+PERCEPTION_TIME = 0.010
+"""Time that perception takes for an image [s]. Source: ours, background subtraction on one core."""
+
 Draw = Callable[[Lab, Exposure], Image]
 """Draws what the camera sees."""
 
@@ -48,12 +52,18 @@ class LockstepCfg:
         task: What is thrown at which robot.
         limits: What the servo keeps to.
         seed: Of the first start pose and all noise.
+        perception_time: Least time that perception takes for an image [s].
+        perception_jitter: How much more it may be, drawn for each image [s].
+        clock_error: How much older images are by their stamps than they are [s]; negative: younger.
         record: New folder for the recording of the deployment; none for no recording.
     """
 
     task: CatchEnvCfg
     limits: ServoLimits = field(default_factory=ServoLimits)
     seed: int = 0
+    perception_time: float = PERCEPTION_TIME
+    perception_jitter: float = 0.0
+    clock_error: float = 0.0
     record: Path | None = None
 
 
@@ -68,18 +78,18 @@ class Lockstep:
         deployment: What catches.
     """
 
-    def __init__(self, cfg: LockstepCfg, draw: Draw, make_brain: MakeBrain) -> None:
+    def __init__(self, cfg: LockstepCfg, draw: Draw, brain: Brain) -> None:
         """Put everybody in place; nothing happens yet.
 
         Args:
             cfg: What is rehearsed.
             draw: Draws what the camera sees.
-            make_brain: Makes what catches.
+            brain: What catches.
         """
         self.clock, self.broker = clock, broker = StepClock(self._wait), Broker()
         profile, self._num_cycles = Profile.load(PROFILE), 0
         self.lab = Lab(cfg.task, cfg.seed)
-        camera = Camera(lambda exposure: _done(draw(self.lab, exposure)))
+        camera = Camera(lambda exposure: _done(draw(self.lab, exposure)), clock_error=cfg.clock_error)
         self._wires = Wires(self.lab, profile, broker.node(clock), camera)
         self._open = ExitStack()
         node = broker.node(clock)
@@ -88,7 +98,8 @@ class Lockstep:
             tape = Tape(self._open.enter_context(Recorder(cfg.record)), node, profile, clock, "jpeg")
         nodes = Nodes(servo=broker.node(clock), brain=node, clock=clock, tape=tape)
         setup = ServoSetup(profile=profile, limits=cfg.limits)
-        self._robot = Stepwise(setup, self.lab.camera, nodes, make_brain)
+        time = PerceptionTime(cfg.perception_time, cfg.perception_jitter, cfg.seed)
+        self._robot = Stepwise(setup, self.lab.camera, nodes, brain, time)
         self.deployment = self._robot.deployment
         self.operator = Operator(broker.node(clock), profile.operator, clock)
 

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.deployment.brain import Brain, make_brain
-from pixel2catch.deployment.clock import Clock
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.limits import ServoLimits
-from pixel2catch.deployment.stepwise import MakeBrain, SlowSegmenter
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.choice import PromptCfg, SegmenterCfg, make_prompter, make_segmenter
 from pixel2catch.perception.color import ColorRange
@@ -20,12 +18,9 @@ from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.policy import Policy
 from pixel2catch.twin.lab import Lab
-from pixel2catch.twin.lockstep import Draw, Lockstep, LockstepCfg
+from pixel2catch.twin.lockstep import PERCEPTION_TIME, Draw, Lockstep, LockstepCfg
 from pixel2catch.twin.trials import Outcome, of_twin, rates, run_trial
 from pixel2catch.twin.view import Exposure, RoomView
-
-PERCEPTION_TIME = 0.010
-"""Time that perception takes for an image [s]. Source: ours, background subtraction on one core."""
 
 GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))
 """Colours of plain images."""
@@ -39,7 +34,9 @@ class SteppingCfg:
         task: What is thrown at which robot.
         throws: How many throws.
         seed: Of the first throw; the next has the next.
-        perception_time: Time that perception takes for an image [s].
+        perception_time: Least time that perception takes for an image [s].
+        perception_jitter: How much more it may be, drawn for each image [s].
+        clock_error: How much older images are by their stamps than they are [s]; negative: younger.
         is_plain: Whether the camera shows nothing but the object's box, so that perception cannot fail.
         limits: What the servo keeps to.
         record: New folder for the recording of the deployment; none for no recording.
@@ -49,6 +46,8 @@ class SteppingCfg:
     throws: int
     seed: int = 0
     perception_time: float = PERCEPTION_TIME
+    perception_jitter: float = 0.0
+    clock_error: float = 0.0
     is_plain: bool = False
     limits: ServoLimits = field(default_factory=ServoLimits)
     record: Path | None = None
@@ -77,6 +76,8 @@ def rehearse_in_step(cfg: SteppingCfg, policy: Policy, report: Callable[[Outcome
         return {
             **rates(outcomes),
             "perception_time": cfg.perception_time,
+            "perception_jitter": cfg.perception_jitter,
+            "clock_error": cfg.clock_error,
             "deploy": lockstep.deployment.diary.summary(),
             "twin": of_twin(lockstep.operator.truth),
         }
@@ -91,35 +92,38 @@ def in_step(cfg: SteppingCfg, policy: Policy) -> Iterator[Lockstep]:
         policy: What catches.
     """
     with ExitStack() as stack:
-        draw, make = _plain(cfg, policy) if cfg.is_plain else _rendered(cfg, policy, stack)
-        world = LockstepCfg(task=cfg.task, limits=cfg.limits, seed=cfg.seed, record=cfg.record)
-        yield stack.enter_context(Lockstep(world, draw, make))
+        draw, brain = _plain(cfg, policy) if cfg.is_plain else _rendered(cfg, policy, stack)
+        world = LockstepCfg(
+            task=cfg.task,
+            limits=cfg.limits,
+            seed=cfg.seed,
+            perception_time=cfg.perception_time,
+            perception_jitter=cfg.perception_jitter,
+            clock_error=cfg.clock_error,
+            record=cfg.record,
+        )
+        yield stack.enter_context(Lockstep(world, draw, brain))
 
 
-def _rendered(cfg: SteppingCfg, policy: Policy, stack: ExitStack) -> tuple[Draw, MakeBrain]:
+def _rendered(cfg: SteppingCfg, policy: Policy, stack: ExitStack) -> tuple[Draw, Brain]:
     """What `pixel2catch twin` shows, and what `pixel2catch deploy` sees in it."""
     scene = cfg.task.scene
     view = stack.enter_context(RoomView(scene, cfg.seed))
     robot = RobotMask(scene.camera, handedness=scene.handedness)
-    return lambda _, exposure: view.image(exposure), _maker(cfg, policy, SegmenterCfg(), robot)
+    return lambda _, exposure: view.image(exposure), _brain(cfg, policy, SegmenterCfg(), robot)
 
 
-def _plain(cfg: SteppingCfg, policy: Policy) -> tuple[Draw, MakeBrain]:
+def _plain(cfg: SteppingCfg, policy: Policy) -> tuple[Draw, Brain]:
     """Red boxes, and eyes for red."""
-    return plain_image, _maker(cfg, policy, SegmenterCfg(kind="color", colors=RED_HUES), None)
+    return plain_image, _brain(cfg, policy, SegmenterCfg(kind="color", colors=RED_HUES), None)
 
 
-def _maker(cfg: SteppingCfg, policy: Policy, segmenter: SegmenterCfg, robot: RobotMask | None) -> MakeBrain:
-    """Makes a brain whose perception takes its time."""
+def _brain(cfg: SteppingCfg, policy: Policy, segmenter: SegmenterCfg, robot: RobotMask | None) -> Brain:
+    """What catches."""
     scene = cfg.task.scene
     controller = Controller(policy, scene.handedness, scene.camera)
     prompter = make_prompter(PromptCfg(), scene.camera)
-
-    def make(clock: Clock) -> Brain:
-        slow = SlowSegmenter(make_segmenter(segmenter), clock, cfg.perception_time)
-        return make_brain(controller, slow, prompter, scene.camera, robot)
-
-    return make
+    return make_brain(controller, make_segmenter(segmenter), prompter, scene.camera, robot)
 
 
 def plain_image(lab: Lab, _: Exposure) -> Image:

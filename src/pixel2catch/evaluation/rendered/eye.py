@@ -3,8 +3,6 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool
-from torch import Tensor
 
 from pixel2catch.envs.draws import Episode
 from pixel2catch.envs.eye import Eye
@@ -52,14 +50,14 @@ class ImageEye(Eye):
         self.shots: list[Shot] = []
         self.extractions: list[Extraction] = []
 
-    def look(self, truth: Privileged, episode: Episode) -> tuple[Detection, Bool[Tensor, " num_envs"]]:
+    def look(self, truth: Privileged, episode: Episode) -> Detection:
         """See `Eye.look`."""
-        detection, is_seen = self._other.look(truth, episode)
+        detection = self._other.look(truth, episode)
         steps = int(episode.record.steps[0])
         if steps == 0 and self.shots:
             self.close()
         if not self._is_open:
-            return detection, is_seen
+            return detection
         moment = Moment(
             qpos=self._qpos[0].numpy().copy(),
             qvel=self._qvel[0].numpy().copy(),
@@ -69,7 +67,14 @@ class ImageEye(Eye):
         self.shots.append(film.shot(moment))
         self.extractions.append(self._watcher.see(self.shots[-1]))
         is_found = self.extractions[-1].verdict is Verdict.SEEN
-        return replace(detection, box=self.extractions[-1].box), torch.tensor([is_found])
+        return replace(detection, box=self.extractions[-1].box, is_seen=torch.tensor([is_found]))
+
+    def disturbed(self, detection: Detection, episode: Episode) -> Detection:
+        """See `Eye.disturbed`: an image needs no noise but its own."""
+        drawn = self._other.disturbed(detection, episode)
+        if not self._is_open:
+            return drawn
+        return replace(drawn, box=detection.box, is_seen=detection.is_seen)
 
     def open(self) -> None:
         """Film the next episode; call it before the environment's reset."""

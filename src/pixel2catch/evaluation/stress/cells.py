@@ -92,7 +92,7 @@ def find_contestants(folders: Sequence[Path]) -> tuple[Contestant, ...]:
     """
     found = [_contestant(folder) for folder in folders or shipped_policies().values()]
     if not folders:
-        found.sort(key=lambda each: (list(METHODS).index(each.method), each.name))
+        found.sort(key=lambda each: (list(METHODS).index(each.method.partition("+")[0]), each.name))
     names = [each.name for each in found]
     for name in names:
         if names.count(name) > 1:

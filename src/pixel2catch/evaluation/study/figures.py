@@ -35,7 +35,7 @@ STYLE: dict[Any, Any] = {
 
 def look(method: str) -> dict[str, Any]:
     """Colour and mark of a method, the same in every picture of every study."""
-    number = list(METHODS).index(method)
+    number = list(METHODS).index(method.partition("+")[0])
     return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
 
 

@@ -1,0 +1,98 @@
+"""`--task NAME` of train: what a run is trained for, and what becomes of its policy."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from pixel2catch.cli.main import main
+from pixel2catch.envs.tasks import TASKS
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+
+SIZE = (
+    "--num-envs",
+    "4",
+    "--rollout-steps",
+    "4",
+    "--transitions",
+    "32",
+    "--hidden",
+    "8",
+    "--physics-hz",
+    "30",
+)
+TRAIN = ("train", "catch+fit", "--preset", "cpu", "--device", "cpu", *SIZE)
+
+
+def run(*args: str | Path) -> int:
+    return main([str(arg) for arg in args])
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run for the world outside."""
+    folder = tmp_path_factory.mktemp("wide") / "run"
+    assert run(*TRAIN, "--task", "wide", "--out", folder) == 0
+    return folder
+
+
+def test_training_is_for_the_task(out: Path):
+    """The run says which, with all of its ranges; images of nominal episodes are as late as ever."""
+    policy, method = load_policy(out)
+    assert (policy.contract.task, method.name) == ("wide", "catch+fit")
+    config = json.loads((out / "config.json").read_text())
+    assert config["train"]["task"] == "wide"
+    assert config["env"]["is_value_told"]
+    assert config["env"]["sensing"]["latency_steps"] == [1, 2]
+    variants = config["env"]["variants"]
+    assert [variant["share"] for variant in variants] == [v.share for v in TASKS["wide"].variants]
+    for found, variant in zip(variants, TASKS["wide"].variants, strict=True):
+        assert found["sensing"]["latency_steps"] == list(variant.sensing.latency_steps)
+        ranges = found["randomization"]["gains"]["stiffness_scale"]
+        assert ranges == [list(limits) for limits in variant.randomization.gains.stiffness_scale]
+        assert len(ranges) == len(ARM_JOINTS) + len(HAND_JOINTS)
+
+
+def test_its_policy_is_evaluated_in_the_papers_task(out: Path, capsys: pytest.CaptureFixture[str]):
+    args = ("--objects", "cube_s", "--num-envs", "2", "--trials", "1", "--physics-hz", "60", "--json")
+    assert run("evaluate", out, *args) == 0
+    metrics = json.loads(capsys.readouterr().out)
+    assert (metrics["method"], metrics["trials"]) == ("catch+fit", 2)
+
+
+def test_it_goes_on_for_its_own_task_alone(out: Path, capsys: pytest.CaptureFixture[str]):
+    assert run(*TRAIN, "--out", out, "--resume") == 2
+    assert "task" in capsys.readouterr().err
+    assert load_policy(out)[0].contract.task == "wide"
+    assert run(*TRAIN, "--task", "wide", "--out", out, "--resume") == 0
+
+
+def test_late_images_are_those_of_nominal_episodes(tmp_path: Path):
+    """Fractions of a control step, too; the variants keep their own."""
+    out = tmp_path / "run"
+    assert run(*TRAIN, "--task", "wide", "--latency-steps", "0.5", "3.5", "--out", out) == 0
+    env = json.loads((out / "config.json").read_text())["env"]
+    assert env["sensing"]["latency_steps"] == [0.5, 3.5]
+    kept = [variant["sensing"]["latency_steps"] for variant in env["variants"]]
+    assert kept == [list(variant.sensing.latency_steps) for variant in TASKS["wide"].variants]
+
+
+def test_the_default_is_the_papers_task(tmp_path: Path):
+    torch.manual_seed(0)
+    out = tmp_path / "run"
+    assert run(*TRAIN, "--out", out) == 0
+    assert load_policy(out)[0].contract.task == "nominal"
+    assert json.loads((out / "config.json").read_text())["env"]["variants"] == []
+
+
+def test_an_unknown_task_is_refused_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run(*TRAIN, "--task", "wild", "--out", tmp_path / "run") == 2
+    error = capsys.readouterr().err
+    assert "unknown task 'wild'" in error
+    assert "nominal" in error
+    assert "wide" in error
+    assert not list(tmp_path.iterdir())

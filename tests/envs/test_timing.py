@@ -1,0 +1,182 @@
+"""Latencies, ages and delays, also of fractions of a control step."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.step import Step
+from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.mdp.masks import clone
+from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
+from pixel2catch.mdp.snapshot import Measurement
+from pixel2catch.mdp.terminations import EpisodeCfg
+from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.methods import find_method
+from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.robot.scene import SceneCfg
+
+EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0)
+ANY = SensingCfg(latency_steps=(0.6, 4.3), latency_grid=0.0)
+AT_ONCE, HOVERING = ThrowCfg(hover_steps=(2, 2)), ThrowCfg(hover_steps=(80, 80))
+STILL = RandomizationCfg(
+    arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
+)
+COARSE = SceneCfg(physics_hz=60.0)
+METHOD = find_method("proposed+boxes")
+SOME = range(METHOD.num_boxes)
+
+
+def make(num_envs: int = 4, **changes: Any) -> CatchEnv:
+    """Environments whose first draws after construction are those of one seed."""
+    env = CatchEnv(replace(CatchEnvCfg(scene=COARSE), **changes), METHOD, num_envs=num_envs)
+    env.seed(7)
+    env.reset()
+    return env
+
+
+def rollout(env: CatchEnv, num_steps: int, action: float = 0.0) -> Iterator[Step]:
+    for _ in range(num_steps):
+        yield env.step({name: torch.full((env.num_envs, n), action) for name, n in env.action_sizes.items()})
+
+
+def measured(num_steps: int, **changes: Any) -> list[Measurement]:
+    """What is measured in the first control steps of that seed."""
+    return [clone(step.measurement) for step in rollout(make(**changes), num_steps)]
+
+
+def remembered(env: CatchEnv, num_steps: int) -> Iterator[tuple[BoxHistory, Tensor]]:
+    """The boxes after each step, and the latency of the episodes (num_envs, 1)."""
+    for step in rollout(env, num_steps):
+        yield clone(step.measurement.boxes), env._episode.parameters.latency[:, None].clone()
+
+
+@pytest.mark.parametrize("middle", [0.5, 1.5])
+def test_a_box_between_two_latencies_is_the_mean_of_both(middle: float):
+    """Of one throw, seen half a control step earlier and half a step later; so is the tracked position."""
+    paths = []
+    for late in (middle - 0.5, middle, middle + 0.5):
+        sensing = replace(EXACT, latency_steps=(late, late))
+        paths.append(measured(9, num_envs=2, sensing=sensing, throws=AT_ONCE))
+    for newer, between, older in zip(*paths, strict=True):
+        torch.testing.assert_close(between.box, (newer.box + older.box) / 2, atol=1e-3, rtol=0)
+        mean = (newer.object_pos + older.object_pos) / 2
+        torch.testing.assert_close(between.object_pos, mean, atol=1e-5, rtol=0)
+        assert (between.boxes.age == middle + torch.arange(METHOD.num_boxes)).all()
+    assert (paths[0][-1].box - paths[2][-1].box).abs().max() > 3.0
+
+
+def test_without_drops_the_newest_box_is_as_old_as_the_latency():
+    """And those before it are older by one control step each, over several episodes."""
+    env = make(6, sensing=ANY, episode=EpisodeCfg(max_steps=6), throws=HOVERING)
+    latencies = []
+    for boxes, latency in remembered(env, 15):
+        torch.testing.assert_close(boxes.age, latency + torch.arange(METHOD.num_boxes))
+        latencies.append(latency)
+    assert len(torch.stack(latencies).unique()) == 3 * 6
+
+
+@pytest.mark.parametrize("late", [1.0, 2.5])
+def test_a_missed_image_makes_the_newest_box_older_by_one_step(late: float):
+    """And adds none: boxes that are not of the beginning differ by the noise of each."""
+    sensing = SensingCfg(latency_steps=(late, late), drop_rate=0.4)
+    env = make(12, sensing=sensing, throws=HOVERING)
+    path = [boxes for boxes, _ in remembered(env, 24)][int(late) :]
+    is_missed = []
+    for before, now in itertools.pairwise(path):
+        is_new = now.age[:, 0] == late
+        kept = torch.where(is_new, now.age[:, 1], now.age[:, 0])
+        torch.testing.assert_close(kept, before.age[:, 0] + 1.0)
+        assert torch.equal(now.box[:, 0] == before.box[:, 0], ~is_new[:, None].expand(-1, 4))
+        is_missed.append(~is_new)
+    missed = torch.stack(is_missed)
+    assert missed.float().mean().item() == pytest.approx(0.4, abs=4 * (0.4 * 0.6 / missed.numel()) ** 0.5)
+    last = path[-1]
+    assert (last.age.diff(dim=1) >= 1.0).all()
+    for i in SOME:
+        for j in range(i):
+            assert (last.box[:, i] != last.box[:, j]).any(dim=-1).all()
+
+
+def test_no_box_is_measured_in_a_blackout_however_late_images_are():
+    """Of four control steps: the newest box grows older by four, and no more."""
+    for late in (1.0, 1.5):
+        sensing = replace(EXACT, latency_steps=(late, late), blackout_steps=4, least_visible=0.0)
+        env = make(8, sensing=sensing, throws=AT_ONCE, episode=EpisodeCfg(max_steps=40))
+        stale = torch.stack([boxes.age[:, 0] - late for boxes, _ in remembered(env, 27)])
+        assert stale.amax(dim=0).tolist() == [4.0] * 8, late
+
+
+def test_a_wrong_clock_shifts_all_ages_of_an_episode():
+    """20 ms are 0.6 control steps, earlier or later."""
+    env = make(16, sensing=replace(ANY, clock_error=0.02), throws=HOVERING, episode=EpisodeCfg(max_steps=3))
+    shifts, number = [], torch.arange(METHOD.num_boxes)
+    for boxes, latency in remembered(env, 6):
+        shift = boxes.age - latency - number
+        torch.testing.assert_close(shift, shift[:, :1].expand_as(shift), atol=1e-5, rtol=0)
+        shifts.append(shift[:, 0])
+    torch.testing.assert_close(shifts[0].abs(), torch.full((16,), 0.02 / CONTROL_DT))
+    torch.testing.assert_close(shifts[0], shifts[1])
+    assert len(shifts[0].sign().unique()) == 2
+    assert not torch.allclose(shifts[0], shifts[-1])  # another episode has another clock
+
+
+def test_the_jitter_of_a_stamp_stays_with_its_box():
+    env = make(8, sensing=replace(EXACT, stamp_jitter=0.004), throws=HOVERING)
+    path, latencies = zip(*remembered(env, 4), strict=True)
+    for before, now in itertools.pairwise(path):
+        torch.testing.assert_close(now.age[:, 1:], before.age[:, :-1] + 1.0)
+    error = path[-1].age[:, 0] - latencies[-1][:, 0]
+    assert len(error.unique()) == 8
+    assert 0.2 * 0.12 < error.std() < 5 * 0.12
+
+
+def test_boxes_without_stamps_are_taken_for_as_old_as_in_training():
+    """When they are delivered: after a missed image they are a control step older."""
+    env = make(8, sensing=replace(ANY, unstamped=1.0, clock_error=0.02, drop_rate=0.3), throws=HOVERING)
+    ages = torch.stack([boxes.age[:, 0] for boxes, _ in remembered(env, 12)])
+    stale = ages - ASSUMED_AGE
+    torch.testing.assert_close(stale, stale.round())
+    assert stale.min().item() == pytest.approx(0.0, abs=1e-5)
+    assert stale.max().item() > 0.5
+
+
+def test_a_command_between_two_delays_moves_the_hand_between_both():
+    """Of a change of the targets, half has arrived after 1.5 steps when with 1 all has, and with 2 none."""
+    moved = []
+    for delay in (1.0, 1.5, 2.0):
+        randomization = replace(STILL, command_delay=(delay, delay), command_delay_grid=0.0)
+        env = make(2, randomization=randomization, sensing=EXACT, throws=HOVERING)
+        list(rollout(env, 18))  # then the hand is where action 0 wants it
+        list(rollout(env, 1, action=0.1))
+        before = env.world.joint_pos[:, 6:]
+        list(rollout(env, 1, action=0.1))
+        moved.append(env.world.joint_pos[:, 6:] - before)
+    prompt, between, late = moved
+    assert prompt.min() > 0.01
+    torch.testing.assert_close(between, prompt / 2, rtol=0.1, atol=0)
+    assert late.abs().max() < 2e-3
+
+
+def test_drawn_delays_of_commands_are_each_episodes_own():
+    randomization = RandomizationCfg(command_delay=(0.0, 1.2), command_delay_grid=0.0)
+    env = make(8, randomization=randomization, episode=EpisodeCfg(max_steps=2))
+    first = env._episode.command_delay.clone()
+    list(rollout(env, 2))
+    for delays in (first, env._episode.command_delay):
+        assert 0.0 <= delays.min() < delays.max() <= 1.2
+    assert (first != env._episode.command_delay).all()
+
+
+@pytest.mark.parametrize("steps", [(0.0, 0.0), (2.5, 2.5), (0.6, 4.3)])
+def test_a_seed_throws_the_same_at_every_latency(steps: tuple[float, float]):
+    plain, late = make(throws=AT_ONCE), make(throws=AT_ONCE, sensing=SensingCfg(latency_steps=steps))
+    for name in ("pos", "quat", "lin_vel", "aim"):
+        assert torch.equal(getattr(plain._episode.throw, name), getattr(late._episode.throw, name))
+    assert torch.equal(plain._episode.parameters.mass_scale, late._episode.parameters.mass_scale)

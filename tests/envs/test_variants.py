@@ -1,0 +1,214 @@
+"""Tasks that are mixtures of variants: shares, ranges, and what value networks are told of an episode."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.envs.cfg import COMMON_SENSING, CatchEnvCfg, TaskVariant
+from pixel2catch.envs.draws import Episode, draw_episode
+from pixel2catch.envs.tasks import TASKS, find_task
+from pixel2catch.envs.told import drawn_parameters
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
+from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.mdp.terminations import EpisodeCfg
+from pixel2catch.mdp.throws import Range, ThrowCfg
+from pixel2catch.methods import find_method
+from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.robot.scene import SceneCfg
+
+MANY = 20_000
+COARSE = SceneCfg(physics_hz=60.0)
+OBJECT_IDS = torch.arange(6)
+PLAIN = CatchEnvCfg()
+FAR = TaskVariant(
+    share=0.3,
+    throws=ThrowCfg(release_x=(3.5, 3.6), spin=5.0),
+    randomization=RandomizationCfg(mass_scale=(3.0, 4.0), command_delay=(1.0, 2.0), command_delay_grid=0.0),
+    sensing=SensingCfg(latency_steps=(3.5, 4.5), latency_grid=0.0, drop_rate=(0.2, 0.4), clock_error=0.02),
+)
+NEAR = replace(
+    FAR, share=0.2, throws=ThrowCfg(release_x=(1.5, 1.6)), sensing=SensingCfg(latency_steps=(5, 6))
+)
+MIXED = replace(PLAIN, variants=(FAR, NEAR))
+
+
+def draw(cfg: CatchEnvCfg, num_envs: int = MANY) -> Episode:
+    return draw_episode(cfg, OBJECT_IDS, num_envs, torch.Generator().manual_seed(0))
+
+
+def is_within(values: Tensor, limits: Range) -> bool:
+    """Whether values fill a range."""
+    low, high = limits
+    slack = 1e-5 + 0.02 * (high - low)
+    inside = low - 1e-5 <= values.min() and values.max() <= high + 1e-5
+    return bool(inside and values.min() <= low + slack and values.max() >= high - slack)
+
+
+def test_shares_are_met():
+    """Within four standard errors."""
+    x = draw(MIXED).throw.pos[:, 0]
+    shares = ((x > 3.4).float().mean(), (x < 1.7).float().mean(), ((x > 2.0) & (x < 3.0)).float().mean())
+    for found, share in zip(shares, (0.3, 0.2, 0.5), strict=True):
+        assert found.item() == pytest.approx(share, abs=4 * (share * (1.0 - share) / MANY) ** 0.5)
+    assert torch.stack(shares).sum().item() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_every_variant_keeps_its_own_ranges(number: int):
+    """Throw, robot and sight of an episode are of one variant."""
+    episode, cfg = draw(MIXED), MIXED.all_variants[number]
+    x, sight = episode.throw.pos[:, 0], episode.sight
+    assert sight is not None
+    is_own = (x >= cfg.throws.release_x[0]) & (x <= cfg.throws.release_x[1])
+    assert is_own.any()
+    drop_rate, grid = cfg.sensing.drop_rate, cfg.sensing.latency_grid
+    expected = {
+        "mass": (episode.parameters.mass_scale, cfg.randomization.mass_scale),
+        "latency": (episode.parameters.latency, cfg.sensing.latency_steps),
+        "delay": (episode.command_delay, cfg.randomization.command_delay),
+        "drops": (sight.drop_rate, drop_rate if isinstance(drop_rate, tuple) else (drop_rate,) * 2),
+        "spin": (episode.throw.ang_vel.norm(dim=-1), (0.0, cfg.throws.spin)),
+    }
+    for name, (values, limits) in expected.items():
+        assert is_within(values[is_own], limits), name
+    clock_error = (0.02 if number == 1 else 0.0) / CONTROL_DT
+    own_error = sight.clock_error[is_own].abs()
+    torch.testing.assert_close(own_error, torch.full_like(own_error, clock_error))
+    assert (len(episode.parameters.latency[is_own].unique()) == 2) == bool(grid)
+
+
+def test_shares_may_be_everything_and_not_more():
+    whole = replace(PLAIN, variants=(replace(FAR, share=0.7), replace(NEAR, share=0.3)))
+    x = draw(whole, 500).throw.pos[:, 0]
+    assert ((x > 3.4) | (x < 1.7)).all()
+    with pytest.raises(InvalidValueError, match=r"\[0.7, 0.4\]; their sum must not exceed 1"):
+        replace(PLAIN, variants=(replace(FAR, share=0.7), replace(NEAR, share=0.4)))
+
+
+OTHERS: dict[str, Any] = {
+    "corner_noise": 4.0,
+    "edge_noise": 1.0,
+    "box_scale": 1.1,
+    "least_visible": 0.2,
+    "joint_noise": 0.0,
+    "camera": CameraFile(camera=replace(RGB_CAMERA, fx=600.0)),
+}
+
+
+@pytest.mark.parametrize("name", COMMON_SENSING)
+def test_a_variant_of_what_is_not_drawn_is_refused(name: str):
+    other = replace(FAR, sensing=replace(FAR.sensing, **{name: OTHERS[name]}))
+    with pytest.raises(InvalidValueError, match=f"sensing.{name} differs in a variant"):
+        replace(PLAIN, variants=(other,))
+
+
+@pytest.mark.parametrize("name", ["arm_action_noise", "hand_action_noise"])
+def test_a_variant_of_the_noise_of_actions_is_refused(name: str):
+    other = replace(FAR, randomization=replace(FAR.randomization, **{name: 0.5}))
+    with pytest.raises(InvalidValueError, match=f"randomization.{name} differs in a variant"):
+        replace(PLAIN, variants=(other,))
+
+
+def test_a_task_without_variants_draws_what_it_drew_for_published_results():
+    """Seed 0 of the task of the paper."""
+    episode = draw(PLAIN, 6)
+    assert (episode.sight, episode.shake, episode.drag) == (None, None, None)
+    assert not episode.command_delay.any()
+    assert episode.parameters.object_id.tolist() == [2, 3, 2, 5, 5, 2]
+    assert episode.parameters.latency.tolist() == [2.0, 1.0, 2.0, 1.0, 1.0, 1.0]
+    assert episode.throw.hover_steps.tolist() == [19, 16, 14, 5, 14, 13]
+    masses = torch.tensor([0.9963, 0.6320, 0.9901, 1.1323, 0.5223, 1.0185])
+    torch.testing.assert_close(episode.parameters.mass_scale, masses, atol=1e-4, rtol=0)
+    velocity = torch.tensor([-2.5220227, -0.2103456, 4.0070186])
+    torch.testing.assert_close(episode.throw.lin_vel[0], velocity, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("cfg", [MIXED, TASKS["wide"]], ids=["mixed", "wide"])
+def test_episodes_that_are_of_no_variant_are_those_of_the_task_alone(cfg: CatchEnvCfg):
+    plain, mixed = draw(PLAIN, 200), draw(cfg, 200)
+    same = ((plain.throw.lin_vel - mixed.throw.lin_vel).abs() < 1e-4).all(dim=-1)  # air of no density rounds
+    rest = 1.0 - sum(variant.share for variant in cfg.variants)
+    assert same.float().mean().item() == pytest.approx(rest, abs=4 * (rest * (1.0 - rest) / 200) ** 0.5)
+    for name, values in vars(plain.parameters).items():
+        assert torch.equal(values[same], getattr(mixed.parameters, name)[same]), name
+
+
+def test_the_longest_delays_are_those_of_any_variant():
+    assert (PLAIN.longest_latency, PLAIN.longest_command_delay) == (2, 0)
+    assert (MIXED.longest_latency, MIXED.longest_command_delay) == (6, 2)
+    late = replace(PLAIN, randomization=RandomizationCfg(command_delay=(0.0, 1.2)))
+    assert late.longest_command_delay == 2
+    assert TASKS["wide"].longest_latency == 4
+
+
+def test_files_of_robot_and_camera_are_those_of_all_variants():
+    """And without a file each keeps its own."""
+    assert TASKS["wide"].with_files(None, None) == TASKS["wide"]
+    camera = CameraFile(camera=replace(RGB_CAMERA, fx=600.0))
+    gains = GainRanges(stiffness_scale=((0.99, 1.01),) * 19)
+    task = MIXED.with_dynamics(DynamicsFile(gains=gains)).with_camera(camera)
+    assert all(each.sensing.camera == camera for each in task.all_variants)
+    assert all(each.randomization.gains == gains for each in task.all_variants)
+    assert task.scene.camera == camera.camera
+
+
+def test_tasks_by_name():
+    assert find_task("nominal") == CatchEnvCfg()
+    assert find_task("wide").is_value_told
+    with pytest.raises(UnknownNameError, match=r"unknown task 'wild'.*Valid: nominal, wide"):
+        find_task("wild")
+
+
+@pytest.mark.parametrize(
+    ("changes", "size"),
+    [
+        ({}, 9 + 3 * 19 + 3),
+        ({"randomization": RandomizationCfg(air_density=1.2)}, 69 + 1),
+        ({"sensing": SensingCfg(drop_rate=0.1)}, 69 + 2 + 2),
+        ({"variants": TASKS["wide"].variants}, 69 + 1 + 2 + 2),
+    ],
+    ids=["nothing", "air", "sight", "variants"],
+)
+def test_what_is_told_of_an_episode(changes: dict[str, Any], size: int):
+    """Nine numbers, three of every joint, the aim; of air and sight only where there is something to tell."""
+    told = drawn_parameters(draw(replace(PLAIN, **changes), 50))
+    assert told.shape == (50, size)
+    assert told.isfinite().all()
+    assert told.abs().max() < 10.0
+
+
+def test_what_is_told_by_hand():
+    """Of a nominal episode after 9 steps: mass, restitution, friction, latency, delay, then how far it is."""
+    episode = draw(PLAIN, 2)
+    hover = torch.tensor([14, 5])
+    record = replace(episode.record, steps=torch.tensor([9, 9]), held_steps=torch.tensor([0, 5]))
+    told = drawn_parameters(replace(episode, record=record, throw=replace(episode.throw, hover_steps=hover)))
+    drawn = episode.parameters
+    for column, values in enumerate((drawn.mass_scale, drawn.restitution, drawn.friction, drawn.latency)):
+        assert torch.equal(told[:, column], values)
+    torch.testing.assert_close(told[:, 5:8], torch.tensor([[0.1, 0.0, 0.25], [0.1, 0.25, 0.0]]))
+    assert torch.equal(told[:, -3:], episode.throw.aim)
+
+
+def test_only_values_that_are_told_know_the_draws():
+    """State: observations, what is told, 21 numbers of the truth; the same size in every step and episode."""
+    method, sizes = find_method("catch+age"), []
+    for is_value_told in (False, True):
+        cfg = replace(MIXED, is_value_told=is_value_told, episode=EpisodeCfg(max_steps=3), scene=COARSE)
+        env = CatchEnv(cfg, method, num_envs=3, seed=1)
+        assert env.observation_sizes == {"arm": 51, "hand": 79}
+        for _ in range(4):
+            step = env.step({name: torch.zeros(3, size) for name, size in env.action_sizes.items()})
+            assert step.observation.state.shape == (3, env.state_size)
+            assert step.observation.state.isfinite().all()
+            told = drawn_parameters(env._episode) if is_value_told else torch.zeros(3, 0)
+            assert torch.equal(step.observation.state[:, 130:-21], told)
+        sizes.append(env.state_size)
+    assert sizes == [51 + 79 + 21, 51 + 79 + 21 + 69 + 4]

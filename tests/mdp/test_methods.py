@@ -1,0 +1,62 @@
+"""Methods by name, and what a memory adds to one."""
+
+import pytest
+
+from pixel2catch.camera.box_history import NUM_BOXES
+from pixel2catch.errors import UnknownNameError
+from pixel2catch.mdp.observations import box_age, box_fit, box_track
+from pixel2catch.methods import MEMORIES, METHODS, find_method
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_is_found_by_its_name(name: str):
+    assert find_method(name) is METHODS[name]
+    assert METHODS[name].name == name
+    assert not METHODS[name].knows_age
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("memory", MEMORIES)
+def test_a_memory_changes_nothing_but_what_is_remembered(name: str, memory: str):
+    plain, method = METHODS[name], find_method(f"{name}+{memory}")
+    assert method.name == f"{name}+{memory}"
+    assert method.pixel_features == plain.pixel_features
+    assert method.knows_age
+    for agent, forgetful in zip(method.agents, plain.agents, strict=True):
+        assert agent.observation == forgetful.observation
+        assert agent.reward_names == forgetful.reward_names
+        assert agent.joints == forgetful.joints
+
+
+@pytest.mark.parametrize(
+    ("memory", "num_boxes", "terms"),
+    [("age", 1, (box_age,)), ("boxes", 8, (box_track,)), ("fit", NUM_BOXES, (box_fit,))],
+)
+def test_what_is_remembered(memory: str, num_boxes: int, terms: tuple[object, ...]):
+    method = find_method(f"catch+{memory}")
+    assert method.num_boxes == num_boxes
+    assert all(agent.memory == terms for agent in method.agents)
+
+
+@pytest.mark.parametrize("name", ["without_pf", "object_position"])
+def test_who_sees_no_pixels_remembers_their_age_alone(name: str):
+    method = find_method(f"{name}+fit")
+    assert (method.name, method.num_boxes) == (f"{name}+fit", 1)
+    assert all(agent.memory == (box_age,) for agent in method.agents)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("propsed", r"unknown method 'propsed'.*proposed"),
+        ("propsed+fit", r"unknown method 'propsed'"),
+        ("+fit", r"unknown method ''"),
+        ("catch+nonsense", r"unknown memory 'nonsense'.*Valid: age, boxes, fit"),
+        ("catch+", r"unknown memory ''.*Valid: age, boxes, fit"),
+        ("catch+age+fit", r"unknown memory 'age\+fit'.*Valid: age, boxes, fit"),
+        ("catch+fit+fit", r"unknown memory 'fit\+fit'"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_valid_ones(name: str, message: str):
+    with pytest.raises(UnknownNameError, match=message):
+        find_method(name)
