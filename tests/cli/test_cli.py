@@ -114,12 +114,12 @@ def test_shipped_policies_fit_this_code(name: str):
 
 
 def test_shipped_policies_of_every_compared_method():
-    """Three seeds of the paper's method and one of each other, and one for late images.
+    """Three seeds of the paper's method and one of each other, and two for the world outside.
 
     The default is the paper's method.
     """
     expected = {f"{method}-seed0" for method in METHODS} | {"proposed", "proposed-seed1", "proposed-seed2"}
-    assert set(shipped_policies()) == expected | {"shared_reward-late"}
+    assert set(shipped_policies()) == expected | {"catch+fit", "catch_alone+fit"}
     assert load_policy(None)[1] is PROPOSED
 
 
