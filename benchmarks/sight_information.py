@@ -18,6 +18,8 @@ from torch import Tensor
 
 from pixel2catch.camera.box_history import box_fit
 from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.evaluation.stress.suite import HUMAN
 from pixel2catch.mdp.throws import ThrowCfg, random_directions, sample_throws
 from pixel2catch.robot.constants import GRAVITY, RGB_CAMERA
 
@@ -32,21 +34,14 @@ WIDE = ThrowCfg(
     aim_y=(-0.4, 0.4),
     peak_z=(1.45, 2.05),
 )
-HUMAN = ThrowCfg(  # the practised thrower of `evaluation.stress.suite`
-    release_x=(2.0, 3.0),
-    release_y=(-0.4, 0.4),
-    release_z=(0.9, 1.3),
-    peak_z=(1.5, 2.0),
-    speed_deviation=0.05,
-    angle_deviation=radians(2.5),
-)
+PRACTISED = HUMAN(CatchEnvCfg()).throws
 DISTRIBUTIONS: dict[str, Callable[[torch.Generator], tuple[ThrowCfg, ...]]] = {
     "nominal": lambda generator: (ThrowCfg(),),
     "wide": lambda generator: tuple(
         replace(WIDE, speed_deviation=0.06 * speed, angle_deviation=radians(3.0) * angle)
         for speed, angle in torch.rand(8, 2, generator=generator).tolist()
     ),
-    "practised": lambda generator: (HUMAN,),
+    "practised": lambda generator: (PRACTISED,),
 }
 Samples = tuple[Tensor, Tensor, Tensor, Tensor]
 """Boxes and ages, newest first; the last three delivered boxes; crossing point [m] and time to it [s]."""

@@ -180,3 +180,13 @@ def test_a_seed_throws_the_same_at_every_latency(steps: tuple[float, float]):
     for name in ("pos", "quat", "lin_vel", "aim"):
         assert torch.equal(getattr(plain._episode.throw, name), getattr(late._episode.throw, name))
     assert torch.equal(plain._episode.parameters.mass_scale, late._episode.parameters.mass_scale)
+
+
+@pytest.mark.parametrize(("period", "expected"), [(1.0, 30), (2.0, 15), (3.0, 10), (1.5, 20)])
+def test_perception_that_looks_at_one_image_in_several(period: float, expected: int):
+    """Newest ages go from the latency up by one, and begin again with each image that is looked at."""
+    sensing = replace(EXACT, latency_steps=(1, 1), image_period=period)
+    ages = [boxes.age[0, 0].item() for boxes, _ in remembered(make(1, sensing=sensing, throws=HOVERING), 31)]
+    assert sum(age == 1.0 for age in ages[1:]) == expected
+    assert max(ages) == int(period + 0.99)
+    assert all(after in (1.0, before + 1.0) for before, after in itertools.pairwise(ages))

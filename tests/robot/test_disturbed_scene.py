@@ -1,4 +1,4 @@
-"""Objects of another size, and air."""
+"""Objects of another size, and what air does to them."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,6 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.robot.object_table import object_table
 from pixel2catch.robot.objects import OBJECTS
 from pixel2catch.robot.scene import SceneCfg, build_model
-
-AIR = 1.2
-"""[kg/m³]"""
 
 
 @pytest.mark.parametrize("name", ["cube_s", "l_block"])

@@ -71,7 +71,10 @@ class ProjectingEye(Eye):
             error = error + sight.box_bias.repeat(1, 2)
             shift = shift + sight.box_bias
             chance = torch.rand(len(box), generator=self._generator, device=box.device)
-            is_seen = is_seen & (chance >= sight.drop_rate) & ~sight.is_dark(episode.record.steps)
+            steps = episode.record.steps
+            is_seen = (
+                is_seen & (chance >= sight.drop_rate) & ~sight.is_dark(steps) & sight.is_looked_at(steps)
+            )
             age_error = sight.age_error(episode.parameters.latency, self._generator)
         object_pos = detection.object_pos
         if sight is not None or episode.shake is not None or cfg.edge_noise:

@@ -33,12 +33,14 @@ OUTSIDE_CAMERA = SensingCfg(
     box_bias=(0.0, 6.0),
     drop_rate=(0.0, 0.2),
     blackout_steps=(0.0, 3.4),
+    image_period=(1.0, 2.6),
     clock_error=(0.0, 0.02),
     stamp_jitter=(0.0, 0.004),
     unstamped=0.05,
 )
 """A camera and a detector that were set up with care, and images 20 to 143 ms old, of which that is known to
-20 ms: the sources of the stress suite's axes, without its highest levels."""
+20 ms: the sources of the stress suite's axes, without its highest levels. Perception that takes up to 85 ms
+looks at one image in 1 to 2.6. Source: rehearsals in step."""
 
 PRACTISED_THROWS = replace(ThrowCfg(), spin=14.0)
 """Throws of training, with spin."""

@@ -49,6 +49,8 @@ class SensingCfg:
         edge_noise: Largest error of each edge on top of `corner_noise` [px].
         drop_rate: Share of the images in which the object is not found.
         blackout_steps: Control steps of each flight, at a random time, without any image.
+        image_period: Control steps from one image that is looked at to the next, at least 1: perception that
+            takes 60 ms looks at every second.
         clock_error: How far the stamps of all images of an episode are off, early or late [s].
         stamp_jitter: Standard deviation of the error of each stamp [s].
         unstamped: Share of the episodes whose images have no stamps: their age is then taken for
@@ -70,6 +72,7 @@ class SensingCfg:
     edge_noise: float = 0.0
     drop_rate: Amount = 0.0
     blackout_steps: Amount = 0
+    image_period: Amount = 1.0
     clock_error: Amount = 0.0
     stamp_jitter: Amount = 0.0
     unstamped: float = 0.0

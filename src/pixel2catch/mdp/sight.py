@@ -26,6 +26,7 @@ class Sight:
         drop_rate: Share of the images in which the object is not found.
         blackout_start: Control step of the episode at which the images fail.
         blackout_steps: Control steps for which they do.
+        image_period: Control steps from one image that is looked at to the next.
         clock_error: What the stamps make every box appear older [control steps].
         stamp_jitter: Standard deviation of such an error of each image [control steps].
         is_stamped: Whether images have stamps.
@@ -36,6 +37,7 @@ class Sight:
     drop_rate: Float[Tensor, " num_envs"]
     blackout_start: Int[Tensor, " num_envs"]
     blackout_steps: Int[Tensor, " num_envs"]
+    image_period: Float[Tensor, " num_envs"]
     clock_error: Float[Tensor, " num_envs"]
     stamp_jitter: Float[Tensor, " num_envs"]
     is_stamped: Bool[Tensor, " num_envs"]
@@ -43,6 +45,11 @@ class Sight:
     def is_dark(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
         """Whether there is no image after so many control steps of the episode."""
         return (steps >= self.blackout_start) & (steps < self.blackout_start + self.blackout_steps)
+
+    def is_looked_at(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
+        """Whether the image after so many control steps of the episode is looked at at all."""
+        count, before = steps / self.image_period, (steps - 1) / self.image_period
+        return count.floor() > before.floor()
 
     def age_error(
         self, latency: Float[Tensor, " num_envs"], generator: torch.Generator
@@ -59,6 +66,8 @@ def is_sight_exact(cfg: SensingCfg) -> bool:
         *(cfg.camera_offset, cfg.camera_turn, cfg.focal_error, cfg.box_bias, cfg.drop_rate),
         *(cfg.blackout_steps, cfg.clock_error, cfg.stamp_jitter, cfg.unstamped),
     )
+    if cfg.image_period != 1.0:
+        return False
     return not any((*errors, *cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
 
 
@@ -90,6 +99,7 @@ def sample_sight(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> S
         clock_error=amount(cfg.clock_error) / CONTROL_DT * _sign(chance[:, 3]),
         stamp_jitter=amount(cfg.stamp_jitter) / CONTROL_DT,
         is_stamped=chance[:, 4] >= cfg.unstamped,
+        image_period=amount(cfg.image_period),
     )
 
 
