@@ -43,7 +43,7 @@ def test_a_lively_robot_gets_less_motion_which_still_tells_every_joint(tmp_path:
     assert done.returncode == 0, done.stderr
     assert "trying less motion, because shoulder_pan_joint reaches 3." in done.stderr
     assert done.stderr.splitlines()[-1].startswith(f"wrote {tmp_path / 'new' / 'motion.npz'}, ")
-    for words in ("seed 0, simulated", "robot and table: never nearer", "hand and hand: 14"):
+    for words in ("seed 0, simulated", "robot and table: never nearer", "hand and hand: 10.7 mm"):
         assert words in done.stdout
     assert done.stdout.count(" good ") == len(ARM)
     trajectory = Trajectory.load(tmp_path / "new" / "motion.npz")

@@ -167,11 +167,11 @@ def test_what_does_not_move_cannot_be_told():
 def test_saturation_is_the_share_at_the_limit():
     """The elbow is at its limit in every fifth sample; a limit of one's own can clear it."""
     effort = np.zeros_like(clean().q)
-    effort[::5, 2] = -200.0
+    effort[::5, 2] = -150.0
     recording = replace(clean(), effort=effort)
     check = find(check_recording(recording), "saturation", "elbow_joint")
     assert check.is_good is False
-    assert check.detail.startswith("20.0 % of the samples at the limit of 200 N·m")
+    assert check.detail.startswith("20.0 % of the samples at the limit of 150 N·m")
     limits = dict.fromkeys(ARM, 250.0)
     assert find(check_recording(recording, limits), "saturation", "elbow_joint").is_good
     assert find(check_recording(clean()), "saturation", "elbow_joint").is_good is None

@@ -11,6 +11,7 @@ import torch
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import PerceptionError
+from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.observations import Frame, pixels
 from pixel2catch.methods import find_method
@@ -79,7 +80,10 @@ def test_features_are_those_of_training():
         assert now.verdict is Verdict.SEEN
         assert torch.equal(now.box, box.to(now.box))
     for before, now, measurement in zip(seen, seen[1:], measurements, strict=False):
-        frames = (replace(measurement, box=before.box), replace(measurement, box=now.box))
+        frames = [
+            replace(measurement, boxes=BoxHistory.begun(each.box, torch.zeros(1), 1))
+            for each in (before, now)
+        ]
         frame = Frame(before=frames[0], now=frames[1], joints=slice(0), pixel_columns=tuple(range(8)))
         assert torch.equal(now.features, pixels(frame))
 
