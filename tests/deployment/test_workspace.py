@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import linprog
+from scipy.spatial.transform import Rotation
 
 from pixel2catch.deployment.workspace import HAND_LOWER, HAND_UPPER, Workspace, link_frames
 from pixel2catch.robot.allegro import Handedness
@@ -121,6 +123,22 @@ def test_the_side_of_the_table_is_one():
     assert workspace.contains(low).all()
     wider = replace(workspace.table, size=(3.0, 3.0))
     assert not replace(workspace, table=wider).contains(low).any()
+
+
+def test_the_box_about_the_hand_and_the_table_are_apart_if_no_point_is_in_both():
+    """Judged by a linear program: a point within the table's six planes and the box's."""
+    workspace, random = Workspace(), np.random.default_rng(5)
+    middle = random.uniform((-0.7, -0.7, 0.6), (0.7, 0.7, 1.2), (300, 3))
+    rotation = Rotation.random(300, rng=random).as_matrix()
+    found = workspace._is_box_clear(middle, rotation)
+    near, far, top = workspace._sides
+    half = (np.array(HAND_UPPER) - np.array(HAND_LOWER)) / 2.0
+    for place, turn, is_clear in zip(middle, rotation, found, strict=True):
+        planes, at = np.vstack((turn.T, -turn.T)), turn.T @ place
+        table = list(zip((*near, 0.0), (*far, top), strict=True))
+        answer = linprog(np.zeros(3), planes, np.concatenate((at + half, half - at)), bounds=table)
+        assert is_clear == (answer.status == 2)
+    assert 50 < found.sum() < 250
 
 
 def _with(corner: tuple[float, float, float], axis: int, value: float) -> tuple[float, float, float]:

@@ -25,6 +25,9 @@ In the hand frame. Source: the model over all joint positions, rounded up.
 WATCHED_LINKS = (1, 2, 3, 4)
 """Links of the arm that are watched as capsules: those between the shoulder and the last."""
 
+ROUNDING = 1e-9
+"""Gap that is none [m], and what an axis across two that are parallel may seem to show."""
+
 Corners = Float64[np.ndarray, "rows 3"]
 
 
@@ -47,20 +50,42 @@ class Workspace:
     def contains(self, arm_pos: Float64[np.ndarray, "rows 6"]) -> Bool[np.ndarray, " rows"]:
         """Whether a robot with these arm positions [rad] is where it may be."""
         frames = link_frames(arm_pos)
-        lower, upper = _hand_box(frames[-1])
+        middle, lower, upper = _hand_box(frames[-1])
         is_inside = np.logical_and.reduce((lower >= self.lower) & (upper <= self.upper), axis=-1)
         capsules = frames[_LINK_OF_CAPSULE] @ _ENDS
         _, _, top = self._sides
         _, _, top_for_axes = self._sides_for_axes
         if (lower[:, 2] >= top).all() and (capsules[:, :, 2] >= top_for_axes).all():
             return is_inside
-        return is_inside & self._is_box_clear(lower, upper) & self._are_clear(capsules[:, :, :3])
+        is_clear = self._is_around_clear(lower, upper)
+        if not is_clear.all():
+            is_clear[~is_clear] = self._is_box_clear(middle[~is_clear], frames[-1][~is_clear, :3, :3])
+        return is_inside & is_clear & self._are_clear(capsules[:, :, :3])
 
-    def _is_box_clear(self, lower: Corners, upper: Corners) -> Bool[np.ndarray, " rows"]:
+    def _is_around_clear(self, lower: Corners, upper: Corners) -> Bool[np.ndarray, " rows"]:
         """Which boxes in world axes are beside the table, or high enough."""
         near, far, top = self._sides
         is_over = (lower[:, :2] < far) & (upper[:, :2] > near)
         return ~is_over.all(axis=-1) | (lower[:, 2] >= top)
+
+    def _is_box_clear(
+        self, middle: Corners, rotation: Float64[np.ndarray, "rows 3 3"]
+    ) -> Bool[np.ndarray, " rows"]:
+        """Which boxes about the hand, in its own axes, do not reach into the space from the floor to the top.
+
+        Two boxes are apart if and only if an axis of one of them, or one across two of them, tells them
+        apart. Source: Gottschalk, Lin and Manocha 1996, OBBTree, the separating axis theorem.
+        """
+        near, far, top = self._sides
+        table_middle = np.array((*(near + far) / 2.0, top / 2.0))
+        table_half = np.array((*(far - near) / 2.0, top / 2.0))
+        own = rotation.transpose(0, 2, 1)
+        world = np.broadcast_to(np.eye(3), own.shape)
+        across = np.cross(world[:, :, None], own[:, None]).reshape(-1, 9, 3)
+        axes = np.concatenate((world, own, across), axis=1)
+        distance = np.abs(axes @ (middle - table_middle)[:, :, None])[..., 0]
+        reach = np.abs(axes) @ table_half + np.abs(axes @ rotation) @ _HAND_HALF
+        return np.any(distance > reach + ROUNDING, axis=-1)
 
     def _are_clear(self, ends: Float64[np.ndarray, "capsules rows 3 2"]) -> Bool[np.ndarray, " rows"]:
         """Where all capsules are beside the table, or high enough in that part of them that is over it."""
@@ -87,11 +112,11 @@ class Workspace:
         return near[:, None, None] - _RADII, far[:, None, None] + _RADII, top + _RADII[..., None]
 
 
-def _hand_box(palm: Float64[np.ndarray, "rows 4 4"]) -> tuple[Corners, Corners]:
-    """Lower and upper corners of a box in world axes about the hand [m]."""
+def _hand_box(palm: Float64[np.ndarray, "rows 4 4"]) -> tuple[Corners, Corners, Corners]:
+    """Middle of the box about the hand, and lower and upper corners of one in world axes about that [m]."""
     rotation = palm[:, :3, :3]
     middle, half = palm[:, :3, 3] + rotation @ _HAND_CENTER, np.abs(rotation) @ _HAND_HALF
-    return middle - half, middle + half
+    return middle, middle - half, middle + half
 
 
 def link_frames(arm_pos: Float64[np.ndarray, "rows 6"]) -> Float64[np.ndarray, "6 rows 4 4"]:
