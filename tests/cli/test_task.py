@@ -96,3 +96,21 @@ def test_an_unknown_task_is_refused_before_anything_is_written(
     assert "nominal" in error
     assert "wide" in error
     assert not list(tmp_path.iterdir())
+
+
+def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):
+    """Within the transitions in which the value networks alone learn, no weight of the policy moves."""
+    task = ("train", "catch+fit", "--preset", "cpu", "--device", "cpu", "--task", "wide")
+    small = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "32", "--physics-hz", "30")
+    assert run(*task, *small, "--start", "catch+fit", "--out", tmp_path / "run") == 0
+    (shipped, _), (trained, _) = load_policy(Path("catch+fit")), load_policy(tmp_path / "run")
+    for (name, before), after in zip(shipped.named_parameters(), trained.parameters(), strict=True):
+        assert torch.equal(before, after), name
+
+
+def test_a_training_from_no_policy_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run(*TRAIN, "--start", "ctach+fit", "--out", tmp_path / "run") != 0
+    error = capsys.readouterr().err
+    assert "ctach+fit" in error
+    assert "catch+fit" in error
+    assert not (tmp_path / "run").exists()

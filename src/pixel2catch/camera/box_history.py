@@ -12,7 +12,7 @@ from pixel2catch.robot.constants import CameraSpec
 NUM_BOXES = 16
 """Boxes that `box_fit` is made for. Source: ours, see there."""
 
-MEMORIES = (3.0, 8.0)
+TIME_CONSTANTS = (3.0, 8.0)
 """Time constants of the weights of the two fits [control steps]. Source: ours, see `box_fit`."""
 
 STEPS_PER_SECOND = 30.0
@@ -84,7 +84,7 @@ def box_fit(
         ((center[..., 0] - camera.cx) / camera.fx, (center[..., 1] - camera.cy) / camera.fy), dim=-1
     )
     logarithm = torch.log(size / TYPICAL_SIZE)[..., None]
-    fits = [_fit_features(direction, logarithm, age, memory, camera) for memory in MEMORIES]
+    fits = [_fit_features(direction, logarithm, age, memory, camera) for memory in TIME_CONSTANTS]
     return torch.cat((*fits, _scaled(fits[-1]), age[:, :1] * (10.0 / STEPS_PER_SECOND)), dim=-1)
 
 

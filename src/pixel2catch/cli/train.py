@@ -31,8 +31,9 @@ class Train:
             Default: 1 2, as the release.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
         resume: Go on from the last checkpoint in that folder.
-        start: Policy to go on from, or its training run; of the same method. Value networks begin anew, and
-            so does exploration: give an --initial-log-std of about -2. Default: untrained networks.
+        start: Policy to go on from, of the same method: its folder, that of its training run, or the name of
+            a shipped one. Value networks begin anew, and so does exploration: give an --initial-log-std of
+            about -2. Default: untrained networks.
         start_transitions: Transitions after such a start in which the value networks alone learn.
         seed: Seed of networks, exploration and environments.
         num_envs: Environments that are simulated side by side, in all processes of torchrun together.
@@ -119,9 +120,11 @@ class Train:
         Raises:
             DeviceUnavailableError: If CUDA was asked for and is absent.
             InvalidValueError: If no training is possible with the values.
+            PolicyMismatchError: If there is no policy to start from.
         """
         import torch
 
+        from pixel2catch.evaluation.loading import policy_folder
         from pixel2catch.rl import TrainCfg, preset
         from pixel2catch.sim.devices import require_cuda
 
@@ -131,4 +134,6 @@ class Train:
         cfg = preset(self.preset or ("fast" if device.startswith("cuda") else "cpu"))
         names = {field.name for field in dataclasses.fields(TrainCfg)}
         given: dict[str, Any] = {n: v for n, v in vars(self).items() if n in names and v is not None}
+        if self.start:
+            given["start"] = policy_folder(self.start)
         return dataclasses.replace(cfg, **given | {"device": device})

@@ -20,7 +20,7 @@ COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "j
 """What of the sensors is not drawn for an episode."""
 
 COMMON_RANDOMIZATION = ("arm_action_noise", "hand_action_noise")
-"""What of the randomization is not."""
+"""What of the randomization is not drawn for an episode, either."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,7 +55,7 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
         PolicyMismatchError: If there is no policy, or it is of another robot, image size, method or format.
         UnknownNameError: If its method does not exist.
     """
-    policy = Policy.load(_policy_folder(folder), device)
+    policy = Policy.load(policy_folder(folder), device)
     method = find_method(policy.contract.method)
     expected, found = contract_of(method, policy.contract.handedness), policy.contract.camera
     size = {name: expected.camera[name] for name in ("width", "height")}
@@ -73,7 +73,7 @@ def fingerprint(folder: Path | None) -> str:
     Raises:
         OSError: If there is no policy.
     """
-    return sha256(_policy_folder(folder) / "policy.safetensors")
+    return sha256(policy_folder(folder) / "policy.safetensors")
 
 
 def sha256(file: Path) -> str:
@@ -122,8 +122,15 @@ def _camera_of(policy: Policy) -> CameraSpec:
     return CameraSpec(**cast(dict[str, Any], policy.contract.camera))
 
 
-def _policy_folder(folder: Path | None) -> Path:
-    """The policy's own folder."""
+def policy_folder(folder: Path | None) -> Path:
+    """The policy's own folder.
+
+    Args:
+        folder: As for `load_policy`.
+
+    Raises:
+        PolicyMismatchError: If there is none.
+    """
     if folder is None or not folder.exists():
         folder = shipped_policies().get(str(folder or DEFAULT_POLICY), folder)
     if folder is None or not folder.exists():
