@@ -131,9 +131,13 @@ HAND = AgentSpec(
 )
 
 
-RESTING_ARM = _paying(ARM, RewardTerm(function=rewards.unrest, weight=-0.01))
+RESTING_ARM = _paying(
+    _paying(ARM, RewardTerm(function=rewards.unrest, weight=-0.01)),
+    RewardTerm(function=rewards.table_intrusion, weight=-5.0),
+)
 RESTING_HAND = _paying(HAND, RewardTerm(function=rewards.self_contact, weight=-0.02))
-"""Arm and hand that also pay for moving a held object about, and for touching themselves.
+"""Arm and hand that also pay for moving a held object about, for aiming into the table, and for touching
+themselves.
 
 Source: ours. Larger weights, and paying for the motion of fingers, keep them from grasping at all
 (experiments/LOG.md).

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass, replace
 
+from jaxtyping import Float
+from torch import Tensor
+
 from pixel2catch.agents import ARM, HAND, RESTING_ARM, RESTING_HAND, AgentSpec
 from pixel2catch.camera.box_history import NUM_BOXES
 from pixel2catch.errors import UnknownNameError
@@ -14,7 +17,10 @@ from pixel2catch.mdp.observations import (
     box_track,
     initial_object_position,
     object_position,
+    observe,
+    pixel_columns,
 )
+from pixel2catch.mdp.snapshot import History
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +43,14 @@ class Method:
     def knows_age(self) -> bool:
         """Whether its agents know how old the boxes are that they see."""
         return any(agent.memory for agent in self.agents)
+
+    def observe(self, history: History) -> dict[str, Float[Tensor, "num_envs _"]]:
+        """What each agent sees, by name."""
+        columns = pixel_columns(self.pixel_features)
+        return {
+            agent.name: observe(agent.observation, agent.memory, agent.joints, columns, history)
+            for agent in self.agents
+        }
 
 
 def _seeing(*observation: ObservationTerm) -> tuple[AgentSpec, ...]:
@@ -102,12 +116,18 @@ METHODS: dict[str, Method] = {
             ),
         ),
         replace(PROPOSED, name="catch_alone", agents=(RESTING_ARM + RESTING_HAND,)),
+        Method(
+            name="catch_teacher",
+            agents=(replace(RESTING_ARM + RESTING_HAND, observation=(object_position, *PROPRIOCEPTION)),),
+            pixel_features=(),
+        ),
     )
 }
 """Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D, and
 `shared_reward`, in which arm and hand are both paid the sum of their rewards; release: `journal`, which adds
 palm displacement and joint targets; ours: `catch`, a `shared_reward` that also pays for unrest after a catch
-and for touching itself, and `catch_alone`, the same as a single agent."""
+and for touching itself, `catch_alone`, the same as a single agent, and `catch_teacher`, which sees the object
+in 3D and can be imitated."""
 
 
 def find_method(name: str) -> Method:

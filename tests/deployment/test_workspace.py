@@ -10,8 +10,9 @@ import torch
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from pixel2catch.deployment.workspace import HAND_LOWER, HAND_UPPER, Workspace, link_frames
+from pixel2catch.deployment.workspace import Workspace, link_frames
 from pixel2catch.robot.allegro import Handedness
+from pixel2catch.robot.clearance import HAND_LOWER, HAND_UPPER, depth_in_table
 from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, JOINTS, TableSpec
 from pixel2catch.robot.kinematics import palm_pose
 from pixel2catch.robot.scene import SceneCfg, build_model
@@ -145,3 +146,13 @@ def _with(corner: tuple[float, float, float], axis: int, value: float) -> tuple[
     values = [*corner]
     values[axis] = value
     return (values[0], values[1], values[2])
+
+
+def test_what_costs_in_training_is_what_the_servo_holds_back():
+    """Training looks at points and corners alone: it sees no intrusion that is none, and most that are."""
+    random = np.random.default_rng(4)
+    arm_pos = HOME + random.uniform(-1.6, 1.6, (4000, 6))
+    depth = depth_in_table(torch.from_numpy(arm_pos)).numpy()
+    is_clear = Workspace(lower=(-9.0,) * 3, upper=(9.0,) * 3).contains(arm_pos)
+    assert not (depth[is_clear] > 0.0).any()
+    assert (depth[~is_clear] > 0.0).mean() > 0.9

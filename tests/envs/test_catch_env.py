@@ -254,3 +254,16 @@ def test_every_object_is_thrown_without_nan():
         finite &= all(bool(value.isfinite().all()) for value in values)
     assert finite
     assert env.statistics.pop()["episodes"] >= env.num_envs
+
+
+def test_a_teacher_sees_the_same_world():
+    """Its observations are those that it would have if its own method were in the environment."""
+    pupil, teacher = find_method("catch_alone+fit"), find_method("catch_teacher+age")
+    taught = CatchEnv(CatchEnvCfg(), pupil, num_envs=3, seed=6, teacher=teacher)
+    alone = CatchEnv(CatchEnvCfg(), teacher, num_envs=3, seed=6)
+    actions = {"robot": torch.full((3, len(JOINTS)), 0.2)}
+    both = [(taught.reset(), alone.reset())]
+    both += [(taught.step(actions).observation, alone.step(actions).observation) for _ in range(8)]
+    for seen, expected in both:
+        torch.testing.assert_close(seen.teacher["robot"], expected.policy["robot"])
+    assert not alone.reset().teacher

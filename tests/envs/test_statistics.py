@@ -162,6 +162,7 @@ def step_of(before: Privileged, now: Privileged, held: int, number: int) -> Tran
         before=before,
         now=now,
         action=torch.zeros(1, 19),
+        joint_pos_target=torch.zeros(1, 19),
         held_steps=torch.tensor([held]),
         episode_steps=torch.tensor([number]),
     )

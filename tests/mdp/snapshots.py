@@ -60,6 +60,7 @@ def transition(
     now: Privileged | None = None,
     *,
     action: Tensor | None = None,
+    joint_pos_target: Tensor | None = None,
     held_steps: tuple[int, ...] | None = None,
     episode_steps: tuple[int, ...] | None = None,
 ) -> Transition:
@@ -70,6 +71,7 @@ def transition(
         before=before or now,
         now=now,
         action=torch.zeros(num_envs, NUM_JOINTS) if action is None else action,
+        joint_pos_target=torch.zeros(num_envs, NUM_JOINTS) if joint_pos_target is None else joint_pos_target,
         held_steps=torch.tensor(held_steps or (0,) * num_envs),
         episode_steps=torch.tensor(episode_steps or (1,) * num_envs),
     )

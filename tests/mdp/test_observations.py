@@ -29,6 +29,7 @@ SIZES = {
     "shared_reward": {"arm": 50, "hand": 78},
     "catch": {"arm": 50, "hand": 78},
     "catch_alone": {"robot": 2 * (6 + 7 + 19 + 19)},
+    "catch_teacher": {"robot": 2 * (6 + 7 + 19 + 19)},
     "journal": {"arm": 2 * (25 + 3 + 6), "hand": 2 * (39 + 3 + 13)},
     "only_wh": {"arm": 46, "hand": 74},
     "only_center": {"arm": 46, "hand": 74},

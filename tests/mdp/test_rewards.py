@@ -1,6 +1,7 @@
 """Reward terms by hand, and the agents' sums as the paper's Eq. 3 and 4."""
 
 import itertools
+from math import pi
 
 import pytest
 import torch
@@ -103,6 +104,19 @@ def test_self_contact():
     assert rewards.self_contact(transition(now=now), ANY).tolist() == [1.0, 0.0]
 
 
+def test_table_intrusion_by_hand():
+    """The upper arm is 0.425 m long, its shoulder 0.9835 m high, its capsule 55 mm thick, the table 0.81 m.
+
+    Lowered by 0.3 rad its end is 0.8579 m high: 27.1 mm in the space of 20 mm over the table, if it points to
+    where that is. The other way it is beside it, 0.406 m before a base that is 5 cm nearer to that edge.
+    """
+    target = torch.zeros(3, NUM_JOINTS)
+    target[:, 0] = torch.tensor([0.0, 0.0, pi])
+    target[:, 1] = torch.tensor([0.0, 0.3, 0.3])
+    step = transition(now=privileged(object_pos=torch.zeros(3, 3)), joint_pos_target=target)
+    assert rewards.table_intrusion(step, ANY).tolist() == pytest.approx([0.0, 0.0271, 0.0], abs=1e-4)
+
+
 def eventful_step() -> Transition:
     """A hold completes while the object is low; the palm gains 0.5 m, each fingertip 1 m."""
     origin, low = at((0.0, 0.0, 0.0)), at((1.0, 0.0, 0.4))
@@ -196,7 +210,8 @@ def test_resting_agents_pay_for_moving_what_they_hold_and_for_touching_themselve
 
 def test_agents_of_catch_share_all_terms():
     """Those of the paper and the grasp, and those of rest."""
-    arm, hand = [*ARM.reward_names, "arm.unrest"], [*HAND.reward_names, "hand.self_contact"]
+    arm = [*ARM.reward_names, "arm.unrest", "arm.table_intrusion"]
+    hand = [*HAND.reward_names, "hand.self_contact"]
     names = {agent.name: list(agent.reward_names) for agent in METHODS["catch"].agents}
     assert names == {"arm": arm + hand, "hand": hand + arm}
     (alone,) = METHODS["catch_alone"].agents

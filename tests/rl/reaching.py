@@ -5,7 +5,7 @@ agent inputs in pixels, which little can be learnt from unless they are standard
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -60,6 +60,7 @@ class ReachingCfg:
 class Observation:
     policy: dict[str, Tensor]
     state: Tensor
+    teacher: dict[str, Tensor] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

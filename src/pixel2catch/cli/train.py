@@ -35,6 +35,9 @@ class Train:
             a shipped one. Value networks begin anew, and so does exploration: give an --initial-log-std of
             about -2. Default: untrained networks.
         start_transitions: Transitions after such a start in which the value networks alone learn.
+        teacher: Policy that is imitated at first, named likewise; it may be of another method, such as one
+            that is told where the object is.
+        teacher_share: Share of the training over which imitation gives way to the rewards.
         seed: Seed of networks, exploration and environments.
         num_envs: Environments that are simulated side by side, in all processes of torchrun together.
         transitions: Length of the training: control steps, summed over the environments.
@@ -72,6 +75,8 @@ class Train:
     num_envs: int | None = None
     start: Path | None = None
     start_transitions: int | None = None
+    teacher: Path | None = None
+    teacher_share: float | None = None
     transitions: int | None = None
     rollout_steps: int | None = None
     epochs: int | None = None
@@ -96,6 +101,7 @@ class Train:
         """Train to the end."""
         from pixel2catch.envs.catch_env import CatchEnv
         from pixel2catch.envs.tasks import find_task
+        from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.methods import find_method
         from pixel2catch.policy import contract_of
         from pixel2catch.rl import train
@@ -106,10 +112,13 @@ class Train:
         sensing = dataclasses.replace(task.sensing, latency_steps=cfg.latency_steps)
         contract = contract_of(method, task.scene.handedness, sensing.camera.camera)
         contract = dataclasses.replace(contract, task=cfg.task)
+        teacher = load_policy(cfg.teacher)[1] if cfg.teacher else None
 
         def make_env(cfg: "TrainCfg") -> CatchEnv:
             stage = dataclasses.replace(task, scene=scenes[cfg.physics_hz[0]], sensing=sensing)
-            return CatchEnv(stage, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed)
+            return CatchEnv(
+                stage, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, teacher=teacher
+            )
 
         out = self.out or Path("runs") / f"{method.name}-seed{cfg.seed}"
         train(cfg, make_env, contract, out, resume=self.resume)
@@ -120,7 +129,7 @@ class Train:
         Raises:
             DeviceUnavailableError: If CUDA was asked for and is absent.
             InvalidValueError: If no training is possible with the values.
-            PolicyMismatchError: If there is no policy to start from.
+            PolicyMismatchError: If there is no policy to start from, or to imitate.
         """
         import torch
 
@@ -134,6 +143,7 @@ class Train:
         cfg = preset(self.preset or ("fast" if device.startswith("cuda") else "cpu"))
         names = {field.name for field in dataclasses.fields(TrainCfg)}
         given: dict[str, Any] = {n: v for n, v in vars(self).items() if n in names and v is not None}
-        if self.start:
-            given["start"] = policy_folder(self.start)
+        for name in ("start", "teacher"):
+            if name in given:
+                given[name] = policy_folder(given[name])
         return dataclasses.replace(cfg, **given | {"device": device})

@@ -13,7 +13,7 @@ from pixel2catch.agents import COMMANDS
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.mdp.observations import Frame, observe, pixel_columns
+from pixel2catch.mdp.observations import Frame, pixel_columns
 from pixel2catch.mdp.snapshot import History, Measurement
 from pixel2catch.methods import Method, find_method
 from pixel2catch.policy import Policy, contract_of
@@ -51,14 +51,13 @@ class Controller:
         """
         self.method = find_method(policy.contract.method)
         policy.contract.require(contract_of(self.method, handedness, camera))
-        self._columns = pixel_columns(self.method.pixel_features)
         self._policy = policy
         self._action_map = ActionMap.of(COMMANDS, torch.device("cpu"))
         self._past: _Past | None = None
         self._held: Tensor | None = None
         nowhere = BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), self.method.num_boxes)
         at_zero = self._measure(torch.zeros(1, len(JOINTS)), nowhere)
-        _refuse_trackers(self.method, self._columns, at_zero)
+        _refuse_trackers(self.method, at_zero)
 
     def reset(self, joint_pos_target: Float[Tensor, "1 num_joints"] | None = None) -> None:
         """Begin a new throw: the next step is the first of an episode.
@@ -93,13 +92,8 @@ class Controller:
         history = History(now, now, now)
         if past is not None:
             history = History(past.history.before, past.history.now, now)
-        agents = self.method.agents
-        observations = {
-            agent.name: observe(agent.observation, agent.memory, agent.joints, self._columns, history)
-            for agent in agents
-        }
-        actions = self._policy.act(observations)
-        action = torch.cat([actions[agent.name] for agent in agents], dim=-1)
+        actions = self._policy.act(self.method.observe(history))
+        action = torch.cat([actions[agent.name] for agent in self.method.agents], dim=-1)
         target = self._action_map.joint_pos_target(action, now.joint_pos)
         self._past = _Past(history, action, target)
         return target
@@ -124,8 +118,9 @@ class Controller:
 _UNKNOWN = torch.full((1, 3), torch.nan)
 
 
-def _refuse_trackers(method: Method, columns: tuple[int, ...], measurement: Measurement) -> None:
+def _refuse_trackers(method: Method, measurement: Measurement) -> None:
     """Refuse a method whose observation depends on what a measurement does not have."""
+    columns = pixel_columns(method.pixel_features)
     for agent in method.agents:
         frame = Frame(before=measurement, now=measurement, joints=agent.joints, pixel_columns=columns)
         terms = (*agent.observation, *agent.memory)

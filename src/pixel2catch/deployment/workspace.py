@@ -11,19 +11,10 @@ from itertools import accumulate
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from pixel2catch.robot.constants import PALM_POS, TABLE, UR5E_DH, TableSpec, Vec3
+from pixel2catch.robot.clearance import CAPSULES, TABLE_CLEARANCE, capsule_ends, hand_box
+from pixel2catch.robot.constants import TABLE, TableSpec, Vec3
 from pixel2catch.robot.kinematics import joint_matrices
-from pixel2catch.robot.ur5e import LINKS, Capsule
-
-HAND_LOWER: Vec3 = (-0.06, -0.18, -0.11)
-HAND_UPPER: Vec3 = (0.15, 0.18, 0.25)
-"""Corners of a box about the arm's last link and the hand, left or right, whatever the fingers do [m].
-
-In the hand frame. Source: the model over all joint positions, rounded up.
-"""
-
-WATCHED_LINKS = (1, 2, 3, 4)
-"""Links of the arm that are watched as capsules: those between the shoulder and the last."""
+from pixel2catch.robot.ur5e import LINKS
 
 ROUNDING = 1e-9
 """Gap that is none [m], and what an axis across two that are parallel may seem to show."""
@@ -37,13 +28,13 @@ class Workspace:
 
     Attributes:
         table: The table; the robot stays above it, wherever it is over it.
-        clearance: Distance to keep from its top and from its sides [m]. Source: ours: 2 cm.
+        clearance: Distance to keep from its top and from its sides [m].
         lower: Lowest corner of the space for the hand [m].
         upper: Highest corner. Source of both: ours; the shipped policies stay 8 cm or more inside.
     """
 
     table: TableSpec = TABLE
-    clearance: float = 0.02
+    clearance: float = TABLE_CLEARANCE
     lower: Vec3 = (0.0, -1.1, 0.35)
     upper: Vec3 = (1.25, 1.1, 1.85)
 
@@ -128,18 +119,8 @@ def link_frames(arm_pos: Float64[np.ndarray, "rows 6"]) -> Float64[np.ndarray, "
     return np.array([*accumulate(links, np.matmul)])
 
 
-def _ends_of(link: int, capsule: Capsule) -> Float64[np.ndarray, "1 4 2"]:
-    """Centres of both ends of a capsule in the frame at the far end of its link, homogeneous [m]."""
-    offset, length, alpha = UR5E_DH[link]
-    turn = ((1.0, 0.0, 0.0), (0.0, np.cos(alpha), -np.sin(alpha)), (0.0, np.sin(alpha), np.cos(alpha)))
-    points = (np.array((capsule.start, capsule.end)) - (length, 0.0, offset)) @ np.array(turn)
-    return np.vstack((points.T, np.ones(2)))[None]
-
-
 _TERMS = joint_matrices().swapaxes(0, 1).reshape(len(LINKS), 3, 16)
-_CAPSULES = [(link, capsule) for link in WATCHED_LINKS for capsule in LINKS[link][1]]
-_LINK_OF_CAPSULE = np.array([link for link, _ in _CAPSULES])
-_ENDS = np.array([_ends_of(link, capsule) for link, capsule in _CAPSULES])
-_RADII = np.array([[capsule.radius] for _, capsule in _CAPSULES])
-_HAND_CENTER = (np.array(HAND_LOWER) + np.array(HAND_UPPER)) / 2.0 - np.array(PALM_POS)
-_HAND_HALF = (np.array(HAND_UPPER) - np.array(HAND_LOWER)) / 2.0
+_LINK_OF_CAPSULE = np.array([link for link, _ in CAPSULES])
+_ENDS = np.array([[capsule_ends(link, capsule)] for link, capsule in CAPSULES])
+_RADII = np.array([[capsule.radius] for _, capsule in CAPSULES])
+_HAND_CENTER, _HAND_HALF = hand_box()

@@ -21,7 +21,7 @@ from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.delay import DelayLine
 from pixel2catch.mdp.masks import assign, clone, select
-from pixel2catch.mdp.observations import observe, pixel_columns, privileged_state
+from pixel2catch.mdp.observations import privileged_state
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import History, Measurement, Transition
@@ -45,7 +45,14 @@ class CatchEnv:
     """
 
     def __init__(
-        self, cfg: CatchEnvCfg, method: Method, *, num_envs: int, device: str = "cpu", seed: int = 0
+        self,
+        cfg: CatchEnvCfg,
+        method: Method,
+        *,
+        num_envs: int,
+        device: str = "cpu",
+        seed: int = 0,
+        teacher: Method | None = None,
     ) -> None:
         """Build the environments; the first `reset` begins their episodes.
 
@@ -55,14 +62,14 @@ class CatchEnv:
             num_envs: Number of environments.
             device: "cpu" or a CUDA device.
             seed: Seed of everything that is drawn here.
+            teacher: A method whose observations are wanted as well.
         """
-        self.cfg, self.method, self.num_envs = cfg, method, num_envs
+        self.cfg, self.method, self.teacher, self.num_envs = cfg, method, teacher, num_envs
         self.world = CatchWorld(cfg.scene, cfg.dynamics, num_envs=num_envs, device=device)
         self.device = self.world.device
         self._generator = torch.Generator(self.device).manual_seed(seed)
         names = self.world.objects.names
         self._object_ids = torch.tensor([names.index(name) for name in cfg.objects], device=self.device)
-        self._pixel_columns = pixel_columns(method.pixel_features)
         self._action_map = ActionMap.of(COMMANDS, self.device)
         noise = cfg.randomization
         self._action_noise = by_joint(noise.arm_action_noise, noise.hand_action_noise, self.device)
@@ -71,8 +78,6 @@ class CatchEnv:
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
         )
         self.eye: Eye = ProjectingEye(cfg.sensing, self.world, self._generator)
-        middles = torch.arange(cfg.scene.decimation, device=self.device) + 0.5
-        self._substep_times = middles[:, None] * cfg.scene.physics_dt
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
@@ -125,14 +130,15 @@ class CatchEnv:
         commands = self._commands.pushed(target)
         late = commands.interpolated(self._episode.command_delay)
         log = self.world.run(late, self._base_acceleration(), self._episode.drag)
-        transition = self._transition(action, log)
+        command = Command(action=action, joint_pos_target=target)
+        transition = self._transition(command, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
         record = self._episode.record.advanced(transition, log)
         self.statistics.add(terminated, record, terms)
         self._begin(terminated, record)
         assign(self._commands, select(terminated, self._waiting_commands(), commands))
-        self._sense(terminated, Command(action=action, joint_pos_target=target), log)
+        self._sense(terminated, command, log)
         return Step(
             observation=self._observe(),
             rewards={name: values.sum(dim=-1) for name, values in terms.items()},
@@ -174,16 +180,20 @@ class CatchEnv:
 
     def _base_acceleration(self) -> Float[Tensor, "decimation num_envs 3"] | None:
         """Acceleration of a base that shakes, in the middle of each physics step to come [m/s²]."""
-        shake, steps = self._episode.shake, self._episode.record.steps
-        return None if shake is None else shake.acceleration(CONTROL_DT * steps + self._substep_times)
+        shake, steps, scene = self._episode.shake, self._episode.record.steps, self.cfg.scene
+        if shake is None:
+            return None
+        middles = torch.arange(scene.decimation, device=self.device)[:, None] + 0.5
+        return shake.acceleration(CONTROL_DT * steps + scene.physics_dt * middles)
 
-    def _transition(self, action: Float[Tensor, "num_envs num_joints"], log: PhysicsLog) -> Transition:
+    def _transition(self, command: Command, log: PhysicsLog) -> Transition:
         """What this control step changed."""
         now, record = self.world.privileged(log), self._episode.record
         return Transition(
             before=self._senses.now,
             now=now,
-            action=action,
+            action=command.action,
+            joint_pos_target=command.joint_pos_target,
             held_steps=torch.where(is_near(now), record.held_steps + 1, 0),
             episode_steps=record.steps + 1,
         )
@@ -268,12 +278,9 @@ class CatchEnv:
     def _observe(self) -> Observation:
         """The inputs of all networks."""
         senses = self._senses
-        policy = {
-            agent.name: observe(
-                agent.observation, agent.memory, agent.joints, self._pixel_columns, senses.history
-            )
-            for agent in self.method.agents
-        }
+        policy = self.method.observe(senses.history)
+        teacher = self.teacher.observe(senses.history) if self.teacher else {}
         told = (drawn_parameters(self._episode),) if self.cfg.is_value_told else ()
         truth = privileged_state(senses.before, senses.now)
-        return Observation(policy=policy, state=torch.cat((*policy.values(), *told, truth), dim=-1))
+        state = torch.cat((*policy.values(), *told, truth), dim=-1)
+        return Observation(policy=policy, state=state, teacher=teacher)

@@ -17,10 +17,12 @@ class Observation:
     Attributes:
         policy: Observation of each agent, by name.
         state: Input of every value network: all observations and what only the simulator knows.
+        teacher: Observation of each agent of another method that is imitated; empty without one.
     """
 
     policy: dict[str, Float[Tensor, "num_envs _"]]
     state: Float[Tensor, "num_envs _"]
+    teacher: dict[str, Float[Tensor, "num_envs _"]]
 
 
 @dataclass(frozen=True, kw_only=True)

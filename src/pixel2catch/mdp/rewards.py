@@ -12,6 +12,8 @@ from torch import Tensor
 
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_dropped, is_near, is_success, palm_distance
+from pixel2catch.robot.clearance import depth_in_table
+from pixel2catch.robot.constants import ARM_JOINTS
 
 SETTLE_STEPS = 6
 """Control steps that a held object may take to come to rest, with the robot. Source: ours; release: 5."""
@@ -75,6 +77,14 @@ def drop(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
 def table_contact(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
     """One while the robot touches the table. Source: paper, coll."""
     return transition.now.is_robot_on_table.float()
+
+
+def table_intrusion(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+    """How deep arm and hand would be in the table's clearance at the joint targets [m].
+
+    Source: ours: a servo that keeps clear of the table holds such commands back, and the hand comes late.
+    """
+    return depth_in_table(transition.joint_pos_target[:, : len(ARM_JOINTS)])
 
 
 def action_square(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:

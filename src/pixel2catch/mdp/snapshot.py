@@ -88,6 +88,7 @@ class Transition:
         before: The state that the actions were chosen in.
         now: The state that they led to.
         action: The actions in joint order, in [-1, 1].
+        joint_pos_target: The joint targets that they commanded [rad].
         held_steps: Consecutive control steps, this one included, with the object in the palm's reach.
         episode_steps: Control steps since the start of the episode, this one included.
     """
@@ -95,5 +96,6 @@ class Transition:
     before: Privileged
     now: Privileged
     action: Float[Tensor, "num_envs num_joints"]
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]
     held_steps: Int[Tensor, " num_envs"]
     episode_steps: Int[Tensor, " num_envs"]

@@ -40,6 +40,12 @@ class TrainCfg:
     start_transitions: int = 2_000_000
     """Transitions after such a start in which the value networks alone learn; in as many again the learning
     rate rises. Source: ours."""
+    teacher: Path | None = None
+    """Policy whose actions are imitated at first, in the states that the pupil comes to; its observations may
+    be of another method, such as that of an oracle."""
+    teacher_share: float = 0.5
+    """Share of the training over which the weight of imitation falls from 1 to 0, and that of the rewards
+    rises from 0 to 1. Source: ours."""
     transitions: int = 51_200_000
     """Length of the training: control steps, summed over the environments. Source: release."""
     rollout_steps: int = 8
@@ -98,7 +104,7 @@ class TrainCfg:
             raise InvalidValueError(
                 f"latency_steps is {self.latency_steps}; give 0 or more, then the same or more."
             )
-        for name in ("discount", "gae_lambda"):
+        for name in ("discount", "gae_lambda", "teacher_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
         if self.rollout_transitions % self.mini_batches:

@@ -20,6 +20,11 @@ class Observation(Protocol):
         """Input of all value networks, (num_envs, state_size)."""
         ...
 
+    @property
+    def teacher(self) -> dict[str, Tensor]:
+        """Input of a teacher's policies, likewise; empty without a teacher."""
+        ...
+
 
 @runtime_checkable
 class Step(Protocol):

@@ -19,7 +19,10 @@ NUM_EAGER_STEPS = 3
 
 
 class Batch(NamedTuple):
-    """A mini-batch; observations, states, values and returns are standardised."""
+    """A mini-batch; observations, states, values and returns are standardised.
+
+    Its advice are the actions of a teacher, where there is one.
+    """
 
     observations: Tensor
     states: Tensor
@@ -28,6 +31,7 @@ class Batch(NamedTuple):
     values: Tensor
     returns: Tensor
     advantages: Tensor
+    advice: Tensor | None = None
 
 
 class GradientStep:
@@ -37,6 +41,7 @@ class GradientStep:
         optimizer: Adam, with its learning rate in a tensor, so that a captured step sees it change.
         totals: Sums of policy loss, value loss and KL divergence over the steps since they were put to zero;
             of all processes together, like the gradients.
+        teacher_weight: How far the policy follows a teacher instead of its rewards, to be changed in place.
     """
 
     def __init__(self, cfg: TrainCfg, policy: GaussianPolicy, value: ValueFunction, workers: Workers) -> None:
@@ -48,6 +53,7 @@ class GradientStep:
         self.optimizer = torch.optim.Adam(self._parameters, lr=rate, fused=True, capturable=self._is_cuda)
         self.totals = torch.zeros(3, device=cfg.device)
         self._policy_weight = torch.ones((), device=cfg.device)
+        self.teacher_weight = torch.zeros((), device=cfg.device)
         self._batch: Batch | None = None
         self._graph: torch.cuda.CUDAGraph | None = None
         self._num_steps = 0
@@ -65,10 +71,11 @@ class GradientStep:
     def take(self, batch: Batch) -> None:
         """Take one step; nothing waits for the device."""
         if self._batch is None:
-            self._batch = Batch(*(tensor.clone() for tensor in batch))
+            self._batch = Batch(*(tensor.clone() for tensor in batch if tensor is not None))
         else:
             for static, tensor in zip(self._batch, batch, strict=True):
-                static.copy_(tensor)
+                if static is not None and tensor is not None:
+                    static.copy_(tensor)
         if self._is_cuda and self._graph is None and self._num_steps >= NUM_EAGER_STEPS:
             self._graph = self._capture(self._batch)
         if self._graph is not None:
@@ -104,9 +111,13 @@ class GradientStep:
         self._graph, self._num_steps = None, 0
 
     def _step(self, batch: Batch) -> None:
-        """Source: PPO with clipped ratio and clipped values, as in skrl (`MAPPO.update`)."""
+        """Source: PPO with clipped ratio and clipped values, as in skrl (`MAPPO.update`).
+
+        A teacher's advice is followed by its weight, and the surrogate objective by the rest.
+        """
         cfg = self._cfg
-        log_prob = self._policy.log_prob(batch.observations, batch.actions)
+        mean = self._policy.network(batch.observations)
+        log_prob = self._policy.log_prob(mean, batch.actions)
         log_ratio = log_prob - batch.log_prob
         ratio = log_ratio.exp()
         clipped_ratio = ratio.clip(1.0 - cfg.ratio_clip, 1.0 + cfg.ratio_clip)
@@ -115,8 +126,12 @@ class GradientStep:
         values = batch.values + change.clip(-cfg.value_clip, cfg.value_clip)
         value_loss = cfg.value_loss_scale * nn.functional.mse_loss(batch.returns, values)
         entropy_loss = -cfg.entropy_scale * self._policy.entropy()
+        objective = policy_loss + entropy_loss
+        if batch.advice is not None:
+            imitation = 0.5 * (mean - batch.advice).square().sum(dim=-1).mean()
+            objective = torch.lerp(objective, imitation, self.teacher_weight)
         self.optimizer.zero_grad()
-        (self._policy_weight * (policy_loss + entropy_loss) + value_loss).backward()
+        (self._policy_weight * objective + value_loss).backward()
         with torch.no_grad():
             kl = (ratio - 1.0 - log_ratio).mean()
             losses = torch.stack((policy_loss, value_loss, kl))

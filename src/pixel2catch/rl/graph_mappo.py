@@ -14,6 +14,9 @@ from pixel2catch.rl.workers import Workers
 HIGHEST_LEARNING_RATE = 1e-2
 """Upper bound of the adaptive learning rate. Source: skrl (`KLAdaptiveLR`)."""
 
+ADVICE = "advice"
+"""Name of the memories' tensor of a teacher's actions."""
+
 
 class GraphMAPPO(MAPPO):
     """MAPPO whose `update` waits for the device once; a test compares it with skrl's own."""
@@ -26,6 +29,13 @@ class GraphMAPPO(MAPPO):
         for agent, models in self.models.items():
             self.steps[agent] = GradientStep(train_cfg, models["policy"], models["value"], workers)  # pyright: ignore[reportArgumentType] (built in mappo.py)
             self.optimizers[agent] = self.checkpoint_modules[agent]["optimizer"] = self.steps[agent].optimizer
+
+    def expect_advice(self) -> None:
+        """Make room for a teacher's actions, which every transition must then have."""
+        for agent, memory in (self.memories or {}).items():
+            size = self.models[agent]["policy"].num_actions
+            memory.create_tensor(name=ADVICE, size=size, dtype=torch.float32)
+        self._tensors_names.append(ADVICE)
 
     def update(self, *, timestep: int, timesteps: int, uid: str) -> None:
         """Learn from the memory of one agent and track losses, KL divergence and standard deviation."""

@@ -11,7 +11,7 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.rl.config import TrainCfg
 from pixel2catch.rl.environment import Environment, Observation, Step
-from pixel2catch.rl.graph_mappo import METRICS
+from pixel2catch.rl.graph_mappo import ADVICE, METRICS
 from pixel2catch.rl.mappo import build_mappo
 from pixel2catch.rl.memory import RolloutMemory
 from pixel2catch.rl.models import GaussianPolicy, ValueFunction
@@ -38,6 +38,9 @@ class Learner:
         self.models = cast(dict[str, dict[str, GaussianPolicy | ValueFunction]], self.mappo.models)
         self.memories = cast(dict[str, RolloutMemory], self.mappo.memories)
         self._is_resting = False
+        self._teacher = Policy.load(cfg.teacher, cfg.device) if cfg.teacher else None
+        if self._teacher is not None:
+            self.mappo.expect_advice()
         self._never = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=cfg.device)
 
     @torch.no_grad()
@@ -47,6 +50,11 @@ class Learner:
             actions, _ = self.mappo.act(
                 observation.policy, self._states(observation), timestep=0, timesteps=0
             )
+            if self._teacher is not None:
+                advice = torch.cat(list(self._teacher.act(observation.teacher).values()), dim=-1)
+                sizes = [actions[agent].shape[-1] for agent in self.agents]
+                for agent, share in zip(self.agents, advice.split(sizes, dim=-1), strict=True):
+                    self.memories[agent].extra = {ADVICE: share}
         return actions
 
     def record(
@@ -85,6 +93,9 @@ class Learner:
         """
         begun = progress * self.cfg.transitions / self.cfg.start_transitions if self.cfg.start else 2.0
         self._rest_policies(begun < 1.0)
+        for step in self.mappo.steps.values():
+            share = self.cfg.teacher_share
+            step.teacher_weight.fill_(1.0 - progress / share if progress < share else 0.0)
         if self.cfg.schedule == "linear":
             is_rising = 1.0 <= begun < 2.0
             self._set_learning_rate(progress, begun - 1.0 if is_rising else 1.0)

@@ -32,9 +32,9 @@ class GaussianPolicy(GaussianMixin, Model):
         """Return mean and log standard deviation for standardised observations."""
         return self.network(inputs["observations"]), {"log_std": self.log_std}
 
-    def log_prob(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """Return the logarithm of the probability density of actions, (num_envs, 1)."""
-        error = (actions - self.network(observations)) * (-self.log_std).exp()
+    def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
+        """Return the logarithm of the probability density of actions about a mean, (num_envs, 1)."""
+        error = (actions - mean) * (-self.log_std).exp()
         return -(0.5 * error.square() + self.log_std + 0.5 * math.log(2.0 * math.pi)).sum(-1, keepdim=True)
 
     def entropy(self) -> Tensor:

@@ -5,6 +5,7 @@ call outside, which makes the constants).
 """
 
 from functools import cache
+from itertools import accumulate
 
 import numpy as np
 import torch
@@ -100,6 +101,16 @@ def _multiply(left: Tensor, right: Tensor) -> Tensor:
     return (left.unsqueeze(-1) * right.unsqueeze(-3)).sum(-2)
 
 
+def link_poses(joint_pos: Float[Tensor, "num_envs 6"]) -> Float[Tensor, "num_envs 6 4 4"]:
+    """World frames at the far ends of the arm's links; the last is at the palm, in the axes of the hand.
+
+    Args:
+        joint_pos: Positions of the arm's joints [rad].
+    """
+    links = _link_transforms(joint_pos).unbind(dim=1)
+    return torch.stack([*accumulate(links, _multiply)], dim=1)
+
+
 def palm_pose(
     joint_pos: Float[Tensor, "num_envs 6"],
 ) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
@@ -111,13 +122,17 @@ def palm_pose(
     Returns:
         Position [m] of the palm, and orientation of the hand frame, with the sign on the side of `HOME_SIDE`.
     """
-    joints, table = _constants(joint_pos.device, joint_pos.dtype)
-    constant, cosine, sine = joints.unbind(0)
-    angle = joint_pos[..., None, None]
-    links = constant + torch.cos(angle) * cosine + torch.sin(angle) * sine
+    links, (_, table) = _link_transforms(joint_pos), _constants(joint_pos.device, joint_pos.dtype)
     pairs = _multiply(links[:, 0::2], links[:, 1::2])
     pose = _multiply(_multiply(pairs[:, 0], pairs[:, 1]), pairs[:, 2])
     return pose[:, :3, 3], _quaternion(pose, table)
+
+
+def _link_transforms(joint_pos: Float[Tensor, "num_envs 6"]) -> Float[Tensor, "num_envs 6 4 4"]:
+    joints, _ = _constants(joint_pos.device, joint_pos.dtype)
+    constant, cosine, sine = joints.unbind(0)
+    angle = joint_pos[..., None, None]
+    return constant + torch.cos(angle) * cosine + torch.sin(angle) * sine
 
 
 def _quaternion(

@@ -47,6 +47,7 @@ class Judge:
             before=self._before,
             now=now,
             action=torch.zeros(1, 0),
+            joint_pos_target=torch.zeros(1, 0),
             held_steps=torch.where(is_near(now), self.record.held_steps + 1, 0),
             episode_steps=self.record.steps + 1,
         )

@@ -1,0 +1,81 @@
+"""Trainings that imitate a teacher at first: how near they come to it, and when they stop asking it."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+from reaching import CONTRACT, SMALL, Observation, ReachingEnv, roll_out
+from torch import Tensor
+
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.policy import Policy
+from pixel2catch.rl.config import TrainCfg
+from pixel2catch.rl.learner import Learner
+
+
+class TaughtEnv(ReachingEnv):
+    """Its teacher sees what the agents see."""
+
+    def _observe(self, last_push: Tensor) -> Observation:
+        observation = super()._observe(last_push)
+        return dataclasses.replace(observation, teacher=observation.policy)
+
+
+@pytest.fixture
+def teacher(tmp_path: Path) -> Path:
+    torch.manual_seed(1)
+    policy = Policy(CONTRACT, SMALL.hidden)
+    for agent in CONTRACT.agents:
+        torch.nn.init.normal_(policy.network(agent).network[-1].bias, std=0.5)  # pyright: ignore[reportArgumentType]
+    policy.save(tmp_path / "teacher")
+    return tmp_path / "teacher"
+
+
+def after_updates(cfg: TrainCfg, progress: list[float]) -> tuple[Learner, Observation]:
+    """A learner after one update at each of these shares of the training, and what it sees last."""
+    torch.manual_seed(2)
+    env = TaughtEnv(cfg)
+    learner = Learner(cfg, env)
+    torch.manual_seed(3)
+    for share in progress:
+        roll_out(learner, env)
+        learner.update(share)
+    return learner, env.reset()
+
+
+def distance(teacher: Path, learner: Learner, observation: Observation) -> float:
+    """Root mean square of the difference of their actions."""
+    pupil, expert = learner.export(CONTRACT), Policy.load(teacher)
+    actions, advice = pupil.act(observation.policy), expert.act(observation.teacher)
+    return torch.cat([actions[name] - advice[name] for name in advice], -1).square().mean().sqrt().item()
+
+
+def test_the_pupil_acts_like_its_teacher(teacher: Path):
+    cfg = dataclasses.replace(SMALL, teacher=teacher, teacher_share=1.0)
+    begun, taught = (distance(teacher, *after_updates(cfg, [0.0] * number)) for number in (0, 15))
+    assert taught < 0.1 * begun
+
+
+def test_rewards_alone_count_after_its_share(teacher: Path):
+    """A teacher that is not asked any more changes nothing, to the last bit."""
+    taught, _ = after_updates(dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.5), [0.5, 0.7])
+    alone, _ = after_updates(SMALL, [0.5, 0.7])
+    for name, tensor in alone.export(CONTRACT).state_dict().items():
+        assert torch.equal(tensor, taught.export(CONTRACT).state_dict()[name]), name
+
+
+def test_its_weight_falls_evenly(teacher: Path):
+    cfg = dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.4)
+    learner, env = Learner(cfg, TaughtEnv(cfg)), TaughtEnv(cfg)
+    weights = []
+    for progress in (0.0, 0.1, 0.2, 0.4, 0.9):
+        roll_out(learner, env)
+        learner.update(progress)
+        weights += [step.teacher_weight.item() for step in learner.mappo.steps.values()][:1]
+    assert weights == pytest.approx([1.0, 0.75, 0.5, 0.0, 0.0])
+
+
+def test_a_share_out_of_range_is_refused():
+    with pytest.raises(InvalidValueError, match=r"teacher_share is 1\.5; it must be between 0 and 1"):
+        dataclasses.replace(SMALL, teacher_share=1.5)
