@@ -16,9 +16,9 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import COMMANDS, main
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.cli.train import Train
-from pixel2catch.evaluation.loading import load_policy, shipped_policies
+from pixel2catch.evaluation.loading import DEFAULT_POLICY, load_policy, shipped_policies
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.methods import PROPOSED
+from pixel2catch.methods import PROPOSED, find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rl import TrainCfg
 from pixel2catch.robot.constants import RGB_CAMERA
@@ -114,13 +114,10 @@ def test_shipped_policies_fit_this_code(name: str):
 
 
 def test_shipped_policies_of_every_compared_method():
-    """Three seeds of the paper's method and one of each other, and two for the world outside.
-
-    The default is the paper's method.
-    """
+    """Three seeds of the paper's method, one of each other, two for the world outside, and their teacher."""
     expected = {f"{method}-seed0" for method in METHODS} | {"proposed", "proposed-seed1", "proposed-seed2"}
-    assert set(shipped_policies()) == expected | {"catch+fit", "catch_alone+fit"}
-    assert load_policy(None)[1] is PROPOSED
+    assert set(shipped_policies()) == expected | {"catch+fit", "catch_alone+fit", "catch_teacher+age"}
+    assert load_policy(None)[1] == find_method(DEFAULT_POLICY)
 
 
 def test_unknown_policy(capsys: pytest.CaptureFixture[str]):

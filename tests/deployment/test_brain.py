@@ -1,5 +1,7 @@
 """From an image to orders: what the perception sees is what the policy gets."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -47,7 +49,7 @@ def test_nothing_is_ordered_before_the_object_is_pointed_out():
 def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, num_late: float):
     """Where images are younger than that, the policy gets what was between them; where older, the newest."""
     thinking = brain()
-    policy, _ = load_policy(None)
+    policy, _ = load_policy(Path("proposed"))
     controller = Controller(policy, PROFILE.handedness)
     thinking.begin(PROMPT)
     joint_pos = torch.from_numpy(HOME[None]).float()

@@ -2,6 +2,7 @@
 
 import json
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -114,7 +115,7 @@ def test_arming_begins_a_new_throw():
 
 def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
     """A tick of the servo that comes while the image is looked at counts."""
-    policy, _ = load_policy(None)
+    policy, _ = load_policy(Path("proposed"))
     moved = HOME + 0.02
     expected = Controller(policy, PROFILE.handedness).step(
         torch.tensor(moved[None], dtype=torch.float32),

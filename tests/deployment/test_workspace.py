@@ -153,6 +153,6 @@ def test_what_costs_in_training_is_what_the_servo_holds_back():
     random = np.random.default_rng(4)
     arm_pos = HOME + random.uniform(-1.6, 1.6, (4000, 6))
     depth = depth_in_table(torch.from_numpy(arm_pos)).numpy()
-    is_clear = Workspace(lower=(-9.0,) * 3, upper=(9.0,) * 3).contains(arm_pos)
+    is_clear = Workspace(lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, 9.0)).contains(arm_pos)
     assert not (depth[is_clear] > 0.0).any()
     assert (depth[~is_clear] > 0.0).mean() > 0.9

@@ -17,8 +17,8 @@ from pixel2catch.rl.learner import Learner
 class TaughtEnv(ReachingEnv):
     """Its teacher sees what the agents see."""
 
-    def _observe(self, last_push: Tensor) -> Observation:
-        observation = super()._observe(last_push)
+    def _observe(self, arm: Tensor) -> Observation:
+        observation = super()._observe(arm)
         return dataclasses.replace(observation, teacher=observation.policy)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,7 +46,7 @@ def wait_until_held(lab: Lab) -> np.ndarray:
 
 def caught_in_the_environment(env: CatchEnv, seed: int):
     """Targets of every control step, steps of hovering, and the record when all is decided."""
-    policy, _ = load_policy(None)
+    policy, _ = load_policy(Path("proposed"))
     env.seed(seed)
     observation, targets = env.reset(), []
     while True:
@@ -58,7 +59,7 @@ def caught_in_the_environment(env: CatchEnv, seed: int):
 
 @pytest.mark.parametrize(("seed", "is_caught"), [(5, False), (6, True)])
 def test_a_throw_goes_and_is_judged_as_in_the_environment(lab: Lab, seed: int, is_caught: bool):
-    _, method = load_policy(None)
+    _, method = load_policy(Path("proposed"))
     env = EvaluationCfg(objects=SEEN, num_envs=1, task=TASK).make_env(method)
     targets, expected = caught_in_the_environment(env, seed)
     lab.prepare(seed)

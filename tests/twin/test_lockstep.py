@@ -25,7 +25,7 @@ from pixel2catch.twin.drivers import CYCLE
 from pixel2catch.twin.lockstep import HOP, PERCEPTION_TIME
 from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
 
-POLICY, _ = load_policy(None)
+POLICY, _ = load_policy(Path("proposed"))
 ONE = SteppingCfg(task=task_of(POLICY, physics_hz=120.0), throws=1, seed=3, is_plain=True)
 
 

@@ -28,7 +28,7 @@ class Deploy:
     on /pixel2catch/dead_man; whatever goes wrong stops it until it is armed again. It runs until Ctrl-C.
 
     Attributes:
-        policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
+        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
         mask_robot: Ignore motion where the robot is in the image.
         record: New folder for a rosbag2 (MCAP) of all that was seen, decided and commanded.
         record_images: How images are recorded; raw ones are 27 MB a second.

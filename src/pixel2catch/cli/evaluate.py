@@ -16,7 +16,7 @@ class Evaluate:
     """Evaluate a policy: rounds of throws with all noise and randomisation, and a test of every hold.
 
     Attributes:
-        policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
+        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
         objects: What is thrown: seen, unseen, real, names of objects, or several of them.
         num_envs: Throws in a round.
         trials: Rounds.

@@ -12,7 +12,7 @@ class Play:
     """Write a video of throws: the robot's camera with the box that the policy gets, and a view from outside.
 
     Attributes:
-        policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
+        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
         out: The video file.
         objects: What is thrown: seen, unseen, real, names of objects, or several of them.
         throws: Number of throws.

@@ -26,7 +26,7 @@ class Rehearse:
     slow or busy machine, and times are those that are stated.
 
     Attributes:
-        policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
+        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
         throws: How many throws.
         objects: What is thrown: seen, unseen, real, names of objects, or several of them.
         seed: Of the first throw; the next has the next.

@@ -22,7 +22,7 @@ class Replay:
     Attributes:
         tape: What `deploy --record` or `rehearse --record` wrote, with images.
         out: New folder for the recording (MCAP) of what was decided now.
-        policy: Folder of a policy or of its training run, or name of a shipped policy. Default: proposed.
+        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
         profile: The robot of then: a shipped profile or a .yaml file.
         perception_ms: Time that perception takes for an image.
         mask_robot: Ignore motion where the robot is in the image.

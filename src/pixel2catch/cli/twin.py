@@ -17,7 +17,7 @@ class Twin:
     for throws on /twin/command, and /twin/state says what is true. See docs/deployment.md.
 
     Attributes:
-        policy: Policy whose hand and camera the twin has. Default: proposed.
+        policy: Policy whose hand and camera the twin has. Default: catch_alone+fit.
         dynamics: Dynamics file of the robot that is simulated. Default: the nominal robot.
         objects: What is thrown: seen, unseen, real, names of objects, or several of them.
         clock: Seconds of the twin in a real second, at most 1; `deploy` must be given the same.

@@ -23,7 +23,7 @@ At 120 Hz an object of 4.5 m/s is up to 38 mm inside the hand before a step sees
 must not live by that; at 600 Hz it is 8 mm at the most.
 """
 
-DEFAULT_POLICY = "proposed"
+DEFAULT_POLICY = "catch_alone+fit"
 """The shipped policy that commands take where none is named."""
 
 
@@ -48,7 +48,7 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
 
     Args:
         folder: A policy's folder, the run folder around it, or the name of a shipped policy; the shipped
-            policy of the paper's method if absent.
+            default policy if absent.
         device: Device of the networks.
 
     Raises:
