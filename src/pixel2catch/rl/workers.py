@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import final
 
 import torch
+import torch.distributed.nn  # its default arguments would keep a process group alive that is older than it
 from torch import Tensor
 from torch import distributed as dist
 
