@@ -83,9 +83,9 @@ class AgentSpec:
         return replace(self, name="robot", parts=(*self.parts, *other.parts))
 
 
-def _paying(agent: AgentSpec, term: RewardTerm) -> AgentSpec:
-    """The agent with one more reward term for each of its parts."""
-    parts = tuple(replace(part, reward=(*part.reward, term)) for part in agent.parts)
+def _paying(agent: AgentSpec, *terms: RewardTerm) -> AgentSpec:
+    """The agent with more reward terms for each of its parts."""
+    parts = tuple(replace(part, reward=(*part.reward, *terms)) for part in agent.parts)
     return replace(agent, parts=parts)
 
 
@@ -132,7 +132,8 @@ HAND = AgentSpec(
 
 
 RESTING_ARM = _paying(
-    _paying(ARM, RewardTerm(function=rewards.unrest, weight=-0.01)),
+    ARM,
+    RewardTerm(function=rewards.unrest, weight=-0.01),
     RewardTerm(function=rewards.table_intrusion, weight=-5.0),
 )
 RESTING_HAND = _paying(HAND, RewardTerm(function=rewards.self_contact, weight=-0.02))

@@ -16,7 +16,8 @@ class Train:
 
     Attributes:
         method: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
-            shared_reward or journal.
+            shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes
+            or +fit.
         task: What it is trained for: nominal, the paper's task, or wide, with what laboratories do to it.
             Default: nominal.
         preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.

@@ -140,7 +140,7 @@ class Eyes:
 def _no_stamps(topic: str, has_one: bool, age: float) -> str:
     """What is said of images without sound stamps, which seem to be so old when they arrive [s]."""
     seem = (
-        f"have stamps of {abs(age):.1g} s {'ago' if age > 0.0 else 'ahead'}" if has_one else "have no stamps"
+        f"have stamps of {abs(age):.2g} s {'ago' if age > 0.0 else 'ahead'}" if has_one else "have no stamps"
     )
     assumed = 1e3 * ASSUMED_AGE * CONTROL_DT
     return (
