@@ -18,8 +18,8 @@ class Train:
         method: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
             shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes
             or +fit.
-        task: What it is trained for: nominal, the paper's task, or wide, with what laboratories do to it.
-            Default: nominal.
+        task: What it is trained for: nominal, the paper's task; wide, with what laboratories do to it; or
+            wide_sharp, the same with boxes to 2 px. Default: nominal.
         preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
         device: Where to simulate and learn: cpu, cuda, cuda:1, ... Default: cuda where there is one.
         physics_hz: Physics steps in a second, multiples of 30; several: one after the other, in equal shares.

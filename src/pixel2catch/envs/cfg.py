@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 from math import ceil
 from pathlib import Path
+from typing import Any
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError
@@ -115,11 +116,18 @@ class CatchEnvCfg:
         Raises:
             InvalidValueError: If its images have another size than those of policies.
         """
+        return replace(self.with_sensing(camera=file), scene=replace(self.scene, camera=file.camera))
+
+    def with_sensing(self, **changes: Any) -> "CatchEnvCfg":
+        """The task with other sensors in all episodes.
+
+        Args:
+            changes: Fields of `SensingCfg`.
+        """
         variants = tuple(
-            replace(variant, sensing=replace(variant.sensing, camera=file)) for variant in self.variants
+            replace(variant, sensing=replace(variant.sensing, **changes)) for variant in self.variants
         )
-        scene, sensing = replace(self.scene, camera=file.camera), replace(self.sensing, camera=file)
-        return replace(self, scene=scene, sensing=sensing, variants=variants)
+        return replace(self, sensing=replace(self.sensing, **changes), variants=variants)
 
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
         """The task with the robot of a dynamics file and the camera of a camera file.
