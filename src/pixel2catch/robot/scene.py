@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot.allegro import add_hand
+from pixel2catch.scene.workcell import add_robots
+from pixel2catch.scene.workcells import find_workcell
 from pixel2catch.robot.constants import (
     FINGERS,
     JOINTS,
@@ -60,12 +61,12 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
         raise UnknownNameError("handedness", cfg.handedness, ("left", "right"))
     if cfg.arm_effort not in ("maker", "release"):
         raise UnknownNameError("arm effort", cfg.arm_effort, ("maker", "release"))
+    workcell = find_workcell({"left": "ur5e_allegro", "right": "ur5e_allegro_right"}[cfg.handedness])
     spec = mujoco.MjSpec()
     spec.modelname = "pixel2catch"
     _set_options(spec, cfg)
     _add_surroundings(spec, cfg)
-    wrist = add_arm(spec)
-    add_hand(wrist, dh_pose(UR5E_DH[-1])[0], cfg.handedness)
+    add_robots(spec, workcell, cfg.visuals)
     _add_servos(spec, cfg)
     _add_object(spec, cfg, OBJECTS[object_name])
     _add_contact_rules(spec)
@@ -237,8 +238,6 @@ def _add_contact_rules(spec: mujoco.MjSpec) -> None:
 
     The palm is hollow where the thumb is; its box and those of the thumb's housings overlap there.
     """
-    spec.add_exclude(bodyname1="base_link", bodyname2="shoulder_link")
-    spec.add_exclude(bodyname1="palm", bodyname2="thumb_link_1")
     subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
     thrown = (body, "object")
     _add_sensor(spec, "object_palm", thrown, (body, "palm"))

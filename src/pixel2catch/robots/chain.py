@@ -1,0 +1,170 @@
+"""Forward kinematics of a chain of joints, read from a compiled model and batched in torch.
+
+Joint i turns by Rz-like matrices K + cos(q) C + sin(q) S, so that a pose is a product of homogeneous matrices
+that are linear in cos and sin. No call copies between host and device and no value is looked at, so it runs
+inside CUDA graphs; a chain owns its constants.
+"""
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pixel2catch.errors import InvalidValueError
+
+
+class Chain:
+    """The hinges between the world and a site, from the first to the last.
+
+    Attributes:
+        joints: Their names.
+        matrices: K, C and S of each joint, with the fixed parts of the way in them.
+        side: Orientation of the site at the start pose; of q and -q, which are one rotation, the one on its
+            side is returned. Its largest number is negative, as in the first policies. Differs: paper and
+            release return w >= 0; where w is 0 at the start, noise alone would flip all four numbers.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        site: str,
+        home: Sequence[float],
+        *,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        """Read the chain off a model.
+
+        Args:
+            model: The model.
+            site: Name of the site at its end.
+            home: Start positions of its joints [rad].
+            device: Where poses are computed.
+            dtype: In what precision.
+
+        Raises:
+            InvalidValueError: If something else than hinges moves the site, or `home` is of another length.
+        """
+        self.joints, matrices = _read(model, site)
+        if len(self.joints) != len(home):
+            raise InvalidValueError(
+                f"{len(self.joints)} joints move the site '{site}', {', '.join(self.joints)}; "
+                f"there are {len(home)} start positions"
+            )
+        self.matrices = torch.as_tensor(matrices, dtype=dtype, device=device)
+        self._products = torch.as_tensor(_product_maps(), dtype=dtype, device=device)
+        self.side = torch.ones(4, dtype=dtype, device=device)
+        _, start = self.pose(torch.tensor([home], dtype=dtype, device=device))
+        self.side = -start[0] * start[0, start[0].abs().argmax()].sign()
+
+    def link_poses(
+        self, joint_pos: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_joints 4 4"]:
+        """World frames at the far ends of the links; the last is the site's."""
+        return torch.stack([*accumulate(self._transforms(joint_pos).unbind(dim=1), _multiply)], dim=1)
+
+    def pose(
+        self, joint_pos: Float[Tensor, "num_envs num_joints"]
+    ) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
+        """Position [m] and orientation (w, x, y, z) of the site in the world.
+
+        Args:
+            joint_pos: Positions of the chain's joints [rad].
+        """
+        transforms = [*self._transforms(joint_pos).unbind(dim=1)]
+        while len(transforms) > 3:  # pairs first: fewer steps one after the other
+            whole, rest = len(transforms) // 2 * 2, transforms[len(transforms) // 2 * 2 :]
+            left, right = torch.stack(transforms[0:whole:2], 1), torch.stack(transforms[1:whole:2], 1)
+            transforms = [*_multiply(left, right).unbind(dim=1), *rest]
+        *_, pose = accumulate(transforms, _multiply)
+        return pose[:, :3, 3], self._quaternion(pose)
+
+    def _transforms(
+        self, joint_pos: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_joints 4 4"]:
+        constant, cosine, sine = self.matrices.unbind(0)
+        angle = joint_pos[..., None, None]
+        return constant + torch.cos(angle) * cosine + torch.sin(angle) * sine
+
+    def _quaternion(self, pose: Float[Tensor, "num_envs 4 4"]) -> Float[Tensor, "num_envs 4"]:
+        """Rotation part as a quaternion, from the row of 4 q qᵀ with the largest diagonal entry."""
+        products = (self._products * pose.reshape(-1, 1, 1, 16)).sum(-1)
+        diagonal = products.diagonal(dim1=-2, dim2=-1)
+        largest = diagonal.argmax(-1, keepdim=True)
+        row = products.gather(1, largest[..., None].expand(-1, 1, 4)).squeeze(1)
+        quat = row / (2.0 * diagonal.gather(1, largest).sqrt())
+        side = (quat * self.side).sum(dim=-1, keepdim=True)
+        return torch.where(side < 0, -quat, quat)
+
+
+def _read(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names of the joints that move a site, and their matrices (3, num_joints, 4, 4)."""
+    end = model.site(site)
+    body, after = int(end.bodyid[0]), pose_matrix(end.pos, end.quat)
+    names, afters, axes = list[str](), list[np.ndarray](), list[np.ndarray]()
+    while body:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        if count > 1 or (count and model.jnt_type[first] != mujoco.mjtJoint.mjJNT_HINGE):
+            raise InvalidValueError(
+                f"'{model.body(body).name}' has not one hinge; the palm must hang on hinges"
+            )
+        if count:
+            place = pose_matrix(model.jnt_pos[first], (1.0, 0.0, 0.0, 0.0))
+            names.append(model.joint(first).name)
+            afters.append(np.linalg.inv(place) @ after)
+            axes.append(model.jnt_axis[first])
+            after = place
+        after = pose_matrix(model.body_pos[body], model.body_quat[body]) @ after
+        body = int(model.body_parentid[body])
+    befores = [np.eye(4)] * (len(names) - 1) + [after]
+    parts = [
+        [before @ part @ following for part in _turning(axis)]
+        for before, axis, following in zip(befores, axes, afters, strict=True)
+    ]
+    return tuple(reversed(names)), np.stack(parts[::-1], axis=1)
+
+
+def _turning(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rodrigues: the rotation about an axis is K + cos C + sin S, homogeneous."""
+    constant, cosine, sine = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
+    x, y, z = axis
+    constant[:3, :3], constant[3, 3] = np.outer(axis, axis), 1.0
+    cosine[:3, :3] = np.eye(3) - np.outer(axis, axis)
+    sine[:3, :3] = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
+    return constant, cosine, sine
+
+
+def pose_matrix(pos: Sequence[float] | np.ndarray, quat: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Homogeneous matrix (4, 4) of a position [m] and an orientation (w, x, y, z)."""
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, np.asarray(quat, dtype=float) / np.linalg.norm(quat))
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation.reshape(3, 3), pos
+    return matrix
+
+
+def _product_maps() -> np.ndarray:
+    """Tensor (4, 4, 16): the products 4 q_i q_j as linear maps of the entries of the homogeneous matrix."""
+    table = np.zeros((4, 4, 4, 4))
+    for i in range(3):
+        for j in range(3):
+            if i == j:
+                for k in range(4):
+                    table[k, k, i, i] = 1.0 if k in (0, i + 1) else -1.0
+            else:
+                table[i + 1, j + 1, i, j] += 1.0
+                table[i + 1, j + 1, j, i] += 1.0
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
+        table[0, k, i, j] = table[k, 0, i, j] = 1.0
+        table[0, k, j, i] = table[k, 0, j, i] = -1.0
+    table[range(4), range(4), 3, 3] = 1.0
+    return table.reshape(4, 4, 16)
+
+
+def _multiply(left: Tensor, right: Tensor) -> Tensor:
+    """Matrix products (..., 4, 4), summed elementwise to stay clear of reduced-precision matrix units."""
+    return (left.unsqueeze(-1) * right.unsqueeze(-3)).sum(-2)

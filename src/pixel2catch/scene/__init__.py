@@ -1,0 +1,1 @@
+"""Where robots stand, and what is thrown at them."""

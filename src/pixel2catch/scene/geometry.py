@@ -1,0 +1,195 @@
+"""Where the parts of a work cell are for given joint positions: poses of palms, and how near robots are to the
+table. What a command may not do in deployment, and what it costs in training.
+
+An arm is made of capsules about its links, a hand is a box that holds it in every position of the fingers. The
+base and the first link stand on the table.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from pixel2catch.robots.chain import Chain, pose_matrix
+from pixel2catch.scene.workcell import PlacedPalm, WorkcellSpec, add_robots
+
+TABLE_CLEARANCE = 0.02
+"""Distance to keep from the table's top and from its sides [m]. Source: ours."""
+
+POINTS_PER_CAPSULE = 5
+"""Points of a capsule's axis that training looks at. Source: ours: 9 cm apart on the longest."""
+
+COLLISION_GROUP = 3
+"""Geom group of everything of a robot that collides."""
+
+
+@cache
+def bare_model(workcell: WorkcellSpec) -> mujoco.MjModel:
+    """The robots of a work cell alone."""
+    spec = mujoco.MjSpec()
+    add_robots(spec, workcell, visuals=False)
+    return spec.compile()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmShape:
+    """What carries a palm, as far as it is watched: its links between the first and the last, and the hand.
+
+    Attributes:
+        links: Of each capsule the link, as a row of `Chain.link_poses`.
+        ends: Centres of both ends of each in the frame at the far end of its link, homogeneous [m].
+        radii: Their radii [m].
+        hand_center: Middle of the box about the hand, from the palm, in the axes of the palm's site [m].
+        hand_half: Half of its extents [m].
+    """
+
+    links: Int[np.ndarray, " capsules"]
+    ends: Float[np.ndarray, "capsules 4 2"]
+    radii: Float[np.ndarray, " capsules"]
+    hand_center: Float[np.ndarray, " 3"]
+    hand_half: Float[np.ndarray, " 3"]
+
+
+def chain_of(
+    workcell: WorkcellSpec,
+    palm: PlacedPalm,
+    device: torch.device | str = "cpu",
+    dtype: torch.dtype = torch.float32,
+) -> Chain:
+    """The joints that carry a palm.
+
+    Args:
+        workcell: The work cell.
+        palm: One of its palms.
+        device: Where poses are computed.
+        dtype: In what precision.
+    """
+    home = [joint.home for joint in workcell.joints[palm.carriers]]
+    return Chain(bare_model(workcell), palm.spec.site, home, device=device, dtype=dtype)
+
+
+@cache
+def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
+    """Read the shape of what carries a palm off the model."""
+    model, chain = bare_model(workcell), chain_of(workcell, palm, dtype=torch.float64)
+    data = mujoco.MjData(model)
+    data.qpos[:] = [joint.home for joint in workcell.joints]
+    mujoco.mj_kinematics(model, data)
+    poses = chain.link_poses(torch.from_numpy(data.qpos[None, palm.carriers]))[0].numpy()
+    links, ends, radii = list[int](), list[np.ndarray](), list[float]()
+    for link, name in enumerate(chain.joints[1:-1], start=1):
+        body = int(model.jnt_bodyid[model.joint(name).id])
+        for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[body]):
+            if model.geom_group[geom] == COLLISION_GROUP:
+                start, end, radius = _capsule(model, data, int(geom))
+                world = np.vstack((np.stack((start, end), axis=1), np.ones(2)))
+                links.append(link)
+                ends.append(np.linalg.inv(poses[link]) @ world)
+                radii.append(radius)
+    site = model.site(palm.spec.site)
+    to_site = np.linalg.inv(pose_matrix(site.pos, site.quat))
+    corners = np.array([*product(*zip(palm.spec.lower, palm.spec.upper, strict=True))])
+    corners = corners @ to_site[:3, :3].T + to_site[:3, 3]
+    lower, upper = corners.min(axis=0), corners.max(axis=0)
+    return ArmShape(
+        links=np.array(links),
+        ends=np.array(ends),
+        radii=np.array(radii),
+        hand_center=(lower + upper) / 2.0,
+        hand_half=(upper - lower) / 2.0,
+    )
+
+
+def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """A capsule that holds a geom: ends [m] in the world, and radius [m]."""
+    size, center, axes = model.geom_size[geom], data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)
+    match model.geom_type[geom]:
+        case mujoco.mjtGeom.mjGEOM_CAPSULE | mujoco.mjtGeom.mjGEOM_CYLINDER:
+            radius, axis, half = float(size[0]), 2, float(size[1])
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            radius, axis, half = float(size[0]), 2, 0.0
+        case _:  # a box, or the box about anything else
+            size = model.geom_aabb[geom, 3:]
+            center = center + axes @ model.geom_aabb[geom, :3]
+            axis = int(np.argmax(size))
+            radius, half = float(np.linalg.norm(np.delete(size, axis))), float(size[axis])
+    way = half * axes[:, axis]
+    return center - way, center + way, radius
+
+
+class WorkcellGeometry:
+    """Poses and clearances of a work cell on a device; it owns the constants that they are computed from."""
+
+    def __init__(self, workcell: WorkcellSpec, device: torch.device | str = "cpu") -> None:
+        """Copy the constants to the device."""
+        self._palms = workcell.palms
+        self._chains = [chain_of(workcell, palm, device) for palm in workcell.palms]
+        self._points = [_TablePoints(workcell, palm, device) for palm in workcell.palms]
+
+    def palm_poses(
+        self, joint_pos: Float[Tensor, "num_envs num_joints"]
+    ) -> tuple[Float[Tensor, "num_envs num_palms 3"], Float[Tensor, "num_envs num_palms 4"]]:
+        """Position [m] and orientation (w, x, y, z) of all palms in the world.
+
+        Args:
+            joint_pos: Positions of all joints [rad].
+        """
+        poses = [
+            chain.pose(joint_pos[:, palm.carriers])
+            for chain, palm in zip(self._chains, self._palms, strict=True)
+        ]
+        pos, quat = zip(*poses, strict=True)
+        return torch.stack(pos, dim=1), torch.stack(quat, dim=1)
+
+    def depth_in_table(
+        self, joint_pos: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_palms"]:
+        """How deep each arm, or the box about its hand, is in the table and the clearance about it [m].
+
+        Looks at points of the capsules' axes and at the corners of the box, so that an edge across the
+        table's edge may pass; the servo looks at all of them.
+
+        Args:
+            joint_pos: Positions of all joints [rad].
+        """
+        depths = [
+            points.depth(chain.link_poses(joint_pos[:, palm.carriers]))
+            for chain, palm, points in zip(self._chains, self._palms, self._points, strict=True)
+        ]
+        return torch.stack(depths, dim=1)
+
+
+class _TablePoints:
+    """Points of an arm, and the table around each of them."""
+
+    def __init__(self, workcell: WorkcellSpec, palm: PlacedPalm, device: torch.device | str) -> None:
+        shape, table = arm_shape(workcell, palm), workcell.table
+        shares = np.linspace(0.0, 1.0, POINTS_PER_CAPSULE)
+        along = shape.ends[:, :, 0, None] + shares * (shape.ends[:, :, 1] - shape.ends[:, :, 0])[..., None]
+        corners = shape.hand_center + shape.hand_half * np.array([*product((-1.0, 1.0), repeat=3)])
+        num_corners, num_joints = len(corners), palm.carriers.stop - palm.carriers.start
+        points = np.concatenate(
+            (along.swapaxes(1, 2).reshape(-1, 4), np.column_stack((corners, np.ones(num_corners))))
+        )
+        links = np.append(np.repeat(shape.links, POINTS_PER_CAPSULE), [num_joints - 1] * num_corners)
+        radii = np.append(np.repeat(shape.radii, POINTS_PER_CAPSULE), np.zeros(num_corners))
+        around = radii[:, None] + TABLE_CLEARANCE
+        *center, top = table.center
+
+        def to_device(values: object) -> Tensor:
+            return torch.as_tensor(np.array(values), dtype=torch.float32, device=device)
+
+        self._links = torch.as_tensor(links.astype(np.int64), device=device)
+        self._points, self._middle = to_device(points), to_device(center)
+        self._reach, self._top = to_device(np.array(table.size) / 2.0 + around), to_device(top + around[:, 0])
+
+    def depth(self, poses: Float[Tensor, "num_envs num_links 4 4"]) -> Float[Tensor, " num_envs"]:
+        place = (poses[:, self._links, :3] * self._points[:, None]).sum(dim=-1)
+        is_over = ((place[..., :2] - self._middle).abs() < self._reach).all(dim=-1)
+        depth = (self._top - place[..., 2]).clamp(min=0.0)
+        return torch.where(is_over, depth, 0.0).amax(dim=-1)

@@ -1,0 +1,60 @@
+"""The work cells that there are, by name."""
+
+from functools import cache
+
+from pixel2catch.errors import UnknownNameError
+from pixel2catch.robots.allegro import Handedness, allegro
+from pixel2catch.robots.spec import Placed, Quat, RobotSpec, Vec3
+from pixel2catch.robots.ur5e import UR5E, UR5E_OF_RELEASE
+from pixel2catch.scene.workcell import WorkcellSpec
+
+UR5E_POS: Vec3 = (0.0, 0.0, 0.821)
+"""Position of the UR5e's `base_link`. Source: release."""
+
+UR5E_QUAT: Quat = (0.0, 0.0, 0.0, 1.0)
+"""Orientation of the UR5e's `base_link`: turned by 180° about z. Source: release.
+
+UR's `base_link` is itself turned by 180° about z against the frame that the DH parameters start from. The two
+turns cancel: the DH base frame is parallel to the world frame, and pan = π points the arm along +x.
+"""
+
+ALLEGRO_POS: Vec3 = (0.0, 0.0097, 0.0074)
+"""The Allegro hand's frame in the UR5e's `tool0`. Source: release."""
+
+ALLEGRO_QUAT: Quat = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+"""Its orientation there: hand x along y of `tool0`, hand y along its -x. Source: release."""
+
+
+def ur5e_allegro(handedness: Handedness = "left", arm: RobotSpec = UR5E) -> RobotSpec:
+    """A UR5e with an Allegro hand."""
+    return arm.holding(allegro(handedness), pos=ALLEGRO_POS, quat=ALLEGRO_QUAT)
+
+
+def _alone(name: str, robot: RobotSpec) -> WorkcellSpec:
+    """A work cell of one robot where the paper's stands."""
+    return WorkcellSpec(name=name, robots=(Placed(robot=robot, pos=UR5E_POS, quat=UR5E_QUAT),))
+
+
+UR5E_ALLEGRO = _alone("ur5e_allegro", ur5e_allegro())
+"""The paper's robot, with the left hand."""
+
+WORKCELLS: dict[str, WorkcellSpec] = {
+    workcell.name: workcell
+    for workcell in (
+        UR5E_ALLEGRO,
+        _alone("ur5e_allegro_right", ur5e_allegro("right")),
+        _alone("ur5e_allegro_release", ur5e_allegro(arm=UR5E_OF_RELEASE)),
+    )
+}
+
+
+@cache
+def find_workcell(name: str) -> WorkcellSpec:
+    """The work cell of that name.
+
+    Raises:
+        UnknownNameError: With the valid names.
+    """
+    if name not in WORKCELLS:
+        raise UnknownNameError("work cell", name, WORKCELLS)
+    return WORKCELLS[name]
