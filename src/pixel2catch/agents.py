@@ -1,4 +1,4 @@
-"""The two agents, arm and hand, as values of one type; their sum is the single agent.
+"""The agents of a work cell: one for each joint group, as values of one type. Their sum is the single agent.
 
 Sources: observations paper Sec. IV-C, actions Sec. IV-D, rewards Eq. 3 and 4.
 Differs: the hand is also rewarded for a grasp (ours); the paper's success is a distance only.
@@ -12,28 +12,53 @@ from torch import Tensor
 
 from pixel2catch.mdp import rewards
 from pixel2catch.mdp.actions import JointCommand, absolute_command, relative_command
+from pixel2catch.mdp.columns import Columns, count, merged
 from pixel2catch.mdp.observations import PAPER_TERMS, ObservationTerm
-from pixel2catch.mdp.rewards import RewardTerm, term_values
+from pixel2catch.mdp.rewards import BodyPart, RewardTerm
 from pixel2catch.mdp.snapshot import Transition
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
+from pixel2catch.robots.spec import JointGroup
+from pixel2catch.scene.workcell import WorkcellSpec
 
 ACTION_WEIGHT = -0.01
 """Weight of the squared action of each agent. Source: paper, Eq. 3 and 4."""
 
+ARM_REWARD = (
+    RewardTerm(function=rewards.elapsed_time, weight=-0.01),
+    RewardTerm(function=rewards.palm_approach, weight=1.0),
+    RewardTerm(function=rewards.success, weight=10.0),
+    RewardTerm(function=rewards.nearness, weight=0.1),
+    RewardTerm(function=rewards.drop, weight=-5.0),
+    RewardTerm(function=rewards.table_contact, weight=-5.0),
+    RewardTerm(function=rewards.action_square, weight=ACTION_WEIGHT),
+)
+"""Of a group that carries a palm. Source: paper, Eq. 3."""
 
-@dataclass(frozen=True, kw_only=True)
-class BodyPart:
-    """Consecutive joints with the reward that belongs to them.
+HAND_REWARD = (
+    RewardTerm(function=rewards.palm_approach, weight=0.2),
+    RewardTerm(function=rewards.fingertips_approach, weight=0.2),
+    RewardTerm(function=rewards.grasp, weight=0.2),
+    RewardTerm(function=rewards.success, weight=10.0),
+    RewardTerm(function=rewards.drop, weight=-5.0),
+    RewardTerm(function=rewards.table_contact, weight=-5.0),
+    RewardTerm(function=rewards.action_square, weight=ACTION_WEIGHT),
+)
+"""Of a group that moves fingers. Source: paper, Eq. 4."""
 
-    Attributes:
-        name: Name in logs.
-        joints: Their columns in joint order.
-        reward: Weighted reward terms.
-    """
+REWARDS = {"arm": ARM_REWARD, "hand": HAND_REWARD}
 
-    name: str
-    joints: slice
-    reward: tuple[RewardTerm, ...]
+RESTING_REWARDS = {
+    "arm": (
+        *ARM_REWARD,
+        RewardTerm(function=rewards.unrest, weight=-0.01),
+        RewardTerm(function=rewards.table_intrusion, weight=-5.0),
+    ),
+    "hand": (*HAND_REWARD, RewardTerm(function=rewards.self_contact, weight=-0.02)),
+}
+"""Rewards by role that also cost moving a held object about, aiming into the table, and touching oneself.
+
+Source: ours. Larger weights, and paying for the motion of fingers, keep them from grasping at all
+(experiments/LOG.md).
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,14 +80,20 @@ class AgentSpec:
     memory: tuple[ObservationTerm, ...] = ()
 
     @property
-    def joints(self) -> slice:
+    def joints(self) -> Columns:
         """The agent's columns in joint order."""
-        return slice(self.parts[0].joints.start, self.parts[-1].joints.stop)
+        return merged([part.joints for part in self.parts])
+
+    @property
+    def palms(self) -> Columns:
+        """The palms that it serves, each once."""
+        served = sorted({palm for part in self.parts for palm in range(part.palms.start, part.palms.stop)})
+        return merged([slice(palm, palm + 1) for palm in served])
 
     @property
     def num_joints(self) -> int:
         """Number of actions."""
-        return self.joints.stop - self.joints.start
+        return count(self.joints)
 
     @property
     def reward_names(self) -> tuple[str, ...]:
@@ -71,8 +102,7 @@ class AgentSpec:
 
     def reward_terms(self, transition: Transition) -> Float[Tensor, "num_envs num_terms"]:
         """Weighted reward terms of its parts and its teammates'; the agent's reward is their sum."""
-        values = [term_values(part.reward, part.joints, transition) for part in self._rewarded]
-        return torch.cat(values, dim=-1)
+        return torch.cat([part.reward_terms(transition) for part in self._rewarded], dim=-1)
 
     @property
     def _rewarded(self) -> tuple[BodyPart, ...]:
@@ -83,63 +113,52 @@ class AgentSpec:
         return replace(self, name="robot", parts=(*self.parts, *other.parts))
 
 
-def _paying(agent: AgentSpec, *terms: RewardTerm) -> AgentSpec:
-    """The agent with more reward terms for each of its parts."""
-    parts = tuple(replace(part, reward=(*part.reward, *terms)) for part in agent.parts)
-    return replace(agent, parts=parts)
+def agents_of(
+    workcell: WorkcellSpec, rewards_by_role: dict[str, tuple[RewardTerm, ...]] = REWARDS
+) -> tuple[AgentSpec, ...]:
+    """One agent for each joint group of a work cell, in joint order.
+
+    Args:
+        workcell: The work cell.
+        rewards_by_role: Reward terms of arms and hands.
+    """
+    return tuple(
+        AgentSpec(name=group.name, parts=(_part_of(workcell, group, rewards_by_role[group.role]),))
+        for group in workcell.groups
+    )
 
 
-COMMANDS: tuple[JointCommand, ...] = (*map(relative_command, ARM_JOINTS), *map(absolute_command, HAND_JOINTS))
-"""How the action of each joint becomes its target."""
-
-ARM = AgentSpec(
-    name="arm",
-    parts=(
-        BodyPart(
-            name="arm",
-            joints=slice(0, len(ARM_JOINTS)),
-            reward=(
-                RewardTerm(function=rewards.elapsed_time, weight=-0.01),
-                RewardTerm(function=rewards.palm_approach, weight=1.0),
-                RewardTerm(function=rewards.success, weight=10.0),
-                RewardTerm(function=rewards.nearness, weight=0.1),
-                RewardTerm(function=rewards.drop, weight=-5.0),
-                RewardTerm(function=rewards.table_contact, weight=-5.0),
-                RewardTerm(function=rewards.action_square, weight=ACTION_WEIGHT),
-            ),
-        ),
-    ),
-)
-
-HAND = AgentSpec(
-    name="hand",
-    parts=(
-        BodyPart(
-            name="hand",
-            joints=slice(len(ARM_JOINTS), len(JOINTS)),
-            reward=(
-                RewardTerm(function=rewards.palm_approach, weight=0.2),
-                RewardTerm(function=rewards.fingertips_approach, weight=0.2),
-                RewardTerm(function=rewards.grasp, weight=0.2),
-                RewardTerm(function=rewards.success, weight=10.0),
-                RewardTerm(function=rewards.drop, weight=-5.0),
-                RewardTerm(function=rewards.table_contact, weight=-5.0),
-                RewardTerm(function=rewards.action_square, weight=ACTION_WEIGHT),
-            ),
-        ),
-    ),
-)
+def _part_of(workcell: WorkcellSpec, group: JointGroup, reward: tuple[RewardTerm, ...]) -> BodyPart:
+    """A joint group with all palms of its robot."""
+    served = [i for i, palm in enumerate(workcell.palms) if group.name in palm.groups]
+    fingers = [len(palm.spec.fingers) for palm in workcell.palms]
+    first, stop = served[0], served[-1] + 1
+    before, after = sum(fingers[:first]), sum(fingers[:stop])
+    return BodyPart(
+        name=group.name,
+        joints=workcell.columns(group.name),
+        palms=slice(first, stop),
+        fingertips=slice(before, after),
+        touching=slice(before + first, after + stop),
+        reward=reward,
+    )
 
 
-RESTING_ARM = _paying(
-    ARM,
-    RewardTerm(function=rewards.unrest, weight=-0.01),
-    RewardTerm(function=rewards.table_intrusion, weight=-5.0),
-)
-RESTING_HAND = _paying(HAND, RewardTerm(function=rewards.self_contact, weight=-0.02))
-"""Arm and hand that also pay for moving a held object about, for aiming into the table, and for touching
-themselves.
+def together(agents: tuple[AgentSpec, ...]) -> AgentSpec:
+    """One agent in place of several."""
+    first, *others = agents
+    return sum(others, start=first)
 
-Source: ours. Larger weights, and paying for the motion of fingers, keep them from grasping at all
-(experiments/LOG.md).
-"""
+
+def sharing(agents: tuple[AgentSpec, ...]) -> tuple[AgentSpec, ...]:
+    """The agents, each of which is paid the sum of all rewards."""
+    return tuple(
+        replace(agent, teammates=tuple(part for mate in agents if mate is not agent for part in mate.parts))
+        for agent in agents
+    )
+
+
+def commands_of(workcell: WorkcellSpec) -> tuple[JointCommand, ...]:
+    """How the action of each joint becomes its target. Source: paper, Sec. IV-D."""
+    laws = {"relative": relative_command, "absolute": absolute_command}
+    return tuple(laws[group.command](joint) for group in workcell.groups for joint in group.joints)

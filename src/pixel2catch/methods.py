@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.agents import ARM, HAND, RESTING_ARM, RESTING_HAND, AgentSpec
+from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_of, sharing, together
 from pixel2catch.camera.box_history import NUM_BOXES
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.observations import (
@@ -21,6 +21,8 @@ from pixel2catch.mdp.observations import (
     pixel_columns,
 )
 from pixel2catch.mdp.snapshot import History
+from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.scene.workcells import UR5E_ALLEGRO
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,14 +50,9 @@ class Method:
         """What each agent sees, by name."""
         columns = pixel_columns(self.pixel_features)
         return {
-            agent.name: observe(agent.observation, agent.memory, agent.joints, columns, history)
+            agent.name: observe(agent.observation, agent.memory, agent.joints, agent.palms, columns, history)
             for agent in self.agents
         }
-
-
-def _seeing(*observation: ObservationTerm) -> tuple[AgentSpec, ...]:
-    """Arm and hand with other observations."""
-    return tuple(replace(agent, observation=observation) for agent in (ARM, HAND))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,50 +85,54 @@ def remembering(method: Method, memory: str) -> Method:
     return replace(method, name=f"{method.name}+{memory}", agents=agents, num_boxes=kept.num_boxes)
 
 
-PROPOSED = Method(name="proposed", agents=(ARM, HAND), pixel_features=("cx", "cy", "dcx", "dcy", "dw", "dh"))
+ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")
+"""Source: paper, Eq. 1."""
 
-METHODS: dict[str, Method] = {
-    method.name: method
-    for method in (
-        PROPOSED,
+
+def _seeing(agents: tuple[AgentSpec, ...], *observation: ObservationTerm) -> tuple[AgentSpec, ...]:
+    """Agents with other observations."""
+    return tuple(replace(agent, observation=observation) for agent in agents)
+
+
+def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
+    """All methods for the joint groups of a work cell, by name.
+
+    Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D, and
+    `shared_reward`, in which all agents are paid the sum of their rewards; release: `journal`, which adds
+    palm displacement and joint targets; ours: `catch`, a `shared_reward` that also pays for unrest after a
+    catch and for touching itself, `catch_alone`, the same as a single agent, and `catch_teacher`, which sees
+    the object in 3D and can be imitated.
+    """
+    agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
+    alone = together(resting)
+    oracle = (object_position, *PROPRIOCEPTION)
+    proposed = Method(name="proposed", agents=agents, pixel_features=ALL_FEATURES)
+    methods = (
+        proposed,
         Method(
-            name="without_pf", agents=_seeing(initial_object_position, *PROPRIOCEPTION), pixel_features=()
-        ),
-        replace(PROPOSED, name="only_wh", pixel_features=("w", "h", "dw", "dh")),
-        replace(PROPOSED, name="only_center", pixel_features=("cx", "cy", "dcx", "dcy")),
-        replace(PROPOSED, name="single_agent", agents=(ARM + HAND,)),
-        Method(name="object_position", agents=_seeing(object_position, *PROPRIOCEPTION), pixel_features=()),
-        replace(
-            PROPOSED,
-            name="shared_reward",
-            agents=(replace(ARM, teammates=HAND.parts), replace(HAND, teammates=ARM.parts)),
-        ),
-        replace(PROPOSED, name="journal", agents=_seeing(*JOURNAL_TERMS)),
-        replace(
-            PROPOSED,
-            name="catch",
-            agents=(
-                replace(RESTING_ARM, teammates=RESTING_HAND.parts),
-                replace(RESTING_HAND, teammates=RESTING_ARM.parts),
-            ),
-        ),
-        replace(PROPOSED, name="catch_alone", agents=(RESTING_ARM + RESTING_HAND,)),
-        Method(
-            name="catch_teacher",
-            agents=(replace(RESTING_ARM + RESTING_HAND, observation=(object_position, *PROPRIOCEPTION)),),
+            name="without_pf",
+            agents=_seeing(agents, initial_object_position, *PROPRIOCEPTION),
             pixel_features=(),
         ),
+        replace(proposed, name="only_wh", pixel_features=("w", "h", "dw", "dh")),
+        replace(proposed, name="only_center", pixel_features=("cx", "cy", "dcx", "dcy")),
+        replace(proposed, name="single_agent", agents=(together(agents),)),
+        Method(name="object_position", agents=_seeing(agents, *oracle), pixel_features=()),
+        replace(proposed, name="shared_reward", agents=sharing(agents)),
+        replace(proposed, name="journal", agents=_seeing(agents, *JOURNAL_TERMS)),
+        replace(proposed, name="catch", agents=sharing(resting)),
+        replace(proposed, name="catch_alone", agents=(alone,)),
+        Method(name="catch_teacher", agents=_seeing((alone,), *oracle), pixel_features=()),
     )
-}
-"""Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D, and
-`shared_reward`, in which arm and hand are both paid the sum of their rewards; release: `journal`, which adds
-palm displacement and joint targets; ours: `catch`, a `shared_reward` that also pays for unrest after a catch
-and for touching itself, `catch_alone`, the same as a single agent, and `catch_teacher`, which sees the object
-in 3D and can be imitated."""
+    return {method.name: method for method in methods}
 
 
-def find_method(name: str) -> Method:
-    """The method of that name; `NAME+MEMORY` is a method with a memory, such as `catch+fit`.
+METHODS = methods_of(UR5E_ALLEGRO)
+"""The methods for the paper's robot."""
+
+
+def find_method(name: str, workcell: WorkcellSpec = UR5E_ALLEGRO) -> Method:
+    """The method of that name for a work cell; `NAME+MEMORY` is one with a memory, such as `catch+fit`.
 
     Raises:
         UnknownNameError: With the valid names.
@@ -141,4 +142,5 @@ def find_method(name: str) -> Method:
         raise UnknownNameError("method", base, METHODS)
     if memories and (len(memories) > 1 or memories[0] not in MEMORIES):
         raise UnknownNameError("memory", "+".join(memories), MEMORIES)
-    return remembering(METHODS[base], memories[0]) if memories else METHODS[base]
+    method = METHODS[base] if workcell == UR5E_ALLEGRO else methods_of(workcell)[base]
+    return remembering(method, memories[0]) if memories else method

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.agents import COMMANDS
+from pixel2catch.agents import commands_of
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.draws import Episode, draw_episode
 from pixel2catch.envs.episodes import EpisodeRecord
@@ -16,9 +16,10 @@ from pixel2catch.envs.senses import Command, Senses
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.step import Observation, Step
 from pixel2catch.envs.told import drawn_parameters
-from pixel2catch.envs.world import NUM_ARM_JOINTS, CatchWorld
+from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.mdp.columns import put
 from pixel2catch.mdp.delay import DelayLine
 from pixel2catch.mdp.masks import assign, clone, select
 from pixel2catch.mdp.observations import privileged_state
@@ -28,7 +29,7 @@ from pixel2catch.mdp.snapshot import History, Measurement, Transition
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
 from pixel2catch.robot.constants import CONTROL_DT
-from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.scene.workcells import find_workcell
 
 
 class CatchEnv:
@@ -70,9 +71,10 @@ class CatchEnv:
         self._generator = torch.Generator(self.device).manual_seed(seed)
         names = self.world.objects.names
         self._object_ids = torch.tensor([names.index(name) for name in cfg.objects], device=self.device)
-        self._action_map = ActionMap.of(COMMANDS, self.device)
-        noise = cfg.randomization
-        self._action_noise = by_joint(noise.arm_action_noise, noise.hand_action_noise, self.device)
+        self.workcell = find_workcell(cfg.scene.workcell)
+        self._action_map = ActionMap.of(commands_of(self.workcell), self.device)
+        noise = by_joint(self.workcell, "action_noise", self.device)
+        self._action_noise = cfg.randomization.action_noise * noise
         reward_names = {agent.name: agent.reward_names for agent in method.agents}
         self.statistics = EpisodeStatistics(
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
@@ -110,7 +112,7 @@ class CatchEnv:
         Returns:
             What happened. The next step overwrites its tensors, but for `observation` and `rewards`.
         """
-        action = torch.cat([actions[agent.name] for agent in self.method.agents], dim=-1)
+        action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
         step = self._advance(action.clamp(-1.0, 1.0))
         return replace(step, observation=clone(step.observation), rewards=clone(step.rewards))
 
@@ -134,7 +136,7 @@ class CatchEnv:
         transition = self._transition(command, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
-        record = self._episode.record.advanced(transition, log)
+        record = self._episode.record.advanced(transition, log, self.world.arms)
         self.statistics.add(terminated, record, terms)
         self._begin(terminated, record)
         assign(self._commands, select(terminated, self._waiting_commands(), commands))
@@ -196,11 +198,12 @@ class CatchEnv:
             joint_pos_target=command.joint_pos_target,
             held_steps=torch.where(is_near(now), record.held_steps + 1, 0),
             episode_steps=record.steps + 1,
+            geometry=self.world.geometry,
         )
 
     def _draw_episode(self) -> Episode:
         """A new episode for every environment; those that need none ignore theirs."""
-        return draw_episode(self.cfg, self._object_ids, self.num_envs, self._generator)
+        return draw_episode(self.cfg, self.workcell, self._object_ids, self.num_envs, self._generator)
 
     def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
         """Begin new episodes where one ended, and release the objects that have hovered long enough."""
@@ -263,7 +266,7 @@ class CatchEnv:
         joint_pos = self.world.joint_pos
         noise = torch.randn(joint_pos.shape, generator=self._generator, device=self.device)
         joint_pos = joint_pos + self._episode.parameters.joint_bias + self.cfg.sensing.joint_noise * noise
-        palm_pos, palm_quat = palm_pose(joint_pos[:, :NUM_ARM_JOINTS])
+        palm_pos, palm_quat = self.world.geometry.palm_poses(joint_pos)
         return Measurement(
             boxes=boxes,
             object_pos=detection.object_pos,

@@ -16,11 +16,12 @@ from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.objects import SEEN
 from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.workcells import find_workcell
 
 COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera")
 """What of the sensors is not drawn for an episode."""
 
-COMMON_RANDOMIZATION = ("arm_action_noise", "hand_action_noise")
+COMMON_RANDOMIZATION = ("action_noise",)
 """What of the randomization is not drawn for an episode, either."""
 
 
@@ -51,7 +52,7 @@ class CatchEnvCfg:
 
     Attributes:
         scene: What the model is made from.
-        dynamics: Dynamics of the joints; those that are not in it are nominal.
+        dynamics: Dynamics of the joints; those that are not in it are nominal, and all if there is none.
         objects: Names of the objects that are thrown.
         throws: Where from and where to.
         randomization: What differs from episode to episode.
@@ -63,7 +64,7 @@ class CatchEnvCfg:
     """
 
     scene: SceneCfg = field(default_factory=SceneCfg)
-    dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)
+    dynamics: JointDynamics | None = None
     objects: tuple[str, ...] = SEEN
     throws: ThrowCfg = field(default_factory=ThrowCfg)
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
@@ -139,5 +140,6 @@ class CatchEnvCfg:
         Raises:
             InvalidValueError: If a file cannot be read, or the camera's images have another size.
         """
-        task = self if dynamics is None else self.with_dynamics(DynamicsFile.load(dynamics))
+        workcell = find_workcell(self.scene.workcell)
+        task = self if dynamics is None else self.with_dynamics(DynamicsFile.load(dynamics, workcell))
         return task if camera is None else task.with_camera(CameraFile.load(camera))

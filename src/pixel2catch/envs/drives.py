@@ -1,5 +1,7 @@
 """The drives of all joints: what becomes of a joint target on its way to MuJoCo's controls."""
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -8,11 +10,8 @@ from pixel2catch.envs.command_path import CommandPath
 from pixel2catch.envs.servo import Servos, ServoState
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.sim.simulation import Simulation
-
-NUM_JOINTS = len(JOINTS)
 
 
 class Drives:
@@ -27,25 +26,34 @@ class Drives:
         effort_limit: Largest torque of each joint [N·m].
     """
 
-    def __init__(self, simulation: Simulation, dynamics: JointDynamics) -> None:
+    def __init__(
+        self,
+        simulation: Simulation,
+        dynamics: JointDynamics,
+        nominal: JointDynamics,
+        velocity_limits: Sequence[float],
+    ) -> None:
         """Take over the simulation's controls; `reset` begins.
 
         Args:
             simulation: What is driven.
             dynamics: Of all joints.
+            nominal: What they are without an identification.
+            velocity_limits: Their largest speeds [rad/s].
         """
         self._simulation = simulation
-        self._qpos = simulation.bind("qpos")[:, :NUM_JOINTS]
-        self._qvel = simulation.bind("qvel")[:, :NUM_JOINTS]
+        num_joints = len(dynamics.joints)
+        self._qpos = simulation.bind("qpos")[:, :num_joints]
+        self._qvel = simulation.bind("qvel")[:, :num_joints]
         self._ctrl = simulation.bind("ctrl")
-        self._friction = simulation.bind("qfrc_applied")[:, :NUM_JOINTS]
+        self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
         efforts = simulation.model.actuator_forcerange[:, 1].tolist()
-        self._servos = Servos.on(simulation.device, simulation.dtype, dynamics, efforts)
+        self._servos = Servos.on(simulation.device, simulation.dtype, dynamics, efforts, velocity_limits)
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
         self._command = torch.zeros_like(self._ctrl)
         self._path, self._implicit = None, 1.0
-        if dynamics != JointDynamics.nominal():
+        if dynamics != nominal:
             self._path = CommandPath(dynamics, simulation.model.opt.timestep, self._command)
             self._implicit = 0.5
         self.effort_limit: Float[Tensor, " num_joints"] = self._servos.effort_limit

@@ -7,9 +7,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.envs.physics_log import PhysicsLog
+from pixel2catch.mdp.columns import Columns, take
 from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT
+from pixel2catch.robot.constants import CONTROL_DT
 
 REST_STEPS = HOLD_STEPS // 2
 """Last control steps before a success in which robot and hold should have come to rest. Source: ours."""
@@ -102,8 +103,14 @@ class EpisodeRecord:
             peak_deceleration=zero,
         )
 
-    def advanced(self, transition: Transition, log: PhysicsLog) -> "EpisodeRecord":
-        """The records one control step later; `held_steps` and `steps` are those of the transition."""
+    def advanced(self, transition: Transition, log: PhysicsLog, arms: Columns) -> "EpisodeRecord":
+        """The records one control step later; `held_steps` and `steps` are those of the transition.
+
+        Args:
+            transition: The step.
+            log: What happened within it.
+            arms: Columns of the joints of arms.
+        """
         touched = log.is_touching.any(dim=-1)
         first = touched & ~self.is_hand_contact
         return replace(
@@ -127,7 +134,7 @@ class EpisodeRecord:
             max_table_penetration=torch.maximum(self.max_table_penetration, log.table_penetration),
             max_joint_speed=torch.maximum(self.max_joint_speed, log.joint_speed),
             max_torque_share=torch.maximum(self.max_torque_share, log.torque_share),
-            hold_speed=self._at_rest(self.hold_speed, _arm_speed(transition), transition),
+            hold_speed=self._at_rest(self.hold_speed, _speed(transition, arms), transition),
             hold_torque_share=self._at_rest(self.hold_torque_share, log.hand_torque_share, transition),
             peak_deceleration=torch.where(
                 (self.is_hand_contact | touched) & ~self.is_success,
@@ -151,9 +158,9 @@ class EpisodeRecord:
         return torch.where(self.is_success, mean, longer)
 
 
-def _arm_speed(transition: Transition) -> Float[Tensor, " num_envs"]:
-    """Mean speed of the arm's joints [rad/s]."""
-    return transition.now.joint_vel[:, : len(ARM_JOINTS)].abs().mean(dim=-1)
+def _speed(transition: Transition, joints: Columns) -> Float[Tensor, " num_envs"]:
+    """Mean speed of joints [rad/s]."""
+    return take(transition.now.joint_vel, joints).abs().mean(dim=-1)
 
 
 def _deceleration(transition: Transition) -> Float[Tensor, " num_envs"]:

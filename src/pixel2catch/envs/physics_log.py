@@ -8,27 +8,25 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.mdp.masks import select
-from pixel2catch.mdp.snapshot import HAND_PARTS
-
-SENSORS = (*(f"object_{part}" for part in HAND_PARTS), "object_any", "robot_table", "robot_self")
-"""Contact sensors of the model, in order; each gives the number of contacts found and the least distance."""
+from pixel2catch.robot.scene import contact_sensors
+from pixel2catch.scene.workcell import WorkcellSpec
 
 
 class PhysicsLog(NamedTuple):
     """Extremes over the physics steps of one control step.
 
     Attributes:
-        is_touching: Which of `HAND_PARTS` touched the object.
-        is_robot_on_table: Whether the robot touched the table.
-        is_self_contact: Whether the robot touched itself.
+        is_touching: Which palms and fingers touched the object: each palm, then its fingers.
+        is_robot_on_table: Whether a robot touched the table.
+        is_self_contact: Whether a robot touched itself, or another one.
         penetration: Deepest overlap of the object with anything [m].
-        table_penetration: Deepest overlap of robot and table [m].
+        table_penetration: Deepest overlap of a robot and the table [m].
         joint_speed: Largest speed of an arm joint [rad/s].
         torque_share: Largest joint torque, as a share of its limit.
         hand_torque_share: Mean torque of the hand's joints, as a share of their limits.
     """
 
-    is_touching: Bool[Tensor, "num_envs 5"]
+    is_touching: Bool[Tensor, "num_envs num_parts"]
     is_robot_on_table: Bool[Tensor, " num_envs"]
     is_self_contact: Bool[Tensor, " num_envs"]
     penetration: Float[Tensor, " num_envs"]
@@ -47,21 +45,43 @@ class PhysicsLog(NamedTuple):
 
 
 class ContactColumns(NamedTuple):
-    """Columns of `sensordata` with the numbers of contacts and the least distances, in order of `SENSORS`."""
+    """Columns of `sensordata` with the numbers of contacts and the least distances.
+
+    Attributes:
+        found: Numbers of contacts, a column a sensor.
+        dist: Least distances, likewise.
+        touching: Sensors of palms and fingers with the object, among those columns.
+        anything: The sensor of the object with anything.
+        table: Sensors of the robots with the table.
+        robots: Sensors of the robots with themselves and each other.
+    """
 
     found: slice
     dist: slice
+    touching: slice
+    anything: int
+    table: slice
+    robots: slice
 
     @classmethod
-    def of(cls, model: mujoco.MjModel) -> "ContactColumns":
+    def of(cls, model: mujoco.MjModel, workcell: WorkcellSpec) -> "ContactColumns":
         """Find the columns; the sensors follow each other, two numbers each.
 
         Raises:
             ValueError: If the model's sensors are laid out otherwise.
         """
-        addresses = [int(model.sensor(name).adr[0]) for name in SENSORS]
+        names = contact_sensors(workcell)
+        addresses = [int(model.sensor(name).adr[0]) for name in names]
         first, last = addresses[0], addresses[-1] + 2
         if addresses != list(range(first, last, 2)):
-            found = dict(zip(SENSORS, addresses, strict=True))
+            found = dict(zip(names, addresses, strict=True))
             raise ValueError(f"contact sensors are not consecutive pairs: {found}")
-        return cls(found=slice(first, last, 2), dist=slice(first + 1, last, 2))
+        anything, num_robots = names.index("object_any"), len(workcell.robots)
+        return cls(
+            found=slice(first, last, 2),
+            dist=slice(first + 1, last, 2),
+            touching=slice(0, anything),
+            anything=anything,
+            table=slice(anything + 1, anything + 1 + num_robots),
+            robots=slice(anything + 1 + num_robots, len(names)),
+        )

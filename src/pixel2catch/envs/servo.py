@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.robot.constants import JOINTS, SPEED_MARGIN
+from pixel2catch.robot.constants import SPEED_MARGIN
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 EFFORT_MARGIN = 0.999
@@ -50,7 +50,12 @@ class Servos:
 
     @classmethod
     def on(
-        cls, device: torch.device, dtype: torch.dtype, dynamics: JointDynamics, efforts: Sequence[float]
+        cls,
+        device: torch.device,
+        dtype: torch.dtype,
+        dynamics: JointDynamics,
+        efforts: Sequence[float],
+        speeds: Sequence[float],
     ) -> "Servos":
         """Copy the limits of all joints, and their friction, to a device.
 
@@ -59,8 +64,8 @@ class Servos:
             dtype: As what.
             dynamics: Of all joints.
             efforts: Their largest torques [N·m].
+            speeds: Their largest speeds [rad/s].
         """
-        speeds = [joint.velocity_limit for joint in JOINTS]
         values = (efforts, speeds, dynamics.frictionloss)
         return cls(*(torch.tensor(each, dtype=dtype, device=device) for each in values))
 

@@ -8,10 +8,10 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg
-from pixel2catch.robot.constants import JOINTS
 
-GAINS = ((0.7, 1.3),) * len(JOINTS)
-"""Factors on stiffness and damping. Source: stress suite, wrists identified from slow motion."""
+GAINS = ((0.7, 1.3),)
+"""Factors on stiffness and damping of every joint. Source: stress suite, wrists identified from slow motion.
+"""
 
 LATE_ROBOT = RandomizationCfg(
     gains=GainRanges(stiffness_scale=GAINS, damping_scale=GAINS),

@@ -10,22 +10,25 @@ from torch import Tensor
 
 from pixel2catch.camera.pinhole import camera_center
 from pixel2catch.camera.visibility import is_unoccluded, ray_directions
-from pixel2catch.envs.drives import NUM_JOINTS, Drives
+from pixel2catch.envs.drives import Drives
 from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
+from pixel2catch.mdp.columns import merged, take
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
-from pixel2catch.mdp.snapshot import FINGERS, HAND_PARTS, Privileged
+from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.mdp.throws import Throw
-from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, JOINTS, RGB_CAMERA, CameraSpec
+from pixel2catch.robot.constants import GRAVITY, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.contact import contact_solref
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.geometry import WorkcellGeometry
+from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.scene.workcells import find_workcell
 from pixel2catch.sim.devices import make_simulation
 from pixel2catch.sim.simulation import Simulation
 
-NUM_ARM_JOINTS = len(ARM_JOINTS)
 OCCLUDER_GROUPS = (0, 3)
 """Geom groups that can hide the object: table and floor, robot."""
 
@@ -66,7 +69,9 @@ class CatchWorld:
     Everything read from it is float32; the simulation keeps its own precision.
     """
 
-    def __init__(self, scene: SceneCfg, dynamics: JointDynamics, *, num_envs: int, device: str) -> None:
+    def __init__(
+        self, scene: SceneCfg, dynamics: JointDynamics | None, *, num_envs: int, device: str
+    ) -> None:
         """Build the model and its copies.
 
         Args:
@@ -75,22 +80,30 @@ class CatchWorld:
             num_envs: Number of environments.
             device: "cpu" or a CUDA device.
         """
-        dynamics = dynamics.over(JointDynamics.nominal())
+        workcell = find_workcell(scene.workcell)
+        nominal = JointDynamics.nominal(specs=workcell.joints)
+        dynamics = dynamics.over(nominal) if dynamics else nominal
+        dynamics.require(workcell.joints)
+        self._num_joints = len(workcell.joints)
         model = build_model(scene, armature=dict(zip(dynamics.joints, dynamics.armature, strict=True)))
-        model.dof_frictionloss[:NUM_JOINTS] = 0.0  # the servos apply it
+        model.dof_frictionloss[: self._num_joints] = 0.0  # the servos apply it
         self.simulation: Simulation = make_simulation(model, num_envs, device)
         self.objects: ObjectTable = object_table(scene)
         self.num_envs, self.device = num_envs, self.simulation.device
         self._scene = scene
         self._decimation = scene.decimation
-        self._palm = model.site("palm").id
-        self._tips = [model.site(f"{finger}_tip").id for finger in FINGERS]
-        self._sensors = ContactColumns.of(model)
+        self._palms = [model.site(palm.spec.site).id for palm in workcell.palms]
+        tips = [finger.tip for palm in workcell.palms for finger in palm.spec.fingers]
+        self._tips = [model.site(tip).id for tip in tips]
+        self.geometry = WorkcellGeometry(workcell, self.simulation.device)
+        self._sensors = ContactColumns.of(model, workcell)
+        self.arms, self._hands = merged(workcell.of_role("arm")), merged(workcell.of_role("hand"))
         self._fields = _Fields(
             **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
         )
-        self._drives = Drives(self.simulation, dynamics)
-        self._joints = _JointTensors.of(self.simulation.dtype, self.device)
+        speeds = [joint.velocity_limit for joint in workcell.joints]
+        self._drives = Drives(self.simulation, dynamics, nominal, speeds)
+        self._joints = _JointTensors.of(workcell, self.simulation.dtype, self.device)
         self._table = {
             name: torch.as_tensor(rows).to(self.device)
             for name, rows in self.objects.fields.items()
@@ -99,12 +112,14 @@ class CatchWorld:
         thrown = [OBJECTS[name].scaled(scene.object_scale) for name in self.objects.names]
         points = np.stack([surface_points(spec, NUM_SURFACE_POINTS) for spec in thrown])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)
+        first = self.objects.indices.dofs.start
+        self._linear = slice(first, first + 3)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
 
     @property
     def joint_pos(self) -> Float[Tensor, "num_envs num_joints"]:
         """True joint positions [rad]."""
-        return _snapshot(self._fields.qpos[:, :NUM_JOINTS])
+        return _snapshot(self._fields.qpos[:, : self._num_joints])
 
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
         """Put the masked robots at their start, with new dynamics, and let a new object hover."""
@@ -115,7 +130,7 @@ class CatchWorld:
         start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
         fields.qpos.copy_(select(mask, start, fields.qpos))
         self._drives.reset(mask, joint_pos, parameters)
-        start = torch.nn.functional.pad(throw.hover_vel, (NUM_JOINTS, 3)).to(joint_pos)
+        start = torch.nn.functional.pad(throw.hover_vel, (self._num_joints, 3)).to(joint_pos)
         fields.qvel.copy_(select(mask, start, fields.qvel))
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
         weight = GRAVITY * self.simulation.expand("body_mass")[:, self.objects.indices.body]
@@ -129,7 +144,7 @@ class CatchWorld:
         by half a step of gravity; the release makes up for it, so that throws land where they are aimed at
         any rate.
         """
-        velocity = self._fields.qvel[:, NUM_JOINTS:]
+        velocity = self._fields.qvel[:, self._num_joints :]
         start = torch.cat((throw.lin_vel, throw.ang_vel), dim=-1).to(velocity)
         start[:, 2] += 0.5 * GRAVITY * self._scene.physics_dt
         velocity.copy_(select(mask, start, velocity))
@@ -175,10 +190,10 @@ class CatchWorld:
 
         Air slows it against its velocity, by what its mean face feels; that it tumbles is neglected.
         """
-        force = self._fields.qfrc_applied[:, NUM_JOINTS : NUM_JOINTS + 3]
+        force = self._fields.qfrc_applied[:, self._linear]
         total = torch.zeros_like(force) if acceleration is None else acceleration.to(force)
         if drag is not None:
-            velocity = self._fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3]
+            velocity = self._fields.qvel[:, self._linear]
             speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
             total = total - drag.to(force)[:, None] * speed * velocity
         mass = self.simulation.expand("body_mass")[:, self.objects.indices.body]
@@ -192,14 +207,14 @@ class CatchWorld:
         """What only the simulator knows, now; contacts since the last control step come from its log."""
         fields = self._fields
         return Privileged(
-            palm_pos=_snapshot(fields.site_xpos[:, self._palm]),
+            palm_pos=torch.stack([fields.site_xpos[:, palm] for palm in self._palms], dim=1).float(),
             fingertip_pos=torch.stack([fields.site_xpos[:, tip] for tip in self._tips], dim=1).float(),
             object_pos=_snapshot(fields.xpos[:, self.objects.indices.body]),
-            object_lin_vel=_snapshot(fields.qvel[:, NUM_JOINTS : NUM_JOINTS + 3]),
+            object_lin_vel=_snapshot(fields.qvel[:, self._linear]),
             is_touching=log.is_touching,
             is_robot_on_table=log.is_robot_on_table,
             is_self_contact=log.is_self_contact,
-            joint_vel=_snapshot(fields.qvel[:, :NUM_JOINTS]),
+            joint_vel=_snapshot(fields.qvel[:, : self._num_joints]),
         )
 
     def surface_points(
@@ -251,16 +266,16 @@ class CatchWorld:
         found = fields.sensordata[:, self._sensors.found] > 0
         depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
         torque_share = (fields.actuator_force.abs() / self._drives.effort_limit).float()
-        hand = len(HAND_PARTS)
+        sensors = self._sensors
         return PhysicsLog(
-            is_touching=found[:, :hand],
-            is_robot_on_table=found[:, hand + 1],
-            is_self_contact=found[:, hand + 2],
-            penetration=depth[:, hand],
-            table_penetration=depth[:, hand + 1],
-            joint_speed=fields.qvel[:, :NUM_ARM_JOINTS].abs().amax(dim=-1).float(),
+            is_touching=found[:, sensors.touching],
+            is_robot_on_table=found[:, sensors.table].any(dim=-1),
+            is_self_contact=found[:, sensors.robots].any(dim=-1),
+            penetration=depth[:, sensors.anything],
+            table_penetration=depth[:, sensors.table].amax(dim=-1),
+            joint_speed=take(fields.qvel, self.arms).abs().amax(dim=-1).float(),
             torque_share=torque_share.amax(dim=-1),
-            hand_torque_share=torque_share[:, NUM_ARM_JOINTS:].mean(dim=-1),
+            hand_torque_share=take(torque_share, self._hands).mean(dim=-1),
         )
 
 
@@ -273,12 +288,13 @@ class _JointTensors:
     upper: Tensor
 
     @classmethod
-    def of(cls, dtype: torch.dtype, device: torch.device) -> "_JointTensors":
+    def of(cls, workcell: WorkcellSpec, dtype: torch.dtype, device: torch.device) -> "_JointTensors":
         """Copy the constants to the device."""
-        names = [field.name for field in dataclasses.fields(cls)]
-        return cls(
-            **{n: torch.tensor([getattr(j, n) for j in JOINTS], dtype=dtype, device=device) for n in names}
-        )
+        columns = {
+            field.name: [getattr(joint, field.name) for joint in workcell.joints]
+            for field in dataclasses.fields(cls)
+        }
+        return cls(**{n: torch.tensor(values, dtype=dtype, device=device) for n, values in columns.items()})
 
 
 def _snapshot(live: Tensor) -> Tensor:

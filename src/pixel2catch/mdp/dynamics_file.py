@@ -11,8 +11,9 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.files import write_atomically
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.scene.workcells import UR5E_ALLEGRO
 
 FORMAT_VERSION = 1
 """Version of the files. Raised when an older one can no longer be read."""
@@ -25,39 +26,44 @@ class DynamicsFile:
     Attributes:
         dynamics: Dynamics of some joints or of all.
         gains: How the gains are randomised; those of other joints are not in the file.
+        workcell: Whose joints they are.
     """
 
     dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)
     gains: GainRanges = field(default_factory=GainRanges)
+    workcell: WorkcellSpec = UR5E_ALLEGRO
 
     def save(self, path: Path) -> None:
         """Write the file, all of it or nothing. Its folder must exist."""
-        rows = _rows(self.dynamics)
-        ranges = {
-            name: [values[row] for row in rows] for name, values in dataclasses.asdict(self.gains).items()
-        }
-        content = {"format_version": FORMAT_VERSION, **self.dynamics.to_dict(), "gain_ranges": ranges}
+        full = dataclasses.asdict(self.gains.of(self.workcell))
+        names = [joint.name for joint in self.workcell.joints if joint.name in self.dynamics.joints]
+        dynamics, rows = self.dynamics.select(names), _rows(self.dynamics.select(names), self.workcell)
+        ranges = {name: [values[row] for row in rows] for name, values in full.items()}
+        content = {"format_version": FORMAT_VERSION, **dynamics.to_dict(), "gain_ranges": ranges}
         write_atomically({path: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()})
 
     @classmethod
-    def load(cls, path: Path | None) -> "DynamicsFile":
+    def load(cls, path: Path | None, workcell: WorkcellSpec = UR5E_ALLEGRO) -> "DynamicsFile":
         """Read a file; without its ranges the gains keep the paper's.
 
         Args:
             path: The file; none is the nominal robot.
+            workcell: Whose joints it tells of.
 
         Raises:
             InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
         """
         if path is None:
-            return cls()
+            return cls(dynamics=JointDynamics.nominal(specs=workcell.joints), workcell=workcell)
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             version, ranges = content.pop("format_version"), content.pop("gain_ranges", {})
             if version != FORMAT_VERSION:
                 raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
             dynamics = JointDynamics.from_dict(content)
-            return cls(dynamics=dynamics, gains=_gains(ranges, _rows(dynamics)))
+            dynamics.require(workcell.joints)
+            gains = _gains(ranges, _rows(dynamics, workcell), workcell)
+            return cls(dynamics=dynamics, gains=gains, workcell=workcell)
         except (OSError, ValueError, KeyError, TypeError, AttributeError, UnknownNameError) as error:
             reason = f"there is no {error}" if isinstance(error, KeyError) else error
             raise InvalidValueError(
@@ -65,19 +71,19 @@ class DynamicsFile:
             ) from error
 
 
-def _rows(dynamics: JointDynamics) -> list[int]:
+def _rows(dynamics: JointDynamics, workcell: WorkcellSpec) -> list[int]:
     """Numbers of the joints."""
-    names = [joint.name for joint in JOINTS]
+    names = [joint.name for joint in workcell.joints]
     return [names.index(name) for name in dynamics.joints]
 
 
-def _gains(content: Mapping[str, Any], rows: Sequence[int]) -> GainRanges:
-    """The paper's ranges, with those of the file for its joints.
+def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSpec) -> GainRanges:
+    """The ranges of the joint groups, with those of the file for its joints.
 
     Raises:
         InvalidValueError: An entry is unknown, of another length, or no range.
     """
-    columns = {name: list(values) for name, values in dataclasses.asdict(GainRanges()).items()}
+    columns = {name: list(values) for name, values in dataclasses.asdict(GainRanges().of(workcell)).items()}
     for name, values in content.items():
         if name not in columns:
             raise InvalidValueError(f"gain_ranges has the unknown entry '{name}'")

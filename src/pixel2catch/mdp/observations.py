@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pixel2catch.camera import box_history
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
+from pixel2catch.mdp.columns import Columns, take
 from pixel2catch.mdp.snapshot import History, Measurement, Privileged
 from pixel2catch.robot.constants import RGB_CAMERA
 
@@ -24,12 +25,14 @@ class Frame:
         before: The measurement one control step earlier.
         now: The measurement.
         joints: The agent's columns in joint order.
+        palms: The palms that it serves.
         pixel_columns: The columns of `PIXEL_FEATURES` that the method uses.
     """
 
     before: Measurement
     now: Measurement
-    joints: slice
+    joints: Columns
+    palms: Columns
     pixel_columns: tuple[int, ...]
 
 
@@ -52,29 +55,30 @@ def initial_object_position(frame: Frame) -> Float[Tensor, "num_envs 3"]:
     return frame.now.initial_object_pos
 
 
-def palm_pose(frame: Frame) -> Float[Tensor, "num_envs 7"]:
-    """Palm position [m] and orientation (w, x, y, z), world frame. Source: paper, Sec. IV-C."""
-    return torch.cat((frame.now.palm_pos, frame.now.palm_quat), dim=-1)
+def palm_pose(frame: Frame) -> Float[Tensor, "num_envs k"]:
+    """Position [m] and orientation (w, x, y, z) of the agent's palms (world). Source: paper, Sec. IV-C."""
+    pose = torch.cat((frame.now.palm_pos, frame.now.palm_quat), dim=-1)
+    return take(pose, frame.palms).flatten(1)
 
 
 def joint_pos(frame: Frame) -> Float[Tensor, "num_envs k"]:
     """The agent's joint positions [rad]. Source: paper, Sec. IV-C."""
-    return frame.now.joint_pos[:, frame.joints]
+    return take(frame.now.joint_pos, frame.joints)
 
 
 def last_action(frame: Frame) -> Float[Tensor, "num_envs k"]:
     """The agent's last action. Source: paper, Sec. IV-C."""
-    return frame.now.action[:, frame.joints]
+    return take(frame.now.action, frame.joints)
 
 
-def palm_displacement(frame: Frame) -> Float[Tensor, "num_envs 3"]:
-    """Movement of the palm since the step before [m]. Source: release (where it is always zero by a slip)."""
-    return frame.now.palm_pos - frame.before.palm_pos
+def palm_displacement(frame: Frame) -> Float[Tensor, "num_envs k"]:
+    """Movement of the palms since the step before [m]. Source: release (always zero there by a slip)."""
+    return take(frame.now.palm_pos - frame.before.palm_pos, frame.palms).flatten(1)
 
 
 def joint_pos_target(frame: Frame) -> Float[Tensor, "num_envs k"]:
     """The agent's joint targets [rad]. Source: release."""
-    return frame.now.joint_pos_target[:, frame.joints]
+    return take(frame.now.joint_pos_target, frame.joints)
 
 
 def box_age(frame: Frame) -> Float[Tensor, "num_envs 1"]:
@@ -128,7 +132,8 @@ def pixel_columns(names: tuple[str, ...]) -> tuple[int, ...]:
 def observe(
     terms: tuple[ObservationTerm, ...],
     memory: tuple[ObservationTerm, ...],
-    joints: slice,
+    joints: Columns,
+    palms: Columns,
     columns: tuple[int, ...],
     history: History,
 ) -> Float[Tensor, "num_envs size"]:
@@ -138,18 +143,19 @@ def observe(
         terms: Terms of a frame.
         memory: Terms of the newest frame alone, which look back by themselves.
         joints: The agent's columns in joint order.
+        palms: The palms that it serves.
         columns: The columns of `PIXEL_FEATURES` that the method uses.
         history: The last measurements.
     """
     frames = (
-        Frame(before=history.oldest, now=history.before, joints=joints, pixel_columns=columns),
-        Frame(before=history.before, now=history.now, joints=joints, pixel_columns=columns),
+        Frame(before=history.oldest, now=history.before, joints=joints, palms=palms, pixel_columns=columns),
+        Frame(before=history.before, now=history.now, joints=joints, palms=palms, pixel_columns=columns),
     )
     values = [term(frame) for frame in frames for term in terms]
     return torch.cat([*values, *(term(frames[1]) for term in memory)], dim=-1)
 
 
-def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_envs 21"]:
+def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_envs k"]:
     """What the value networks see besides the observations.
 
     Source: paper (object position, two frames); release (object displacement, object - palm).
@@ -159,7 +165,7 @@ def privileged_state(before: Privileged, now: Privileged) -> Float[Tensor, "num_
             before.object_pos,
             now.object_pos,
             now.object_pos - before.object_pos,
-            now.object_pos - now.palm_pos,
+            (now.object_pos[:, None] - now.palm_pos).flatten(1),
             now.object_lin_vel,
             now.is_touching.float(),
             now.is_robot_on_table.float()[:, None],

@@ -5,6 +5,7 @@ Source: paper, Table I; release (object friction, biases).
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -13,10 +14,7 @@ from torch import Tensor
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import Amount, Range, uniform
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
-
-TABLE_1_GAINS: tuple[Range, ...] = ((0.8, 1.2),) * len(ARM_JOINTS) + ((0.7, 1.3),) * len(HAND_JOINTS)
-"""Ranges of the factors on every joint's stiffness and damping. Source: paper, Table I."""
+from pixel2catch.scene.workcell import WorkcellSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,31 +22,52 @@ class GainRanges:
     """Ranges of the factors on the gains of every joint, in joint order.
 
     Attributes:
-        stiffness_scale: Factor on a joint's stiffness.
-        damping_scale: Factor on its damping, drawn apart.
+        stiffness_scale: Factor on a joint's stiffness; one range is every joint's, none those of the robot's
+            joint groups (Source: paper, Table I).
+        damping_scale: Factor on its damping, drawn apart; likewise.
         is_damping_relative: Whether the damping is multiplied by the factor on the stiffness as well, where
-            their ratio is better known than either.
+            their ratio is better known than either; none is nowhere.
     """
 
-    stiffness_scale: tuple[Range, ...] = TABLE_1_GAINS
-    damping_scale: tuple[Range, ...] = TABLE_1_GAINS
-    is_damping_relative: tuple[bool, ...] = (False,) * len(JOINTS)
+    stiffness_scale: tuple[Range, ...] = ()
+    damping_scale: tuple[Range, ...] = ()
+    is_damping_relative: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse ranges that are not of all joints, or of no positive factor."""
-        for name in ("stiffness_scale", "damping_scale", "is_damping_relative"):
-            length = len(getattr(self, name))
-            if length != len(JOINTS):
-                raise InvalidValueError(
-                    f"{name} has {length} entries; it needs one for each of {len(JOINTS)}"
-                )
+        """Refuse ranges of no positive factor."""
         for name in ("stiffness_scale", "damping_scale"):
-            for joint, (low, high) in zip(JOINTS, getattr(self, name), strict=True):
+            for number, (low, high) in enumerate(getattr(self, name)):
                 if not 0.0 < low <= high < float("inf"):
                     raise InvalidValueError(
-                        f"{name} of {joint.name} is from {low:g} to {high:g}; give two factors, the lower "
+                        f"{name} of joint {number} is from {low:g} to {high:g}; give two factors, the lower "
                         "first, more than 0"
                     )
+
+    def of(self, workcell: WorkcellSpec) -> "GainRanges":
+        """The ranges with an entry for each joint of a work cell.
+
+        Raises:
+            InvalidValueError: If there are neither none, nor one, nor as many.
+        """
+        own = tuple(group.gain_range for group in workcell.groups for _ in group.joints)
+        return GainRanges(
+            stiffness_scale=_for_each(self.stiffness_scale, own, "stiffness_scale"),
+            damping_scale=_for_each(self.damping_scale, own, "damping_scale"),
+            is_damping_relative=_for_each(
+                self.is_damping_relative, (False,) * len(own), "is_damping_relative"
+            ),
+        )
+
+
+Entry = TypeVar("Entry")
+
+
+def _for_each(values: tuple[Entry, ...], default: tuple[Entry, ...], name: str) -> tuple[Entry, ...]:
+    if len(values) not in (0, 1, len(default)):
+        raise InvalidValueError(
+            f"{name} has {len(values)} entries; it needs one for each of {len(default)} joints"
+        )
+    return values * len(default) if len(values) == 1 else values or default
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,10 +76,8 @@ class RandomizationCfg:
 
     Attributes:
         gains: Factors on stiffness and damping of each joint.
-        arm_action_noise: Standard deviation of the noise on each arm action.
-        hand_action_noise: Likewise of the hand.
-        arm_action_bias: Standard deviation of an error of each arm action that lasts an episode (release).
-        hand_action_bias: Likewise of the hand (release).
+        action_noise: Factor on the noise of the actions of each joint group.
+        action_bias: Factor on their errors that last an episode.
         initial_joint_noise: Largest deviation of each joint from its start position [rad].
         mass_scale: Factor on the object's mass and inertia.
         restitution: Restitution of contacts with the object.
@@ -73,10 +90,8 @@ class RandomizationCfg:
     """
 
     gains: GainRanges = field(default_factory=GainRanges)
-    arm_action_noise: float = 0.03
-    hand_action_noise: float = 0.02
-    arm_action_bias: float = 0.01
-    hand_action_bias: float = 0.005
+    action_noise: float = 1.0
+    action_bias: float = 1.0
     initial_joint_noise: float = 0.125
     mass_scale: Range = (0.5, 1.5)
     restitution: Range = (0.0, 0.5)
@@ -116,24 +131,29 @@ class EpisodeParameters:
 
 
 def sample_parameters(
-    cfg: RandomizationCfg, sensing: SensingCfg, object_ids: Int[Tensor, " num_objects"], num_envs: int,
+    cfg: RandomizationCfg,
+    sensing: SensingCfg,
+    workcell: WorkcellSpec,
+    object_ids: Int[Tensor, " num_objects"],
+    num_envs: int,
     generator: torch.Generator,
-) -> EpisodeParameters:  # fmt: skip
+) -> EpisodeParameters:
     """Draw the parameters of one episode per environment, on the generator's device."""
-    device = generator.device
-    offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * len(JOINTS)
+    device, num_joints = generator.device, len(workcell.joints)
+    offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * num_joints
+    bias = by_joint(workcell, "action_bias", device)
     scalars = uniform((cfg.mass_scale, cfg.restitution, cfg.friction), num_envs, generator)
 
     def normal() -> Tensor:
-        return torch.randn(num_envs, len(JOINTS), generator=generator, device=device)
+        return torch.randn(num_envs, num_joints, generator=generator, device=device)
 
     object_id = object_ids[torch.randint(len(object_ids), (num_envs,), generator=generator, device=device)]
-    stiffness_scale, damping_scale = _sample_gains(cfg.gains, num_envs, generator)
+    stiffness_scale, damping_scale = _sample_gains(cfg.gains.of(workcell), num_envs, generator)
     return EpisodeParameters(
         object_id=object_id,
         stiffness_scale=stiffness_scale,
         damping_scale=damping_scale,
-        action_bias=normal() * by_joint(cfg.arm_action_bias, cfg.hand_action_bias, device),
+        action_bias=normal() * (cfg.action_bias * bias),
         joint_bias=normal() * sensing.joint_bias,
         joint_offset=uniform(offset, num_envs, generator),
         mass_scale=scalars[:, 0],
@@ -178,6 +198,7 @@ def sample_delay(
 
 
 @lru_cache(maxsize=8)
-def by_joint(arm: float, hand: float, device: torch.device) -> Float[Tensor, " num_joints"]:
-    """One value for every arm joint and one for every hand joint, in joint order; copied only once."""
-    return torch.cat((torch.full((len(ARM_JOINTS),), arm), torch.full((len(HAND_JOINTS),), hand))).to(device)
+def by_joint(workcell: WorkcellSpec, name: str, device: torch.device) -> Float[Tensor, " num_joints"]:
+    """A number of the joint groups for each of their joints, in joint order; copied only once."""
+    values = [getattr(group, name) for group in workcell.groups for _ in group.joints]
+    return torch.tensor(values, dtype=torch.float32, device=device)

@@ -12,8 +12,6 @@ from torch import Tensor
 
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_dropped, is_near, is_success, palm_distance
-from pixel2catch.robot.clearance import depth_in_table
-from pixel2catch.robot.constants import ARM_JOINTS
 
 SETTLE_STEPS = 6
 """Control steps that a held object may take to come to rest, with the robot. Source: ours; release: 5."""
@@ -21,14 +19,14 @@ SETTLE_STEPS = 6
 
 @dataclass(frozen=True, kw_only=True)
 class RewardTerm:
-    """A weighted term of an agent's reward.
+    """A weighted term of the reward of a body part.
 
     Attributes:
-        function: (transition, columns of the agent's joints) -> (num_envs,).
+        function: (transition, part) -> (num_envs,).
         weight: Factor, with the sign.
     """
 
-    function: Callable[[Transition, slice], Float[Tensor, " num_envs"]]
+    function: Callable[..., Float[Tensor, " num_envs"]]
     weight: float
 
     @property
@@ -37,80 +35,100 @@ class RewardTerm:
         return self.function.__name__
 
 
-def term_values(
-    terms: tuple[RewardTerm, ...], joints: slice, transition: Transition
-) -> Float[Tensor, "num_envs k"]:
-    """Weighted values of reward terms, one column each; an agent's reward is their sum."""
-    return torch.stack([term.weight * term.function(transition, joints) for term in terms], dim=-1)
+@dataclass(frozen=True, kw_only=True)
+class BodyPart:
+    """A joint group with the palms that it serves, and the reward that belongs to it.
+
+    Attributes:
+        name: Name of the group.
+        joints: Its columns in joint order.
+        palms: The palms of its robot.
+        fingertips: The tips of their fingers.
+        touching: Its palms and fingers in `Privileged.is_touching`.
+        reward: Weighted reward terms.
+    """
+
+    name: str
+    joints: slice
+    palms: slice
+    fingertips: slice
+    touching: slice
+    reward: tuple[RewardTerm, ...] = ()
+
+    def reward_terms(self, transition: Transition) -> Float[Tensor, "num_envs k"]:
+        """Weighted values of its reward terms, one column each; their sum is the reward."""
+        return torch.stack([term.weight * term.function(transition, self) for term in self.reward], dim=-1)
 
 
-def elapsed_time(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def elapsed_time(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """One per control step. Source: paper, r_time."""
     return torch.ones_like(transition.now.object_pos[:, 0])
 
 
-def palm_approach(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
-    """d(t-1) - d(t) between palm and object [m]. Source: paper, Eq. 2."""
-    return palm_distance(transition.before) - palm_distance(transition.now)
+def palm_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
+    """Sum over the palms of d(t-1) - d(t) to the object [m]. Source: paper, Eq. 2."""
+    closer = palm_distance(transition.before) - palm_distance(transition.now)
+    return closer[:, part.palms].sum(dim=-1)
 
 
-def fingertips_approach(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def fingertips_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """Sum over the fingertips of d(t-1) - d(t) to the object [m]. Source: paper, Eq. 2 and 4."""
-    return (_fingertip_distance(transition.before) - _fingertip_distance(transition.now)).sum(dim=-1)
+    closer = _fingertip_distance(transition.before) - _fingertip_distance(transition.now)
+    return closer[:, part.fingertips].sum(dim=-1)
 
 
-def success(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def success(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """One at the step that completes a hold. Source: paper, succ."""
     return is_success(transition).float()
 
 
-def nearness(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def nearness(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """One while the object is in the palm's reach. Source: paper, app."""
     return is_near(transition.now).float()
 
 
-def drop(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def drop(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """One when the object is lost. Source: paper, drop."""
     return is_dropped(transition.now).float()
 
 
-def table_contact(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def table_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """One while the robot touches the table. Source: paper, coll."""
     return transition.now.is_robot_on_table.float()
 
 
-def table_intrusion(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def table_intrusion(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """How deep arm and hand would be in the table's clearance at the joint targets [m].
 
     Source: ours: a servo that keeps clear of the table holds such commands back, and the hand comes late.
     """
-    return depth_in_table(transition.joint_pos_target[:, : len(ARM_JOINTS)])
+    return transition.geometry.depth_in_table(transition.joint_pos_target)[:, part.palms].sum(dim=-1)
 
 
-def action_square(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def action_square(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """Squared norm of the agent's action. Source: paper, Eq. 3 and 4."""
-    return transition.action[:, joints].square().sum(dim=-1)
+    return transition.action[:, part.joints].square().sum(dim=-1)
 
 
-def grasp(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def grasp(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """One while at least two parts of the hand touch the object. Source: ours, so that a hold is a grasp."""
-    return (transition.now.is_touching.sum(dim=-1) >= 2).float()
+    return (transition.now.is_touching[:, part.touching].sum(dim=-1) >= 2).float()
 
 
-def unrest(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def unrest(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """Sum of the squared speeds of the agent's joints once the object has been held a while [rad²/s²].
 
     Source: ours, so that a robot that holds an object stands still; the release weights actions 50 times
     higher then.
     """
-    speed = transition.now.joint_vel[:, joints].square().sum(dim=-1)
+    speed = transition.now.joint_vel[:, part.joints].square().sum(dim=-1)
     return torch.where(transition.held_steps >= SETTLE_STEPS, speed, 0.0)
 
 
-def self_contact(transition: Transition, joints: slice) -> Float[Tensor, " num_envs"]:
+def self_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """One while the robot touches itself. Source: ours: finger tips that press on each other wear."""
     return transition.now.is_self_contact.float()
 
 
-def _fingertip_distance(snapshot: Privileged) -> Float[Tensor, "num_envs 4"]:
+def _fingertip_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_fingers"]:
     return torch.linalg.vector_norm(snapshot.object_pos[:, None] - snapshot.fingertip_pos, dim=-1)

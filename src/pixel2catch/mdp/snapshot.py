@@ -11,9 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.mdp.box_history import BoxHistory
-
-FINGERS = ("index", "middle", "ring", "thumb")
-HAND_PARTS = ("palm", *FINGERS)
+from pixel2catch.scene.geometry import WorkcellGeometry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +23,10 @@ class Measurement:
         object_pos: Position of the object's centre by a tracker, as old as the box, world frame [m]. Only
             methods that others are compared with read it.
         initial_object_pos: The first such position of the episode [m].
-        joint_pos: Joint encoders, arm then hand [rad].
+        joint_pos: Joint encoders [rad].
         joint_pos_target: Joint targets commanded at this step [rad].
-        palm_pos: Palm position by forward kinematics of `joint_pos`, world frame [m].
-        palm_quat: Palm orientation likewise, (w, x, y, z), with the sign of `robot.kinematics`.
+        palm_pos: Positions of the palms by forward kinematics of `joint_pos`, world frame [m].
+        palm_quat: Their orientations likewise, (w, x, y, z), with the sign of `robots.chain`.
         action: Last actions of all agents in joint order, in [-1, 1].
     """
 
@@ -37,8 +35,8 @@ class Measurement:
     initial_object_pos: Float[Tensor, "num_envs 3"]
     joint_pos: Float[Tensor, "num_envs num_joints"]
     joint_pos_target: Float[Tensor, "num_envs num_joints"]
-    palm_pos: Float[Tensor, "num_envs 3"]
-    palm_quat: Float[Tensor, "num_envs 4"]
+    palm_pos: Float[Tensor, "num_envs num_palms 3"]
+    palm_quat: Float[Tensor, "num_envs num_palms 4"]
     action: Float[Tensor, "num_envs num_joints"]
 
     @property
@@ -60,21 +58,22 @@ class Privileged:
     """What only the simulator knows at one control step (world frame).
 
     Attributes:
-        palm_pos: True palm position [m].
-        fingertip_pos: True fingertip positions, in the order of `FINGERS` [m].
+        palm_pos: True positions of the palms [m].
+        fingertip_pos: True positions of the fingertips, palm by palm [m].
         object_pos: Position of the object's centre [m].
         object_lin_vel: Its velocity [m/s].
-        is_touching: Which of `HAND_PARTS` touched the object since the step before.
-        is_robot_on_table: Whether the robot touched the table since the step before.
-        is_self_contact: Whether the robot touched itself since the step before.
+        is_touching: Which palms and fingers touched the object since the step before: each palm, then its
+            fingers.
+        is_robot_on_table: Whether a robot touched the table since the step before.
+        is_self_contact: Whether a robot touched itself, or another one, since the step before.
         joint_vel: Joint speeds [rad/s].
     """
 
-    palm_pos: Float[Tensor, "num_envs 3"]
-    fingertip_pos: Float[Tensor, "num_envs 4 3"]
+    palm_pos: Float[Tensor, "num_envs num_palms 3"]
+    fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]
     object_pos: Float[Tensor, "num_envs 3"]
     object_lin_vel: Float[Tensor, "num_envs 3"]
-    is_touching: Bool[Tensor, "num_envs 5"]
+    is_touching: Bool[Tensor, "num_envs num_parts"]
     is_robot_on_table: Bool[Tensor, " num_envs"]
     is_self_contact: Bool[Tensor, " num_envs"]
     joint_vel: Float[Tensor, "num_envs num_joints"]
@@ -91,6 +90,7 @@ class Transition:
         joint_pos_target: The joint targets that they commanded [rad].
         held_steps: Consecutive control steps, this one included, with the object in the palm's reach.
         episode_steps: Control steps since the start of the episode, this one included.
+        geometry: Where palms and arms are for given joint positions.
     """
 
     before: Privileged
@@ -99,3 +99,4 @@ class Transition:
     joint_pos_target: Float[Tensor, "num_envs num_joints"]
     held_steps: Int[Tensor, " num_envs"]
     episode_steps: Int[Tensor, " num_envs"]
+    geometry: WorkcellGeometry

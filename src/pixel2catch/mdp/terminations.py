@@ -34,14 +34,14 @@ class EpisodeCfg:
     ends_on_success: bool = True
 
 
-def palm_distance(snapshot: Privileged) -> Float[Tensor, " num_envs"]:
-    """Distance d of palm and object centre [m]. Source: paper, Eq. 2."""
-    return torch.linalg.vector_norm(snapshot.object_pos - snapshot.palm_pos, dim=-1)
+def palm_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_palms"]:
+    """Distance d of each palm and the object's centre [m]. Source: paper, Eq. 2."""
+    return torch.linalg.vector_norm(snapshot.object_pos[:, None] - snapshot.palm_pos, dim=-1)
 
 
 def is_near(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
-    """Whether the palm has reached the object: the paper's tracking. Source: release, d < 0.08 m."""
-    return palm_distance(snapshot) < REACH
+    """Whether a palm has reached the object: the paper's tracking. Source: release, d < 0.08 m."""
+    return (palm_distance(snapshot) < REACH).any(dim=-1)
 
 
 def is_success(transition: Transition) -> Bool[Tensor, " num_envs"]:

@@ -10,8 +10,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.scene.workcells import UR5E_ALLEGRO
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Version of the files that `Policy.save` writes. Raised when an older file can no longer be read."""
 
 
@@ -44,7 +45,7 @@ class PolicyContract:
         commands: How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad].
         control_dt: Time between two actions [s].
         camera: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation.
-        handedness: "left" or "right": which hand is on the arm.
+        workcell: Name of the work cell.
         task: Name of the task that it was trained for; it may act in others.
         format_version: Version of the file format.
     """
@@ -55,7 +56,7 @@ class PolicyContract:
     commands: dict[str, dict[str, float]]
     control_dt: float
     camera: dict[str, int | float | tuple[float, ...]]
-    handedness: str
+    workcell: str
     task: str = "nominal"
     format_version: int = FORMAT_VERSION
 
@@ -70,6 +71,7 @@ class PolicyContract:
         Raises:
             PolicyMismatchError: A field is missing or unknown, or the file has another format version.
         """
+        data = _of_version_1(data) if data.get("format_version") == 1 else data
         version = data.get("format_version")
         if version != FORMAT_VERSION:
             raise PolicyMismatchError(
@@ -99,6 +101,14 @@ class PolicyContract:
         if fields:
             lines = [f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields]
             raise PolicyMismatchError("the policy does not fit:\n" + "\n".join(lines))
+
+
+def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What files say that knew one robot only, with a left or a right hand."""
+    content = {**data, "format_version": FORMAT_VERSION}
+    hand = content.pop("handedness", "left")
+    name = UR5E_ALLEGRO.name
+    return content | {"workcell": name if hand == "left" else f"{name}_{hand}"}
 
 
 def _agent(data: Mapping[str, Any], where: str) -> AgentContract:

@@ -19,6 +19,7 @@ from scipy.linalg import expm
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robots.spec import JointSpec
 
 SERVOJ_GAIN = 300.0
 """Gain of the UR5e's servoJ filter [1/s²]. Source: the controller's setting, confirmed on recorded motion."""
@@ -54,15 +55,25 @@ class JointDynamics:
     filter_lookahead: Parameter
 
     def __post_init__(self) -> None:
-        """Refuse unknown joints, a wrong order and values out of range."""
-        known = [joint.name for joint in JOINTS]
+        """Refuse joints that are named twice, and values out of range."""
+        if not self.joints or len(set(self.joints)) < len(self.joints):
+            raise InvalidValueError(f"joints are {list(self.joints)}; name each once")
+        for name in PARAMETERS:
+            self._check(name)
+
+    def require(self, joints: Sequence[JointSpec]) -> None:
+        """See that all joints are among those of a robot, in its order.
+
+        Raises:
+            UnknownNameError: There is no such joint.
+            InvalidValueError: They are in another order.
+        """
+        known = [joint.name for joint in joints]
         for name in self.joints:
             if name not in known:
                 raise UnknownNameError("joint", name, known)
-        if not self.joints or list(self.joints) != [name for name in known if name in self.joints]:
-            raise InvalidValueError(f"joints are {list(self.joints)}; name each once, in the order {known}")
-        for name in PARAMETERS:
-            self._check(name)
+        if list(self.joints) != [name for name in known if name in self.joints]:
+            raise InvalidValueError(f"joints are {list(self.joints)}; name them in the order {known}")
 
     def _check(self, name: str) -> None:
         values = getattr(self, name)
@@ -89,13 +100,16 @@ class JointDynamics:
         return (self.joints, *(tuple(getattr(self, name).tolist()) for name in PARAMETERS))
 
     @classmethod
-    def nominal(cls, joints: Sequence[str] | None = None) -> "JointDynamics":
+    def nominal(
+        cls, joints: Sequence[str] | None = None, specs: Sequence[JointSpec] = JOINTS
+    ) -> "JointDynamics":
         """What the simulator has without an identification: neither latency nor filter.
 
         Args:
             joints: Names, in joint order; all joints if not given.
+            specs: The joints of the robot.
         """
-        specs = [joint for joint in JOINTS if joints is None or joint.name in joints]
+        specs = [joint for joint in specs if joints is None or joint.name in joints]
         fields = ("stiffness", "damping", "frictionloss", "armature")
         return cls(
             joints=tuple(joints or (joint.name for joint in specs)),
@@ -117,8 +131,9 @@ class JointDynamics:
         return JointDynamics(joints=tuple(joints), **values)
 
     def over(self, below: "JointDynamics") -> "JointDynamics":
-        """The joints of both; those that both have are as in here."""
-        joints = tuple(joint.name for joint in JOINTS if joint.name in {*self.joints, *below.joints})
+        """The joints of both, those of the larger first; what both have is as in here."""
+        larger, smaller = sorted((below, self), key=lambda each: -len(each.joints))
+        joints = tuple(dict.fromkeys((*larger.joints, *smaller.joints)))
         owners = [self if name in self.joints else below for name in joints]
         columns = [owner.joints.index(name) for owner, name in zip(owners, joints, strict=True)]
         values = {

@@ -1,60 +1,17 @@
-"""What is only seen: lights, sky, textures and the parts between the links; none collides or has mass."""
+"""What is only seen of the surroundings: lights, sky, textures; none collides or has mass."""
 
 import mujoco
 
-from pixel2catch.robot.constants import TABLE
-from pixel2catch.robot.ur5e import FLANGE_RGBA, TUBE_RGBA, Capsule
+from pixel2catch.scene.workcell import VISUAL_GROUP, TableSpec
 
-VISUAL_GROUP = 2
-"""Geom group of what is only seen."""
-
-LID_RGBA = (0.15, 0.45, 0.72, 1.0)
 PEDESTAL_RGBA = (0.32, 0.33, 0.35, 1.0)
 
-LIDS: dict[str, tuple[Capsule, ...]] = {
-    "shoulder_link": (Capsule(start=(0, 0.055, 0.1625), end=(0, 0.066, 0.1625), radius=0.056),),
-    "upper_arm_link": (
-        Capsule(start=(0, 0, 0.185), end=(0, 0, 0.196), radius=0.053),
-        Capsule(start=(-0.425, 0, 0.185), end=(-0.425, 0, 0.196), radius=0.053),
-    ),
-    "forearm_link": (
-        Capsule(start=(0, 0, -0.044), end=(0, 0, -0.034), radius=0.045),
-        Capsule(start=(-0.3922, 0, -0.043), end=(-0.3922, 0, -0.034), radius=0.040),
-    ),
-    "wrist_1_link": (Capsule(start=(0, 0, 0.170), end=(0, 0, 0.179), radius=0.038),),
-    "wrist_2_link": (Capsule(start=(0, 0, 0.136), end=(0, 0, 0.145), radius=0.038),),
-}
-"""Blue lids of the arm's joints."""
 
-HOUSINGS: dict[str, tuple[Capsule, ...]] = {
-    "base_link": (Capsule(start=(0, 0, -0.011), end=(0, 0, 0.02), radius=0.075),),
-    "upper_arm_link": (
-        Capsule(start=(0, 0, 0.04), end=(0, 0, 0.185), radius=0.056),
-        Capsule(start=(-0.425, 0, 0.07), end=(-0.425, 0, 0.185), radius=0.056),
-    ),
-    "forearm_link": (
-        Capsule(start=(0, 0, -0.034), end=(0, 0, 0.07), radius=0.048),
-        Capsule(start=(-0.3922, 0, -0.034), end=(-0.3922, 0, 0.065), radius=0.044),
-    ),
-    "wrist_1_link": (Capsule(start=(0, 0, 0.066), end=(0, 0, 0.17), radius=0.0435),),
-    "wrist_2_link": (Capsule(start=(0, 0, 0.045), end=(0, 0, 0.136), radius=0.043),),
-}
-"""Cylinders of the arm's joints."""
-
-FLANGE = Capsule(start=(0, 0, 0.05), end=(0, 0, 0.1070), radius=0.0375)
-"""From the last joint to the hand's mount, in `wrist_3_link`."""
-
-
-def add_looks(spec: mujoco.MjSpec) -> None:
+def add_looks(spec: mujoco.MjSpec, table: TableSpec) -> None:
     """Add everything that is only seen to a complete scene."""
     _add_light(spec)
     _add_textures(spec)
-    for name, cylinders in LIDS.items():
-        _add_cylinders(spec.body(name), cylinders, LID_RGBA)
-    for name, cylinders in HOUSINGS.items():
-        _add_cylinders(spec.body(name), cylinders, TUBE_RGBA)
-    _add_cylinders(spec.body("wrist_3_link"), (FLANGE,), FLANGE_RGBA)
-    _add_pedestal(spec)
+    _add_pedestal(spec, table)
 
 
 def _add_light(spec: mujoco.MjSpec) -> None:
@@ -105,30 +62,16 @@ def _add_textures(spec: mujoco.MjSpec) -> None:
     floor.castshadow = False  # it would speckle itself
 
 
-def _add_pedestal(spec: mujoco.MjSpec) -> None:
+def _add_pedestal(spec: mujoco.MjSpec, table: TableSpec) -> None:
     """A block from the floor to the underside of the table."""
-    x, y, top = TABLE.center
-    height = top - TABLE.thickness
+    x, y, top = table.center
+    height = top - table.thickness
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=(x, y, height / 2),
-        size=(TABLE.size[0] / 2 - 0.05, TABLE.size[1] / 2 - 0.05, height / 2),
+        size=(table.size[0] / 2 - 0.05, table.size[1] / 2 - 0.05, height / 2),
         rgba=PEDESTAL_RGBA,
         group=VISUAL_GROUP,
         contype=0,
         conaffinity=0,
     )
-
-
-def _add_cylinders(body: mujoco.MjsBody, cylinders: tuple[Capsule, ...], rgba: tuple[float, ...]) -> None:
-    for cylinder in cylinders:
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            fromto=(*cylinder.start, *cylinder.end),
-            size=(cylinder.radius, 0, 0),
-            mass=0.0,
-            rgba=rgba,
-            group=VISUAL_GROUP,
-            contype=0,
-            conaffinity=0,
-        )

@@ -4,6 +4,7 @@ The model of every object has the same layout; only the values of a few fields d
 """
 
 from collections.abc import Mapping
+from itertools import combinations
 from os import PathLike
 from pathlib import Path
 
@@ -11,22 +12,14 @@ import mujoco
 import numpy as np
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.scene.workcell import add_robots
-from pixel2catch.scene.workcells import find_workcell
-from pixel2catch.robot.constants import (
-    FINGERS,
-    JOINTS,
-    TABLE,
-    UR5E_DH,
-    JointSpec,
-    effort_limits,
-    quat_multiply,
-)
+from pixel2catch.robot.constants import quat_multiply
 from pixel2catch.robot.contact import SOLIMP, contact_solref, table_solref
 from pixel2catch.robot.looks import add_looks
 from pixel2catch.robot.objects import MAX_PARTS, OBJECTS, ObjectSpec
 from pixel2catch.robot.scene_cfg import SceneCfg
-from pixel2catch.robot.ur5e import add_arm, dh_pose
+from pixel2catch.robots.spec import JointSpec
+from pixel2catch.scene.workcell import TableSpec, WorkcellSpec, add_robots
+from pixel2catch.scene.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)
 NO_PART = "no_part"
@@ -45,6 +38,9 @@ CONTACT_DATA = sum(
     1 << int(field)
     for field in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_DIST)
 )
+Contact = tuple[mujoco.mjtObj, str]
+"""One side of a contact: a body, a body with all that hangs on it, or a geom, by name."""
+
 REDUCE_MINDIST = 1
 """Of several contacts a sensor reports the deepest."""
 
@@ -57,21 +53,17 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     """
     if object_name not in OBJECTS:
         raise UnknownNameError("object", object_name, OBJECTS)
-    if cfg.handedness not in ("left", "right"):
-        raise UnknownNameError("handedness", cfg.handedness, ("left", "right"))
-    if cfg.arm_effort not in ("maker", "release"):
-        raise UnknownNameError("arm effort", cfg.arm_effort, ("maker", "release"))
-    workcell = find_workcell({"left": "ur5e_allegro", "right": "ur5e_allegro_right"}[cfg.handedness])
+    workcell = find_workcell(cfg.workcell)
     spec = mujoco.MjSpec()
     spec.modelname = "pixel2catch"
     _set_options(spec, cfg)
-    _add_surroundings(spec, cfg)
+    _add_surroundings(spec, cfg, workcell.table)
     add_robots(spec, workcell, cfg.visuals)
-    _add_servos(spec, cfg)
+    _add_servos(spec, workcell.joints)
     _add_object(spec, cfg, OBJECTS[object_name])
-    _add_contact_rules(spec)
+    _add_contact_sensors(spec, workcell)
     if cfg.visuals:
-        add_looks(spec)
+        add_looks(spec, workcell.table)
     return spec
 
 
@@ -135,7 +127,7 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     option.ls_iterations = 20
 
 
-def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
+def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg, table: TableSpec) -> None:
     """Floor, table and the camera; floor and table are bodies of their own, for the broad phase."""
     world = spec.worldbody
     world.add_body(name="floor").add_geom(
@@ -146,8 +138,8 @@ def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
         contype=FLOOR_BIT,
         conaffinity=FLOOR_BIT,
     )
-    x, y, top = TABLE.center
-    half = (TABLE.size[0] / 2, TABLE.size[1] / 2, TABLE.thickness / 2)
+    x, y, top = table.center
+    half = (table.size[0] / 2, table.size[1] / 2, table.thickness / 2)
     pos = (x, y, top - half[2])
     world.add_body(name="table").add_geom(
         name="table",
@@ -171,19 +163,19 @@ def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     )
 
 
-def _add_servos(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
+def _add_servos(spec: mujoco.MjSpec, joints: tuple[JointSpec, ...]) -> None:
     """Limits, friction and a position servo for every joint, in the order of the joints."""
-    for joint_spec, effort in zip(JOINTS, effort_limits(cfg.arm_effort), strict=True):
+    for joint_spec in joints:
         joint = spec.joint(joint_spec.name)
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.range = (joint_spec.lower, joint_spec.upper)
         joint.frictionloss = joint_spec.frictionloss
         joint.armature = joint_spec.armature
-        _add_servo(spec, joint_spec, effort)
+        _add_servo(spec, joint_spec)
 
 
-def _add_servo(spec: mujoco.MjSpec, joint: JointSpec, effort: float) -> None:
-    """Torque = stiffness (target - position) - damping velocity, limited to `effort` [N·m]."""
+def _add_servo(spec: mujoco.MjSpec, joint: JointSpec) -> None:
+    """Torque = stiffness (target - position) - damping velocity, limited to the effort of the servo."""
     gain, bias = np.zeros(10), np.zeros(10)
     gain[0] = joint.stiffness
     bias[1], bias[2] = -joint.stiffness, -joint.damping
@@ -198,7 +190,7 @@ def _add_servo(spec: mujoco.MjSpec, joint: JointSpec, effort: float) -> None:
         ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
         ctrlrange=(joint.lower, joint.upper),
         forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-        forcerange=(-effort, effort),
+        forcerange=(-joint.effort_limit, joint.effort_limit),
     )
 
 
@@ -233,24 +225,44 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
         )
 
 
-def _add_contact_rules(spec: mujoco.MjSpec) -> None:
-    """Pairs that never collide, and the contact sensors.
+def contact_sensors(workcell: WorkcellSpec) -> tuple[str, ...]:
+    """Names of the contact sensors.
 
-    The palm is hollow where the thumb is; its box and those of the thumb's housings overlap there.
+    Each palm and its fingers with the object, anything with it, then each robot with the table, each with
+    itself, and each with each other one.
     """
+    parts = [
+        name
+        for palm in workcell.palms
+        for name in (palm.spec.name, *(finger.name for finger in palm.spec.fingers))
+    ]
+    robots = [placed.prefix + "robot" for placed in workcell.robots]
+    pairs = [f"{first}_{second}" for first, second in combinations(robots, 2)]
+    return (
+        *(f"object_{part}" for part in parts),
+        "object_any",
+        *(f"{robot}_table" for robot in robots),
+        *(f"{robot}_self" for robot in robots),
+        *pairs,
+    )
+
+
+def _add_contact_sensors(spec: mujoco.MjSpec, workcell: WorkcellSpec) -> None:
+    """The sensors, in the order of `contact_sensors`."""
     subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
-    thrown = (body, "object")
-    _add_sensor(spec, "object_palm", thrown, (body, "palm"))
-    for finger in FINGERS:
-        _add_sensor(spec, f"object_{finger}", thrown, (subtree, f"{finger}_link_0"))
-    _add_sensor(spec, "object_any", thrown, None)
-    _add_sensor(spec, "robot_table", (subtree, "base_link"), (mujoco.mjtObj.mjOBJ_GEOM, "table"))
-    _add_sensor(spec, "robot_self", (subtree, "base_link"), (subtree, "base_link"))
+    thrown, table = (body, "object"), (mujoco.mjtObj.mjOBJ_GEOM, "table")
+    pairs: list[tuple[Contact, Contact | None]] = []
+    for palm in workcell.palms:
+        pairs.append((thrown, (body, palm.spec.body)))
+        pairs += [(thrown, (subtree, finger.root)) for finger in palm.spec.fingers]
+    roots = [(subtree, root) for root in workcell.roots]
+    pairs += [(thrown, None), *((root, table) for root in roots), *((root, root) for root in roots)]
+    pairs += combinations(roots, 2)
+    for name, (first, second) in zip(contact_sensors(workcell), pairs, strict=True):
+        _add_sensor(spec, name, first, second)
 
 
-def _add_sensor(
-    spec: mujoco.MjSpec, name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str] | None
-) -> None:
+def _add_sensor(spec: mujoco.MjSpec, name: str, first: Contact, second: Contact | None) -> None:
     """A sensor of (found, dist [m]) of the deepest contact between two bodies, subtrees or geoms."""
     sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
     sensor.objtype, sensor.objname = first

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robot.allegro import Handedness
-from pixel2catch.robot.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, ArmEffort, CameraSpec
+from pixel2catch.robot.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.contact import SOLIMP
+from pixel2catch.scene.workcells import UR5E_ALLEGRO
 
 MAX_OBJECT_SCALE = 1.4
 """Of the largest object's 6.75 cm, that stays within `scene.OBJECT_BOUND`."""
@@ -16,8 +16,7 @@ class SceneCfg:
     """What can be chosen about the scene.
 
     Attributes:
-        handedness: Left as in the release, or its mirror image.
-        arm_effort: Whose torque limits the arm has: its maker's, or the release's larger ones.
+        workcell: Name of the work cell, or a Python file that defines `WORKCELL`.
         physics_hz: Physics steps in a second, a multiple of the control rate. Default: paper.
         visuals: Whether to add lights, textures and what is only seen.
         camera: What pictures are taken by.
@@ -27,8 +26,7 @@ class SceneCfg:
         object_scale: Factor on every object's size; its mass stays.
     """
 
-    handedness: Handedness = "left"
-    arm_effort: ArmEffort = "maker"
+    workcell: str = UR5E_ALLEGRO.name
     physics_hz: float = 1.0 / PHYSICS_DT
     visuals: bool = False
     camera: CameraSpec = RGB_CAMERA

@@ -1,8 +1,8 @@
-"""Where the parts of a work cell are for given joint positions: poses of palms, and how near robots are to the
-table. What a command may not do in deployment, and what it costs in training.
+"""Poses of palms for given joint positions, and how near robots are to the table.
 
-An arm is made of capsules about its links, a hand is a box that holds it in every position of the fingers. The
-base and the first link stand on the table.
+The latter is what a command may not do in deployment, and what it costs in training. An arm is made of
+capsules about its links, a hand is a box that holds it in every position of the fingers. The base and the
+first link stand on the table.
 """
 
 from dataclasses import dataclass
