@@ -22,7 +22,7 @@ from pixel2catch.mdp.observations import (
 )
 from pixel2catch.mdp.snapshot import History
 from pixel2catch.scene.workcell import WorkcellSpec
-from pixel2catch.scene.workcells import UR5E_ALLEGRO
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
 @dataclass(frozen=True, kw_only=True)

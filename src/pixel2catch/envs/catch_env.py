@@ -29,7 +29,7 @@ from pixel2catch.mdp.snapshot import History, Measurement, Transition
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
 from pixel2catch.robot.constants import CONTROL_DT
-from pixel2catch.scene.workcells import find_workcell
+from pixel2catch.workcells import find_workcell
 
 
 class CatchEnv:

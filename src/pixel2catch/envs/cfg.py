@@ -16,7 +16,7 @@ from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.objects import SEEN
 from pixel2catch.robot.scene import SceneCfg
-from pixel2catch.scene.workcells import find_workcell
+from pixel2catch.workcells import find_workcell
 
 COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera")
 """What of the sensors is not drawn for an episode."""

@@ -25,9 +25,9 @@ from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.scene.geometry import WorkcellGeometry
 from pixel2catch.scene.workcell import WorkcellSpec
-from pixel2catch.scene.workcells import find_workcell
 from pixel2catch.sim.devices import make_simulation
 from pixel2catch.sim.simulation import Simulation
+from pixel2catch.workcells import find_workcell
 
 OCCLUDER_GROUPS = (0, 3)
 """Geom groups that can hide the object: table and floor, robot."""

@@ -13,7 +13,7 @@ from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.scene.workcell import WorkcellSpec
-from pixel2catch.scene.workcells import UR5E_ALLEGRO
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 1
 """Version of the files. Raised when an older one can no longer be read."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pixel2catch.errors import PolicyMismatchError
-from pixel2catch.scene.workcells import UR5E_ALLEGRO
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 2
 """Version of the files that `Policy.save` writes. Raised when an older file can no longer be read."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robot.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.contact import SOLIMP
-from pixel2catch.scene.workcells import UR5E_ALLEGRO
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 MAX_OBJECT_SCALE = 1.4
 """Of the largest object's 6.75 cm, that stays within `scene.OBJECT_BOUND`."""

@@ -1,12 +1,11 @@
-"""The work cells that there are, by name."""
+"""The paper's robot: a UR5e with an Allegro hand; and two of them."""
 
-from functools import cache
+from dataclasses import replace
 
-from pixel2catch.errors import UnknownNameError
 from pixel2catch.robots.allegro import Handedness, allegro
 from pixel2catch.robots.spec import Placed, Quat, RobotSpec, Vec3
 from pixel2catch.robots.ur5e import UR5E, UR5E_OF_RELEASE
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.scene.workcell import TABLE, WorkcellSpec
 
 UR5E_POS: Vec3 = (0.0, 0.0, 0.821)
 """Position of the UR5e's `base_link`. Source: release."""
@@ -30,31 +29,27 @@ def ur5e_allegro(handedness: Handedness = "left", arm: RobotSpec = UR5E) -> Robo
     return arm.holding(allegro(handedness), pos=ALLEGRO_POS, quat=ALLEGRO_QUAT)
 
 
-def _alone(name: str, robot: RobotSpec) -> WorkcellSpec:
-    """A work cell of one robot where the paper's stands."""
+def on_paper_table(name: str, robot: RobotSpec) -> WorkcellSpec:
+    """A work cell of one robot that stands where the paper's does."""
     return WorkcellSpec(name=name, robots=(Placed(robot=robot, pos=UR5E_POS, quat=UR5E_QUAT),))
 
 
-UR5E_ALLEGRO = _alone("ur5e_allegro", ur5e_allegro())
-"""The paper's robot, with the left hand."""
+UR5E_ALLEGRO = on_paper_table("ur5e_allegro", ur5e_allegro())
+"""The paper's robot, with the left hand of the release."""
 
-WORKCELLS: dict[str, WorkcellSpec] = {
-    workcell.name: workcell
-    for workcell in (
-        UR5E_ALLEGRO,
-        _alone("ur5e_allegro_right", ur5e_allegro("right")),
-        _alone("ur5e_allegro_release", ur5e_allegro(arm=UR5E_OF_RELEASE)),
-    )
-}
+TWO_UR5E_ALLEGRO = WorkcellSpec(
+    name="two_ur5e_allegro",
+    robots=(
+        Placed(robot=ur5e_allegro("left"), pos=(0.0, 0.45, 0.821), quat=UR5E_QUAT, prefix="left_"),
+        Placed(robot=ur5e_allegro("right"), pos=(0.0, -0.45, 0.821), quat=UR5E_QUAT, prefix="right_"),
+    ),
+    table=replace(TABLE, size=(0.75, 1.65)),
+)
+"""Side by side on a longer table, with a left and a right hand. Source: ours."""
 
-
-@cache
-def find_workcell(name: str) -> WorkcellSpec:
-    """The work cell of that name.
-
-    Raises:
-        UnknownNameError: With the valid names.
-    """
-    if name not in WORKCELLS:
-        raise UnknownNameError("work cell", name, WORKCELLS)
-    return WORKCELLS[name]
+WORKCELLS = (
+    UR5E_ALLEGRO,
+    on_paper_table("ur5e_allegro_right", ur5e_allegro("right")),
+    on_paper_table("ur5e_allegro_release", ur5e_allegro(arm=UR5E_OF_RELEASE)),
+    TWO_UR5E_ALLEGRO,
+)

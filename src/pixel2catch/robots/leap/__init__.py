@@ -1,0 +1,78 @@
+"""The right LEAP hand (Shaw, Agarwal and Pathak 2023): three fingers and a thumb of four joints each."""
+
+from pathlib import Path
+
+from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, PalmSpec, Range, RobotSpec
+
+
+def _joint(name: str, limits: Range, home: float = 0.0) -> JointSpec:
+    """Make a joint; the servo is the same in all of them."""
+    return JointSpec(
+        name=f"leap_{name}",
+        lower=limits[0],
+        upper=limits[1],
+        home=home,
+        stiffness=3.0,
+        damping=0.1,
+        frictionloss=0.01,
+        armature=1e-3,
+        effort_limit=0.5,
+        velocity_limit=8.0,
+    )
+
+
+FINGERS = ("index", "middle", "ring")
+
+HAND = JointGroup(
+    name="hand",
+    role="hand",
+    joints=(
+        *(
+            _joint(f"{finger}_{name}", limits)
+            for finger in FINGERS
+            for name, limits in (
+                ("mcp", (-0.314, 2.23)),
+                ("rot", (-0.35, 0.35)),
+                ("pip", (-0.506, 1.885)),
+                ("dip", (-0.366, 2.042)),
+            )
+        ),
+        _joint("thumb_cmc", (-0.349, 2.094)),
+        _joint("thumb_axl", (-0.349, 2.094)),
+        _joint("thumb_mcp", (-0.47, 2.443)),
+        _joint("thumb_ipl", (-1.34, 1.88)),
+    ),
+    command="absolute",
+    gain_range=(0.7, 1.3),
+    action_noise=0.02,
+    action_bias=0.005,
+)
+"""Four joints of each finger.
+
+Source: limits: public descriptions of the hand, but for the fingers' abduction, which is narrowed to where
+they do not press on each other (ours); torque and speed: the servos' data sheet (XL330-M288-T: 0.52 N·m and
+10.8 rad/s at 5 V), rounded down; gains, friction and armature: ours, the Allegro hand's. Command, gain ranges and
+noise of actions: as the Allegro hand's.
+"""
+
+LEAP_RIGHT = RobotSpec(
+    name="leap_right",
+    mjcf=Path(__file__).with_name("right.xml"),
+    root="leap_palm",
+    groups=(HAND,),
+    palms=(
+        PalmSpec(
+            name="palm",
+            site="leap_palm",
+            body="leap_palm",
+            fingers=tuple(
+                FingerSpec(name=finger, root=f"leap_{finger}_base", tip=f"leap_{finger}_tip")
+                for finger in (*FINGERS, "thumb")
+            ),
+            lower=(-0.25, -0.17, -0.20),
+            upper=(0.16, 0.19, 0.06),
+        ),
+    ),
+)
+"""The palm is the middle of the surface between fingers and thumb. Box: the model over all joint positions,
+and the last link of an arm behind it, rounded up (ours)."""
