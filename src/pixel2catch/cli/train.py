@@ -63,6 +63,7 @@ class Train:
     """
 
     method: Positional[str] = "proposed"
+    workcell: str = "ur5e_allegro"
     task: str | None = None
     preset: Literal["fast", "cpu", "paper"] | None = None
     device: str | None = None
@@ -104,14 +105,17 @@ class Train:
         from pixel2catch.envs.tasks import find_task
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.methods import find_method
+        from pixel2catch.workcells import find_workcell
         from pixel2catch.policy import contract_of
         from pixel2catch.rl import train
 
-        method, cfg = find_method(self.method), self.resolve()
-        task = find_task(cfg.task).with_files(cfg.dynamics, cfg.camera)
+        workcell = find_workcell(self.workcell)
+        method, cfg = find_method(self.method, workcell), self.resolve()
+        task = find_task(cfg.task)
+        task = dataclasses.replace(task, scene=dataclasses.replace(task.scene, workcell=workcell.name)).with_files(cfg.dynamics, cfg.camera)
         scenes = {rate: dataclasses.replace(task.scene, physics_hz=rate) for rate in cfg.physics_hz}
         sensing = dataclasses.replace(task.sensing, latency_steps=cfg.latency_steps)
-        contract = contract_of(method, task.scene.handedness, sensing.camera.camera)
+        contract = contract_of(method, workcell, sensing.camera.camera)
         contract = dataclasses.replace(contract, task=cfg.task)
         teacher = load_policy(cfg.teacher)[1] if cfg.teacher else None
 

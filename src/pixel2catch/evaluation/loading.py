@@ -12,9 +12,9 @@ from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import Method, find_method
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.allegro import Handedness
 from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.workcells import find_workcell
 
 PHYSICS_HZ = 600.0
 """Physics rate of evaluations. Source: ours, five times the paper's rate of training.
@@ -56,8 +56,9 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
         UnknownNameError: If its method does not exist.
     """
     policy = Policy.load(policy_folder(folder), device)
-    method = find_method(policy.contract.method)
-    expected, found = contract_of(method, policy.contract.handedness), policy.contract.camera
+    workcell = find_workcell(policy.contract.workcell)
+    method = find_method(policy.contract.method, workcell)
+    expected, found = contract_of(method, workcell), policy.contract.camera
     size = {name: expected.camera[name] for name in ("width", "height")}
     camera = {name: found.get(name, value) for name, value in expected.camera.items()} | size
     policy.contract.require(replace(expected, camera=camera))
@@ -103,8 +104,7 @@ def task_of(
         InvalidValueError: If the rate does not divide a control step into whole physics steps, or a file
             cannot be read.
     """
-    handedness = cast(Handedness, policy.contract.handedness)  # the scene refuses other values
-    task = CatchEnvCfg(scene=SceneCfg(handedness=handedness, physics_hz=physics_hz))
+    task = CatchEnvCfg(scene=SceneCfg(workcell=policy.contract.workcell, physics_hz=physics_hz))
     return task.with_camera(CameraFile(camera=_camera_of(policy))).with_files(dynamics, camera)
 
 

@@ -15,7 +15,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.agents import COMMANDS
+from pixel2catch.agents import commands_of
+from pixel2catch.mdp.columns import put, take
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+COMMANDS = commands_of(UR5E_ALLEGRO)
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.step import Step
@@ -149,8 +153,8 @@ def run_round(
     state = _round_start(env)
     for number in range(1, ROUND_STEPS + 1):
         chosen = actor.act(observation.policy)
-        action = state.chosen(torch.cat([chosen[agent.name] for agent in env.method.agents], dim=-1))
-        step = env.step({agent.name: action[:, agent.joints] for agent in env.method.agents})
+        action = state.chosen(put([(agent.joints, chosen[agent.name]) for agent in env.method.agents]))
+        step = env.step({agent.name: take(action, agent.joints) for agent in env.method.agents})
         state = state.advanced(step, action, number)
         observation = step.observation
         watch(step, state)
