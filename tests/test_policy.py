@@ -11,9 +11,11 @@ from pixel2catch.camera.features import PIXEL_FEATURES
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method
 from pixel2catch.policy import Policy, PolicyContract, build_mlp, contract_of
+from pixel2catch.workcells import find_workcell
 
 METHOD = METHODS["proposed"]
-CONTRACT = contract_of(METHOD, "left")
+RIGHT = find_workcell("ur5e_allegro_right")
+CONTRACT = contract_of(METHOD)
 
 
 @pytest.fixture
@@ -75,7 +77,7 @@ def test_save_and_load(policy: Policy, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 def test_contract_of_every_method(method: Method) -> None:
-    contract = contract_of(method, "right")
+    contract = contract_of(method, RIGHT)
     joints = [joint for agent in contract.agents.values() for joint in agent.joints]
     assert joints == list(contract.commands)
     assert len(joints) == 19
@@ -91,7 +93,7 @@ def test_contract_of_every_method(method: Method) -> None:
 @pytest.mark.parametrize("name", ["proposed", "catch_alone", "without_pf"])
 def test_contract_of_a_method_with_a_memory(name: str, memory: str) -> None:
     """It has the terms of the memory behind the two frames; the frames are those without it."""
-    plain, method = contract_of(METHODS[name], "left"), contract_of(find_method(f"{name}+{memory}"), "left")
+    plain, method = contract_of(METHODS[name]), contract_of(find_method(f"{name}+{memory}"))
     for agent, spec in zip(method.agents, find_method(method.method).agents, strict=True):
         frames = plain.agents[agent].observation
         assert method.agents[agent].observation[: len(frames)] == frames
@@ -109,14 +111,14 @@ def test_sizes_of_the_paper() -> None:
 
 
 def test_a_mismatch_names_the_fields() -> None:
-    CONTRACT.require(contract_of(METHOD, "left"))
-    other = dataclasses.replace(contract_of(METHODS["only_wh"], "right"), control_dt=0.02)
+    CONTRACT.require(contract_of(METHOD))
+    other = dataclasses.replace(contract_of(METHODS["only_wh"], RIGHT), control_dt=0.02)
     with pytest.raises(PolicyMismatchError) as error:
         CONTRACT.require(other)
     message = str(error.value)
     assert "method: policy 'proposed', here 'only_wh'" in message
     assert "control_dt: policy 0.0333" in message
-    assert "handedness: policy 'left', here 'right'" in message
+    assert "workcell: policy 'ur5e_allegro', here 'ur5e_allegro_right'" in message
     assert "agents.arm.observation" in message
     assert "camera" not in message
 

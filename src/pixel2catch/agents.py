@@ -17,7 +17,7 @@ from pixel2catch.mdp.observations import PAPER_TERMS, ObservationTerm
 from pixel2catch.mdp.rewards import BodyPart, RewardTerm
 from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.robots.spec import JointGroup
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.robots.workcell import WorkcellSpec
 
 ACTION_WEIGHT = -0.01
 """Weight of the squared action of each agent. Source: paper, Eq. 3 and 4."""

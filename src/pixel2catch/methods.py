@@ -21,7 +21,7 @@ from pixel2catch.mdp.observations import (
     pixel_columns,
 )
 from pixel2catch.mdp.snapshot import History
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 

@@ -21,9 +21,7 @@ from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 
-STEADY_ACTIONS = RandomizationCfg(
-    arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
-)
+STEADY_ACTIONS = RandomizationCfg(action_noise=0.0, action_bias=0.0)
 """The environment adds this noise after the policy, where no controller can know of it."""
 
 NUM_EPISODES = 2

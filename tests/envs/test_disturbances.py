@@ -18,15 +18,14 @@ from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method
-from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS, RGB_CAMERA, TABLE
+from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS, RGB_CAMERA
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.robots.workcell import TABLE
 
 PROPOSED = METHODS["proposed"]
 EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0, latency_steps=(0, 0))
-STILL = RandomizationCfg(
-    arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
-)
+STILL = RandomizationCfg(action_noise=0.0, action_bias=0.0)
 SHAKE = ShakeCfg(amplitude=0.02, frequency=2.0)
 FINE = SceneCfg(physics_hz=600.0)
 AT_ONCE = ThrowCfg(hover_steps=(2, 2))

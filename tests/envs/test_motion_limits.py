@@ -16,7 +16,8 @@ from pixel2catch.robot.joint_dynamics import JointDynamics
 
 SPEED_LIMIT = 2.79253
 EFFORTS = [joint.effort_limit for joint in JOINTS]
-SERVOS = Servos.on(torch.device("cpu"), torch.float64, JointDynamics.nominal(), EFFORTS)
+SPEEDS = [joint.velocity_limit for joint in JOINTS]
+SERVOS = Servos.on(torch.device("cpu"), torch.float64, JointDynamics.nominal(), EFFORTS, SPEEDS)
 STIFFNESS = torch.tensor([joint.stiffness for joint in JOINTS], dtype=torch.float64)
 DAMPING = torch.tensor([joint.damping for joint in JOINTS], dtype=torch.float64)
 SEEDS = st.integers(0, 2**31)

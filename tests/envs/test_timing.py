@@ -25,9 +25,7 @@ from pixel2catch.robot.scene import SceneCfg
 EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0)
 ANY = SensingCfg(latency_steps=(0.6, 4.3), latency_grid=0.0)
 AT_ONCE, HOVERING = ThrowCfg(hover_steps=(2, 2)), ThrowCfg(hover_steps=(80, 80))
-STILL = RandomizationCfg(
-    arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
-)
+STILL = RandomizationCfg(action_noise=0.0, action_bias=0.0)
 COARSE = SceneCfg(physics_hz=60.0)
 METHOD = find_method("proposed+boxes")
 SOME = range(METHOD.num_boxes)

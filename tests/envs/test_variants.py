@@ -109,7 +109,7 @@ def test_a_variant_of_what_is_not_drawn_is_refused(name: str):
         replace(PLAIN, variants=(other,))
 
 
-@pytest.mark.parametrize("name", ["arm_action_noise", "hand_action_noise"])
+@pytest.mark.parametrize("name", ["action_noise"])
 def test_a_variant_of_the_noise_of_actions_is_refused(name: str):
     other = replace(FAR, randomization=replace(FAR.randomization, **{name: 0.5}))
     with pytest.raises(InvalidValueError, match=f"randomization.{name} differs in a variant"):

@@ -168,9 +168,7 @@ def test_shake_begins_after_the_hold_test():
 
 def test_shake_accelerates_the_palm():
     """Peak acceleration of the palm about 5 m/s², by second differences of control steps, without noise."""
-    randomization = RandomizationCfg(
-        arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
-    )
+    randomization = RandomizationCfg(action_noise=0.0, action_bias=0.0)
     quiet = CatchEnvCfg(randomization=randomization, sensing=SensingCfg(joint_noise=0.0))
     cfg = EvaluationCfg(objects=("sphere_s",), num_envs=NUM_ENVS, task=quiet)
     env = cfg.make_env(PROPOSED)

@@ -9,8 +9,11 @@ from torch import Tensor
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.snapshot import Measurement, Privileged, Transition
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robots.geometry import WorkcellGeometry
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_JOINTS = len(JOINTS)
+GEOMETRY = WorkcellGeometry(UR5E_ALLEGRO)
 
 
 def numbers(num_envs: int, size: int, start: float) -> Tensor:
@@ -33,8 +36,8 @@ def measurement(num_envs: int = 1, start: float = 0.0, num_boxes: int = 1) -> Me
         initial_object_pos=numbers(num_envs, 3, start + 1200.0),
         joint_pos=numbers(num_envs, NUM_JOINTS, start + 2000.0),
         joint_pos_target=numbers(num_envs, NUM_JOINTS, start + 3000.0),
-        palm_pos=numbers(num_envs, 3, start + 4000.0),
-        palm_quat=numbers(num_envs, 4, start + 5000.0),
+        palm_pos=numbers(num_envs, 3, start + 4000.0)[:, None],
+        palm_quat=numbers(num_envs, 4, start + 5000.0)[:, None],
         action=numbers(num_envs, NUM_JOINTS, start + 6000.0),
     )
 
@@ -43,7 +46,7 @@ def privileged(**values: Tensor) -> Privileged:
     """What only the simulator knows, in as many environments as the given values have."""
     num_envs = len(next(iter(values.values()))) if values else 1
     fields = {
-        "palm_pos": torch.zeros(num_envs, 3),
+        "palm_pos": torch.zeros(num_envs, 1, 3),
         "fingertip_pos": torch.zeros(num_envs, 4, 3),
         "object_pos": torch.tensor([1.0, 0.0, 1.0]).repeat(num_envs, 1),
         "object_lin_vel": torch.zeros(num_envs, 3),
@@ -52,6 +55,8 @@ def privileged(**values: Tensor) -> Privileged:
         "is_self_contact": torch.zeros(num_envs, dtype=torch.bool),
         "joint_vel": torch.zeros(num_envs, NUM_JOINTS),
     }
+    if "palm_pos" in values and values["palm_pos"].ndim == 2:
+        values["palm_pos"] = values["palm_pos"][:, None]  # of the only palm
     return Privileged(**fields | values)
 
 
@@ -74,6 +79,7 @@ def transition(
         joint_pos_target=torch.zeros(num_envs, NUM_JOINTS) if joint_pos_target is None else joint_pos_target,
         held_steps=torch.tensor(held_steps or (0,) * num_envs),
         episode_steps=torch.tensor(episode_steps or (1,) * num_envs),
+        geometry=GEOMETRY,
     )
 
 

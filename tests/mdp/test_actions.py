@@ -6,11 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from pixel2catch.agents import COMMANDS
+from pixel2catch.agents import commands_of
 from pixel2catch.mdp.actions import ActionMap, JointCommand, absolute_command, relative_command
 from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS, JOINTS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_ARM = len(ARM_JOINTS)
+COMMANDS = commands_of(UR5E_ALLEGRO)
 MAP = ActionMap.of(COMMANDS, torch.device("cpu"))
 HOME = torch.tensor([[joint.home for joint in JOINTS]])
 LOWER = torch.tensor([joint.lower for joint in JOINTS])

@@ -7,8 +7,9 @@ import pytest
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import TABLE_1_GAINS, GainRanges
+from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ELBOW, INDEX = 2, 6
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
@@ -21,8 +22,9 @@ def with_elbow(columns: tuple, value: object) -> tuple:
     return (*columns[:ELBOW], value, *columns[ELBOW + 1 :])
 
 
+PAPER = GainRanges().of(UR5E_ALLEGRO)
 GAINS = GainRanges(
-    damping_scale=with_elbow(TABLE_1_GAINS, (0.95, 1.05)),
+    damping_scale=with_elbow(PAPER.damping_scale, (0.95, 1.05)),
     is_damping_relative=with_elbow((False,) * 19, True),
 )
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from snapshots import NUM_JOINTS, measurement, privileged, tensors
 
-from pixel2catch.agents import ARM, HAND, AgentSpec
+from pixel2catch.agents import AgentSpec, agents_of
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features, select_features
 from pixel2catch.mdp import observations
 from pixel2catch.mdp.box_history import BoxHistory
@@ -17,8 +17,10 @@ from pixel2catch.mdp.observations import Frame, observe, pixel_columns, privileg
 from pixel2catch.mdp.snapshot import History
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
 from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PROPOSED = METHODS["proposed"]
+ARM, HAND = agents_of(UR5E_ALLEGRO)
 OLDEST, BEFORE, NOW = (measurement(2, start) for start in (0.0, 0.25, 0.75))
 HISTORY = History(OLDEST, BEFORE, NOW)
 
@@ -39,14 +41,14 @@ SIZES = {
 
 def observation(agent: AgentSpec, method: Method, history: History = HISTORY) -> torch.Tensor:
     columns = pixel_columns(method.pixel_features)
-    return observe(agent.observation, agent.memory, agent.joints, columns, history)
+    return observe(agent.observation, agent.memory, agent.joints, agent.palms, columns, history)
 
 
 def seeing(box: list[list[float]], age: list[float]) -> Frame:
     """A frame of a robot that remembers these boxes, newest first."""
     boxes = BoxHistory(box=torch.tensor([box]), age=torch.tensor([age]))
     now = dataclasses.replace(measurement(), boxes=boxes)
-    return Frame(before=measurement(), now=now, joints=ARM.joints, pixel_columns=())
+    return Frame(before=measurement(), now=now, joints=ARM.joints, palms=ARM.palms, pixel_columns=())
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
@@ -61,7 +63,7 @@ def test_layout(agent: AgentSpec):
     frames = []
     for before, now in itertools.pairwise(HISTORY):
         z = select_features(pixel_features(before.box, now.box, RGB_CAMERA), PROPOSED.pixel_features)
-        own = agent.joints
+        (own,) = agent.joints
         frames += [z, now.palm_pos, now.palm_quat, now.joint_pos[:, own], now.action[:, own]]
     assert torch.equal(observation(agent, PROPOSED), torch.cat(frames, dim=-1))
 
@@ -72,6 +74,7 @@ def test_pixel_features_by_hand():
         before=seeing([[300.0, 100.0, 320.0, 130.0]], [1.0]).now,
         now=seeing([[304.0, 108.0, 336.0, 132.0]], [1.0]).now,
         joints=ARM.joints,
+        palms=ARM.palms,
         pixel_columns=pixel_columns(PROPOSED.pixel_features),
     )
     expected = torch.tensor([[0.5, 0.25, 10.0, 5.0, 12.0, -6.0]])
@@ -176,7 +179,10 @@ def test_a_memory_comes_after_the_frames(name: str, memory: str):
     history = History(*(measurement(2, start, method.num_boxes) for start in (0.0, 0.25, 0.75)))
     for agent, forgetful in zip(method.agents, plain.agents, strict=True):
         columns = pixel_columns(method.pixel_features)
-        frame = Frame(before=history.before, now=history.now, joints=agent.joints, pixel_columns=columns)
+        joints, palms = agent.joints, agent.palms
+        frame = Frame(
+            before=history.before, now=history.now, joints=joints, palms=palms, pixel_columns=columns
+        )
         remembered = [term(frame) for term in agent.memory]
         expected = torch.cat((observation(forgetful, plain, history), *remembered), dim=-1)
         assert torch.equal(observation(agent, method, history), expected)

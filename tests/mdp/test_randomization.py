@@ -16,9 +16,17 @@ from pixel2catch.mdp.randomization import (
     sample_parameters,
 )
 from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_ARM = 6
 OBJECT_IDS = torch.tensor([2, 5, 11])
+
+
+BIAS = by_joint(UR5E_ALLEGRO, "action_bias", torch.device("cpu"))
+
+
+def resolved(cfg: RandomizationCfg) -> RandomizationCfg:
+    return dataclasses.replace(cfg, gains=cfg.gains.of(UR5E_ALLEGRO))
 
 
 def drawn(
@@ -29,21 +37,15 @@ def drawn(
 ) -> EpisodeParameters:
     generator = torch.Generator().manual_seed(seed)
     return sample_parameters(
-        cfg or RandomizationCfg(), sensing or SensingCfg(), OBJECT_IDS, num_envs, generator
+        resolved(cfg or RandomizationCfg()), sensing or SensingCfg(), BIAS, OBJECT_IDS, num_envs, generator
     )
 
 
 def test_numbers_of_table_1():
     assert dataclasses.asdict(RandomizationCfg()) == {
-        "gains": {
-            "stiffness_scale": ((0.8, 1.2),) * 6 + ((0.7, 1.3),) * 13,
-            "damping_scale": ((0.8, 1.2),) * 6 + ((0.7, 1.3),) * 13,
-            "is_damping_relative": (False,) * 19,
-        },
-        "arm_action_noise": 0.03,
-        "hand_action_noise": 0.02,
-        "arm_action_bias": 0.01,
-        "hand_action_bias": 0.005,
+        "gains": {"stiffness_scale": (), "damping_scale": (), "is_damping_relative": ()},
+        "action_noise": 1.0,
+        "action_bias": 1.0,
         "initial_joint_noise": 0.125,
         "mass_scale": (0.5, 1.5),
         "restitution": (0.0, 0.5),
@@ -52,6 +54,14 @@ def test_numbers_of_table_1():
         "command_delay_grid": 1.0,
         "air_density": 0.0,
     }
+    assert dataclasses.asdict(GainRanges().of(UR5E_ALLEGRO)) == {
+        "stiffness_scale": ((0.8, 1.2),) * 6 + ((0.7, 1.3),) * 13,
+        "damping_scale": ((0.8, 1.2),) * 6 + ((0.7, 1.3),) * 13,
+        "is_damping_relative": (False,) * 19,
+    }
+    noise = by_joint(UR5E_ALLEGRO, "action_noise", torch.device("cpu"))
+    torch.testing.assert_close(noise, torch.tensor([0.03] * 6 + [0.02] * 13))
+    torch.testing.assert_close(BIAS, torch.tensor([0.01] * 6 + [0.005] * 13))
 
 
 @pytest.mark.parametrize(
@@ -114,7 +124,10 @@ def test_relative_damping_follows_the_stiffness_within_its_own_range():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"stiffness_scale": ((0.8, 1.2),)}, "stiffness_scale has 1 entries; it needs one for each of 19"),
+        (
+            {"stiffness_scale": ((0.8, 1.2),) * 2},
+            "stiffness_scale has 2 entries; it needs one for",
+        ),
         ({"is_damping_relative": (True,) * 18}, "is_damping_relative has 18 entries"),
         ({"damping_scale": ((1.2, 0.8),) * 19}, "damping_scale of shoulder_pan_joint is from 1.2 to 0.8"),
         ({"damping_scale": ((0.0, 0.8),) * 19}, "more than 0"),
@@ -122,7 +135,7 @@ def test_relative_damping_follows_the_stiffness_within_its_own_range():
 )
 def test_ranges_that_are_none_are_refused(changes, message):
     with pytest.raises(InvalidValueError, match=message):
-        GainRanges(**changes)
+        GainRanges(**changes).of(UR5E_ALLEGRO)
 
 
 def test_every_object_is_thrown_as_often():
@@ -175,7 +188,7 @@ def test_a_seed_draws_the_same_at_every_latency(steps, grid):
     generators = [torch.Generator().manual_seed(0) for _ in range(2)]
     changed = SensingCfg(latency_steps=steps, latency_grid=grid)
     for sensing, generator in zip((SensingCfg(), changed), generators, strict=True):
-        sample_parameters(RandomizationCfg(), sensing, OBJECT_IDS, 40, generator)
+        sample_parameters(resolved(RandomizationCfg()), sensing, BIAS, OBJECT_IDS, 40, generator)
     first, second = (torch.rand(3, generator=generator) for generator in generators)
     assert torch.equal(first, second)
 
@@ -183,9 +196,8 @@ def test_a_seed_draws_the_same_at_every_latency(steps, grid):
 def test_randomization_can_be_switched_off():
     one = (1.0, 1.0)
     cfg = RandomizationCfg(
-        gains=GainRanges(stiffness_scale=(one,) * 19, damping_scale=(one,) * 19),
-        arm_action_bias=0.0,
-        hand_action_bias=0.0,
+        gains=GainRanges(stiffness_scale=(one,), damping_scale=(one,)),
+        action_bias=0.0,
         initial_joint_noise=0.0,
         mass_scale=one,
         restitution=(0.2, 0.2),
@@ -203,8 +215,3 @@ def test_a_seed_gives_its_draws_again():
     first, again, other = drawn(seed=1), drawn(seed=1), drawn(seed=2)
     assert all(torch.equal(a, b) for a, b in zip(tensors(first), tensors(again), strict=True))
     assert not torch.equal(first.mass_scale, other.mass_scale)
-
-
-def test_values_by_joint():
-    values = by_joint(2.0, 3.0, torch.device("cpu"))
-    assert values.tolist() == [2.0] * 6 + [3.0] * 13

@@ -1,6 +1,7 @@
 """Reward terms by hand, and the agents' sums as the paper's Eq. 3 and 4."""
 
 import itertools
+from dataclasses import replace
 from math import pi
 
 import pytest
@@ -10,13 +11,17 @@ from hypothesis import strategies as st
 from snapshots import NUM_JOINTS, privileged, transition
 from torch import Tensor
 
-from pixel2catch.agents import ARM, HAND, RESTING_ARM, RESTING_HAND, AgentSpec
+from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_of
 from pixel2catch.mdp import rewards
-from pixel2catch.mdp.rewards import RewardTerm, term_values
+from pixel2catch.mdp.rewards import RewardTerm
 from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.methods import METHODS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-ANY = slice(0, NUM_JOINTS)
+ARM, HAND = agents_of(UR5E_ALLEGRO)
+RESTING_ARM, RESTING_HAND = agents_of(UR5E_ALLEGRO, RESTING_REWARDS)
+((ARM_PART,), (HAND_PART,)) = ARM.parts, HAND.parts
+ANY = replace(HAND_PART, joints=slice(0, NUM_JOINTS))
 
 
 def at(*positions: tuple[float, float, float]) -> Tensor:
@@ -79,8 +84,8 @@ def test_action_square_is_of_the_agents_own_joints():
     action[0, :3] = torch.tensor([1.0, -2.0, 3.0])
     action[0, 10] = 5.0
     step = transition(action=action)
-    assert rewards.action_square(step, slice(0, 6)).tolist() == [14.0]
-    assert rewards.action_square(step, slice(6, 19)).tolist() == [25.0]
+    assert rewards.action_square(step, ARM_PART).tolist() == [14.0]
+    assert rewards.action_square(step, HAND_PART).tolist() == [25.0]
 
 
 def test_grasp_takes_two_touching_parts():
@@ -95,8 +100,8 @@ def test_unrest_by_hand():
     speed[:, :3] = torch.tensor([1.0, -2.0, 0.5])
     speed[:, 10] = 3.0
     step = transition(now=privileged(joint_vel=speed), held_steps=(0, 5, 6, 25))
-    assert rewards.unrest(step, slice(0, 6)).tolist() == [0.0, 0.0, 5.25, 5.25]
-    assert rewards.unrest(step, slice(6, 19)).tolist() == [0.0, 0.0, 9.0, 9.0]
+    assert rewards.unrest(step, ARM_PART).tolist() == [0.0, 0.0, 5.25, 5.25]
+    assert rewards.unrest(step, HAND_PART).tolist() == [0.0, 0.0, 9.0, 9.0]
 
 
 def test_self_contact():
@@ -217,7 +222,7 @@ def test_agents_of_catch_share_all_terms():
     (alone,) = METHODS["catch_alone"].agents
     assert list(alone.reward_names) == arm + hand
     assert alone.name == "robot"
-    assert alone.joints == slice(0, NUM_JOINTS)
+    assert alone.joints == (slice(0, NUM_JOINTS),)
 
 
 def test_terms_are_weighted_columns_in_order():
@@ -226,7 +231,7 @@ def test_terms_are_weighted_columns_in_order():
         RewardTerm(function=rewards.success, weight=2.0),
     )
     step = transition(held_steps=(20,))
-    assert term_values(terms, ANY, step).tolist() == [[-3.0, 2.0]]
+    assert replace(ANY, reward=terms).reward_terms(step).tolist() == [[-3.0, 2.0]]
     assert [term.name for term in terms] == ["elapsed_time", "success"]
 
 

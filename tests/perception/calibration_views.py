@@ -6,13 +6,13 @@ from functools import cache
 import cv2
 import numpy as np
 import torch
+from pixel2catch.robot.kinematics import palm_pose
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.perception.calibration import HandView, pose_matrix
 from pixel2catch.perception.calibration_intrinsics import Intrinsics
 from pixel2catch.perception.calibration_target import SQUARE, SQUARES, HandBoard, View
 from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA, CameraSpec
-from pixel2catch.robot.kinematics import palm_pose
 
 HOME = np.array([joint.home for joint in ARM_JOINTS])
 REACH = np.array((0.4, 0.35, 0.35, 0.5, 0.6, 0.9))

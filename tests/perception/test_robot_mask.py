@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from pixel2catch.robot.allegro import Handedness
 
 from pixel2catch.camera.pinhole import back_project
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.robot_mask import MARGIN, RobotMask
-from pixel2catch.robot.allegro import Handedness
 from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
 from pixel2catch.robot.scene import SceneCfg, build_model
 

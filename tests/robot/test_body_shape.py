@@ -4,18 +4,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from pixel2catch.robot.constants import FINGERS, JOINTS
+from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.scene import SceneCfg, build_model
 
+FINGERS = ("index", "middle", "ring", "thumb")
 HOME = np.array([joint.home for joint in JOINTS])
 ROBOT_ONLY = np.array((0, 0, 0, 1, 0, 0), dtype=np.uint8)
 FAR = 0.3
 
 
-@pytest.fixture(scope="module", params=["left", "right"])
+@pytest.fixture(scope="module", params=["ur5e_allegro", "ur5e_allegro_right"])
 def hand(request) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Either hand in the start pose, the object far away."""
-    model = build_model(SceneCfg(handedness=request.param))
+    model = build_model(SceneCfg(workcell=request.param))
     data = mujoco.MjData(model)
     data.qpos[:19] = HOME
     data.qpos[6:15] = 0.4
@@ -76,7 +77,7 @@ def test_links_have_the_published_section(hand, link):
 
 
 def test_right_hand_is_the_mirror_image_of_the_left():
-    left, right = (build_model(SceneCfg(handedness=side)) for side in ("left", "right"))
+    left, right = (build_model(SceneCfg(workcell=name)) for name in ("ur5e_allegro", "ur5e_allegro_right"))
     for geom in range(left.ngeom):
         name, twin = left.geom(geom).name, right.geom(geom)
         assert twin.name == name

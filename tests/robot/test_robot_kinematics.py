@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.robot.constants import FINGERS, JOINTS
-from pixel2catch.robot.kinematics import HOME_SIDE, palm_pose
+from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.robots.geometry import chain_of
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_SAMPLES = 100
+FINGERS = ("index", "middle", "ring", "thumb")
 
 # UR's table of the UR5e, typed in again: d, a, alpha.
 DH = (
@@ -136,7 +138,7 @@ def test_fingers_curl_out_of_the_palm(model):
 
 
 def test_right_hand_is_the_mirror_image(model):
-    right = build_model(SceneCfg(handedness="right"))
+    right = build_model(SceneCfg(workcell="ur5e_allegro_right"))
     for joint_pos in random_positions(1)[:20]:
         for finger in FINGERS:
             tips = []
@@ -149,8 +151,9 @@ def test_right_hand_is_the_mirror_image(model):
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-9), (torch.float32, 2e-6)])
 def test_palm_pose_agrees_with_the_model(model, dtype, tolerance):
     samples = random_positions(2)
-    palm_pos, palm_quat = palm_pose(torch.tensor(samples[:, :6], dtype=dtype))
-    assert (palm_quat @ torch.tensor(HOME_SIDE, dtype=dtype) >= 0).all()
+    chain = chain_of(UR5E_ALLEGRO, UR5E_ALLEGRO.palms[0], dtype=dtype)
+    palm_pos, palm_quat = chain.pose(torch.tensor(samples[:, :6], dtype=dtype))
+    assert (palm_quat @ torch.tensor((0.0, -0.777, 0.0, -0.629), dtype=dtype) >= 0).all()
     for joint_pos, pos, quat in zip(samples, palm_pos.numpy(), palm_quat.numpy(), strict=True):
         expected = site_pose(place(model, joint_pos), "palm")
         matrix = np.zeros(9)

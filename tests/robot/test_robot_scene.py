@@ -5,16 +5,17 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot.constants import FINGERS, JOINTS, RGB_CAMERA
+from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 from pixel2catch.robot.scene import SceneCfg, build_model, export
 
+FINGERS = ("index", "middle", "ring", "thumb")
 LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint in JOINTS]).T
 
 
-@pytest.fixture(scope="module", params=["left", "right"])
+@pytest.fixture(scope="module", params=["ur5e_allegro", "ur5e_allegro_right"])
 def model(request) -> mujoco.MjModel:
     """The scene with either hand."""
-    return build_model(SceneCfg(handedness=request.param))
+    return build_model(SceneCfg(workcell=request.param))
 
 
 def test_layout(model):
@@ -42,7 +43,7 @@ def test_limits_and_servos(model):
 
 
 def test_arm_may_have_the_torques_of_the_release():
-    model = build_model(SceneCfg(arm_effort="release"))
+    model = build_model(SceneCfg(workcell="ur5e_allegro_release"))
     np.testing.assert_allclose(model.actuator_forcerange[:, 1], [200.0] * 6 + [0.5] * 13)
 
 
@@ -175,7 +176,7 @@ def test_visuals_change_no_physics():
 @pytest.mark.parametrize("suffix", ["xml", "mjb"])
 def test_exported_model_reloads(tmp_path, suffix):
     path = tmp_path / f"scene.{suffix}"
-    cfg = SceneCfg(handedness="right", visuals=True)
+    cfg = SceneCfg(workcell="ur5e_allegro_right", visuals=True)
     export(path, cfg, "l_block")
     expected = build_model(cfg, "l_block")
     load = mujoco.MjModel.from_xml_path if suffix == "xml" else mujoco.MjModel.from_binary_path

@@ -20,9 +20,7 @@ from pixel2catch.robot.scene import SceneCfg
 from pixel2catch.twin.lab import EMPTY_TIME, Lab, Phase
 
 DECIMATION = 4
-QUIET = RandomizationCfg(
-    arm_action_noise=0.0, hand_action_noise=0.0, arm_action_bias=0.0, hand_action_bias=0.0
-)
+QUIET = RandomizationCfg(action_noise=0.0, action_bias=0.0)
 TASK = CatchEnvCfg(scene=SceneCfg(physics_hz=30.0 * DECIMATION), randomization=QUIET)
 
 

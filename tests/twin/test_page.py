@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from pixel2catch.robot.kinematics import palm_pose
 from twin_bench import PROFILE, Bench
 
 from pixel2catch.deployment import messages
@@ -16,7 +17,6 @@ from pixel2catch.deployment.clock import RealClock
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robot.constants import PALM_POS
-from pixel2catch.robot.kinematics import palm_pose
 from pixel2catch.twin.lab import Phase
 from pixel2catch.twin.page import BOX_COLOR, Page, with_box
 from pixel2catch.twin.stepping import SteppingCfg, in_step

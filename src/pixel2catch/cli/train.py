@@ -112,7 +112,9 @@ class Train:
         workcell = find_workcell(self.workcell)
         method, cfg = find_method(self.method, workcell), self.resolve()
         task = find_task(cfg.task)
-        task = dataclasses.replace(task, scene=dataclasses.replace(task.scene, workcell=workcell.name)).with_files(cfg.dynamics, cfg.camera)
+        task = dataclasses.replace(
+            task, scene=dataclasses.replace(task.scene, workcell=workcell.name)
+        ).with_files(cfg.dynamics, cfg.camera)
         scenes = {rate: dataclasses.replace(task.scene, physics_hz=rate) for rate in cfg.physics_hz}
         sensing = dataclasses.replace(task.sensing, latency_steps=cfg.latency_steps)
         contract = contract_of(method, workcell, sensing.camera.camera)

@@ -65,16 +65,18 @@ class CatchEnv:
             seed: Seed of everything that is drawn here.
             teacher: A method whose observations are wanted as well.
         """
-        self.cfg, self.method, self.teacher, self.num_envs = cfg, method, teacher, num_envs
+        self.workcell = find_workcell(cfg.scene.workcell)
+        self.cfg = cfg = cfg.for_workcell(self.workcell)
+        self.method, self.teacher, self.num_envs = method, teacher, num_envs
         self.world = CatchWorld(cfg.scene, cfg.dynamics, num_envs=num_envs, device=device)
         self.device = self.world.device
         self._generator = torch.Generator(self.device).manual_seed(seed)
         names = self.world.objects.names
         self._object_ids = torch.tensor([names.index(name) for name in cfg.objects], device=self.device)
-        self.workcell = find_workcell(cfg.scene.workcell)
         self._action_map = ActionMap.of(commands_of(self.workcell), self.device)
         noise = by_joint(self.workcell, "action_noise", self.device)
         self._action_noise = cfg.randomization.action_noise * noise
+        self._action_bias = by_joint(self.workcell, "action_bias", self.device)
         reward_names = {agent.name: agent.reward_names for agent in method.agents}
         self.statistics = EpisodeStatistics(
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
@@ -203,7 +205,7 @@ class CatchEnv:
 
     def _draw_episode(self) -> Episode:
         """A new episode for every environment; those that need none ignore theirs."""
-        return draw_episode(self.cfg, self.workcell, self._object_ids, self.num_envs, self._generator)
+        return draw_episode(self.cfg, self._action_bias, self._object_ids, self.num_envs, self._generator)
 
     def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
         """Begin new episodes where one ended, and release the objects that have hovered long enough."""

@@ -1,5 +1,6 @@
 """The definition of the task."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import ceil
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
@@ -16,6 +17,7 @@ from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.objects import SEEN
 from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells import find_workcell
 
 COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera")
@@ -104,12 +106,22 @@ class CatchEnvCfg:
 
     def with_dynamics(self, file: DynamicsFile) -> "CatchEnvCfg":
         """The task with the joint dynamics of a file, and its ranges for their gains."""
-        variants = tuple(
-            replace(variant, randomization=replace(variant.randomization, gains=file.gains))
-            for variant in self.variants
-        )
-        randomization = replace(self.randomization, gains=file.gains)
-        return replace(self, dynamics=file.dynamics, randomization=randomization, variants=variants)
+        return replace(self._with_gains(lambda _: file.gains), dynamics=file.dynamics)
+
+    def for_workcell(self, workcell: WorkcellSpec) -> "CatchEnvCfg":
+        """The task with a range of gains for each joint of a work cell.
+
+        Raises:
+            InvalidValueError: If it has ranges for another number of joints.
+        """
+        return self._with_gains(lambda gains: gains.of(workcell))
+
+    def _with_gains(self, change: Callable[[GainRanges], GainRanges]) -> "CatchEnvCfg":
+        def changed(randomization: RandomizationCfg) -> RandomizationCfg:
+            return replace(randomization, gains=change(randomization.gains))
+
+        variants = tuple(replace(each, randomization=changed(each.randomization)) for each in self.variants)
+        return replace(self, randomization=changed(self.randomization), variants=variants)
 
     def with_camera(self, file: CameraFile) -> "CatchEnvCfg":
         """The task seen by the camera of a file: in every episode another one, as it may be.

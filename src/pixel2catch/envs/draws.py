@@ -21,7 +21,6 @@ from pixel2catch.mdp.sight import Sight, is_sight_exact, sample_sight
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
 from pixel2catch.robot.objects import OBJECTS
 from pixel2catch.robot.scene import SceneCfg
-from pixel2catch.scene.workcell import WorkcellSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +48,7 @@ class Episode:
 
 def draw_episode(
     cfg: CatchEnvCfg,
-    workcell: WorkcellSpec,
+    action_bias: Float[Tensor, " num_joints"],
     object_ids: Int[Tensor, " num_objects"],
     num_envs: int,
     generator: torch.Generator,
@@ -58,12 +57,12 @@ def draw_episode(
 
     Each is of one of the task's variants, or of none, by their shares.
     """
-    episode = _draw(cfg, cfg, workcell, object_ids, num_envs, generator)
+    episode = _draw(cfg, cfg, action_bias, object_ids, num_envs, generator)
     if not cfg.variants:
         return episode
     chance = torch.rand(num_envs, generator=generator, device=generator.device)
     for variant in cfg.variants:
-        other = _draw(variant.of(cfg), cfg, workcell, object_ids, num_envs, generator)
+        other = _draw(variant.of(cfg), cfg, action_bias, object_ids, num_envs, generator)
         episode = select((chance >= 0.0) & (chance < variant.share), other, episode)
         chance = chance - variant.share
     return episode
@@ -72,7 +71,7 @@ def draw_episode(
 def _draw(
     cfg: CatchEnvCfg,
     task: CatchEnvCfg,
-    workcell: WorkcellSpec,
+    action_bias: Float[Tensor, " num_joints"],
     object_ids: Int[Tensor, " num_objects"],
     num_envs: int,
     generator: torch.Generator,
@@ -84,13 +83,13 @@ def _draw(
     Args:
         cfg: The ranges.
         task: The whole task, whose variants decide what an episode holds.
-        workcell: The robots.
+        action_bias: Standard deviation of the error of each action that lasts an episode.
         object_ids: What is thrown.
         num_envs: Number of episodes.
         generator: Where they are drawn from.
     """
     randomization = cfg.randomization
-    parameters = sample_parameters(randomization, cfg.sensing, workcell, object_ids, num_envs, generator)
+    parameters = sample_parameters(randomization, cfg.sensing, action_bias, object_ids, num_envs, generator)
     drag = None
     if any(each.randomization.air_density for each in task.all_variants):
         density = drawn(randomization.air_density, num_envs, generator)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pixel2catch.mdp.masks import select
 from pixel2catch.robot.scene import contact_sensors
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.robots.workcell import WorkcellSpec
 
 
 class PhysicsLog(NamedTuple):

@@ -23,8 +23,8 @@ from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.object_table import ObjectTable, object_table
 from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model
-from pixel2catch.scene.geometry import WorkcellGeometry
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.robots.geometry import WorkcellGeometry
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.sim.devices import make_simulation
 from pixel2catch.sim.simulation import Simulation
 from pixel2catch.workcells import find_workcell

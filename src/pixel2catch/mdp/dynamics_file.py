@@ -12,7 +12,7 @@ from pixel2catch.files import write_atomically
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robot.joint_dynamics import JointDynamics
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 1
@@ -92,7 +92,7 @@ def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSp
         parse = _flag if name == "is_damping_relative" else _range
         for row, value in zip(rows, values, strict=True):
             columns[name][row] = parse(value)
-    return GainRanges(**{name: tuple(values) for name, values in columns.items()})
+    return GainRanges(**{name: tuple(values) for name, values in columns.items()}).of(workcell)
 
 
 def _range(value: Any) -> Range:

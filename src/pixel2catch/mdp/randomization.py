@@ -14,7 +14,7 @@ from torch import Tensor
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import Amount, Range, uniform
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.robots.workcell import WorkcellSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,22 +33,19 @@ class GainRanges:
     damping_scale: tuple[Range, ...] = ()
     is_damping_relative: tuple[bool, ...] = ()
 
-    def __post_init__(self) -> None:
-        """Refuse ranges of no positive factor."""
-        for name in ("stiffness_scale", "damping_scale"):
-            for number, (low, high) in enumerate(getattr(self, name)):
-                if not 0.0 < low <= high < float("inf"):
-                    raise InvalidValueError(
-                        f"{name} of joint {number} is from {low:g} to {high:g}; give two factors, the lower "
-                        "first, more than 0"
-                    )
-
     def of(self, workcell: WorkcellSpec) -> "GainRanges":
         """The ranges with an entry for each joint of a work cell.
 
         Raises:
-            InvalidValueError: If there are neither none, nor one, nor as many.
+            InvalidValueError: If there are neither none, nor one, nor as many, or one is of no factors.
         """
+        for name in ("stiffness_scale", "damping_scale"):
+            for joint, (low, high) in zip(workcell.joints, getattr(self, name), strict=False):
+                if not 0.0 < low <= high < float("inf"):
+                    raise InvalidValueError(
+                        f"{name} of {joint.name} is from {low:g} to {high:g}; give two factors, the lower "
+                        "first, more than 0"
+                    )
         own = tuple(group.gain_range for group in workcell.groups for _ in group.joints)
         return GainRanges(
             stiffness_scale=_for_each(self.stiffness_scale, own, "stiffness_scale"),
@@ -133,27 +130,35 @@ class EpisodeParameters:
 def sample_parameters(
     cfg: RandomizationCfg,
     sensing: SensingCfg,
-    workcell: WorkcellSpec,
+    action_bias: Float[Tensor, " num_joints"],
     object_ids: Int[Tensor, " num_objects"],
     num_envs: int,
     generator: torch.Generator,
 ) -> EpisodeParameters:
-    """Draw the parameters of one episode per environment, on the generator's device."""
-    device, num_joints = generator.device, len(workcell.joints)
+    """Draw the parameters of one episode per environment, on the generator's device.
+
+    Args:
+        cfg: The ranges; `gains` with an entry for each joint.
+        sensing: The ranges of the sensors.
+        action_bias: Standard deviation of the error of each action that lasts an episode.
+        object_ids: What is thrown.
+        num_envs: Number of episodes.
+        generator: Where they are drawn from.
+    """
+    device, num_joints = generator.device, len(action_bias)
     offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * num_joints
-    bias = by_joint(workcell, "action_bias", device)
     scalars = uniform((cfg.mass_scale, cfg.restitution, cfg.friction), num_envs, generator)
 
     def normal() -> Tensor:
         return torch.randn(num_envs, num_joints, generator=generator, device=device)
 
     object_id = object_ids[torch.randint(len(object_ids), (num_envs,), generator=generator, device=device)]
-    stiffness_scale, damping_scale = _sample_gains(cfg.gains.of(workcell), num_envs, generator)
+    stiffness_scale, damping_scale = _sample_gains(cfg.gains, num_envs, generator)
     return EpisodeParameters(
         object_id=object_id,
         stiffness_scale=stiffness_scale,
         damping_scale=damping_scale,
-        action_bias=normal() * (cfg.action_bias * bias),
+        action_bias=normal() * (cfg.action_bias * action_bias),
         joint_bias=normal() * sensing.joint_bias,
         joint_offset=uniform(offset, num_envs, generator),
         mass_scale=scalars[:, 0],
@@ -197,8 +202,7 @@ def sample_delay(
     return first + grid * torch.randint(count, (num_envs,), generator=generator, device=generator.device)
 
 
-@lru_cache(maxsize=8)
 def by_joint(workcell: WorkcellSpec, name: str, device: torch.device) -> Float[Tensor, " num_joints"]:
-    """A number of the joint groups for each of their joints, in joint order; copied only once."""
+    """A number of the joint groups for each of their joints, in joint order."""
     values = [getattr(group, name) for group in workcell.groups for _ in group.joints]
     return torch.tensor(values, dtype=torch.float32, device=device)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.scene.geometry import WorkcellGeometry
+from pixel2catch.robots.geometry import WorkcellGeometry
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 import mujoco
 
-from pixel2catch.scene.workcell import VISUAL_GROUP, TableSpec
+from pixel2catch.robots.workcell import VISUAL_GROUP, TableSpec
 
 PEDESTAL_RGBA = (0.32, 0.33, 0.35, 1.0)
 

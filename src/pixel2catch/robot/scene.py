@@ -18,7 +18,7 @@ from pixel2catch.robot.looks import add_looks
 from pixel2catch.robot.objects import MAX_PARTS, OBJECTS, ObjectSpec
 from pixel2catch.robot.scene_cfg import SceneCfg
 from pixel2catch.robots.spec import JointSpec
-from pixel2catch.scene.workcell import TableSpec, WorkcellSpec, add_robots
+from pixel2catch.robots.workcell import TableSpec, WorkcellSpec, add_robots
 from pixel2catch.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)

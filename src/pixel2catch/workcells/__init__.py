@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.robots.workcell import WorkcellSpec
 
 _FOUND: dict[str, WorkcellSpec] = {}
 

@@ -3,7 +3,7 @@
 from pixel2catch.robots.allegro import allegro
 from pixel2catch.robots.fr3 import FR3
 from pixel2catch.robots.spec import Placed
-from pixel2catch.scene.workcell import WorkcellSpec
+from pixel2catch.robots.workcell import WorkcellSpec
 
 WORKCELLS = (
     WorkcellSpec(

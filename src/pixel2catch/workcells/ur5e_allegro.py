@@ -5,7 +5,7 @@ from dataclasses import replace
 from pixel2catch.robots.allegro import Handedness, allegro
 from pixel2catch.robots.spec import Placed, Quat, RobotSpec, Vec3
 from pixel2catch.robots.ur5e import UR5E, UR5E_OF_RELEASE
-from pixel2catch.scene.workcell import TABLE, WorkcellSpec
+from pixel2catch.robots.workcell import TABLE, WorkcellSpec
 
 UR5E_POS: Vec3 = (0.0, 0.0, 0.821)
 """Position of the UR5e's `base_link`. Source: release."""

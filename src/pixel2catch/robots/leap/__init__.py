@@ -51,8 +51,8 @@ HAND = JointGroup(
 
 Source: limits: public descriptions of the hand, but for the fingers' abduction, which is narrowed to where
 they do not press on each other (ours); torque and speed: the servos' data sheet (XL330-M288-T: 0.52 N·m and
-10.8 rad/s at 5 V), rounded down; gains, friction and armature: ours, the Allegro hand's. Command, gain ranges and
-noise of actions: as the Allegro hand's.
+10.8 rad/s at 5 V), rounded down; gains, friction and armature: ours, the Allegro hand's. Command, gain ranges
+and noise of actions: as the Allegro hand's.
 """
 
 LEAP_RIGHT = RobotSpec(

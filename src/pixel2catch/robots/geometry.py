@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pixel2catch.robots.chain import Chain, pose_matrix
-from pixel2catch.scene.workcell import PlacedPalm, WorkcellSpec, add_robots
+from pixel2catch.robots.workcell import PlacedPalm, WorkcellSpec, add_robots
 
 TABLE_CLEARANCE = 0.02
 """Distance to keep from the table's top and from its sides [m]. Source: ours."""

@@ -1,1 +1,0 @@
-"""Where robots stand, and what is thrown at them."""

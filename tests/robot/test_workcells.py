@@ -1,0 +1,193 @@
+"""Every work cell there is: its model, its chains, its agents, and one from a file of one's own."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.mdp.columns import count, put, take
+from pixel2catch.methods import METHODS, find_method, methods_of
+from pixel2catch.policy import contract_of
+from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.robots.geometry import WorkcellGeometry, chain_of
+from pixel2catch.robots.spec import Placed
+from pixel2catch.robots.ur5e import UR5E
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.workcells import find_workcell, workcells
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+OWN = """
+from dataclasses import replace
+
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+(robot,) = UR5E_ALLEGRO.robots
+WORKCELLS = (replace(UR5E_ALLEGRO, name="mine", robots=(replace(robot, pos=(0.1, 0.0, 0.821)),)),)
+"""
+
+
+@pytest.fixture(params=sorted(workcells()))
+def workcell(request: pytest.FixtureRequest) -> WorkcellSpec:
+    return find_workcell(request.param)
+
+
+def at_home(workcell: WorkcellSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    model = build_model(SceneCfg(workcell=workcell.name))
+    data = mujoco.MjData(model)
+    data.qpos[: len(workcell.joints)] = [joint.home for joint in workcell.joints]
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def test_joints_are_in_the_models_order_and_start_within_their_limits(workcell: WorkcellSpec):
+    model, _ = at_home(workcell)
+    names = [joint.name for joint in workcell.joints]
+    assert [model.joint(i).name for i in range(len(names))] == names
+    assert [model.actuator(i).name for i in range(model.nu)] == names
+    assert all(joint.lower <= joint.home <= joint.upper for joint in workcell.joints)
+
+
+def test_nothing_touches_at_the_start(workcell: WorkcellSpec):
+    model, data = at_home(workcell)
+    assert [(model.geom(c.geom1).name, model.geom(c.geom2).name) for c in data.contact] == []
+
+
+def test_palms_look_up_within_reach_of_the_throws(workcell: WorkcellSpec):
+    """Above the table, and near enough to where throws come down: 0.65 to 0.85 m before the base."""
+    _, data = at_home(workcell)
+    for palm in workcell.palms:
+        x, y, z = data.site(palm.spec.site).xpos
+        assert 0.35 < x < 0.6
+        assert abs(y) < 0.65
+        assert 1.2 < z < 1.5
+        tips = np.mean([data.site(finger.tip).xpos for finger in palm.spec.fingers], axis=0)
+        assert tips[0] > x
+
+
+def test_chains_agree_with_the_model(workcell: WorkcellSpec):
+    model, data = at_home(workcell)
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
+    generator = np.random.default_rng(0)
+    for palm in workcell.palms:
+        chain = chain_of(workcell, palm, dtype=torch.float64)
+        assert chain.joints == tuple(joint.name for joint in workcell.joints[palm.carriers])
+        for _ in range(20):
+            joint_pos = generator.uniform(lower, upper)
+            data.qpos[: len(joint_pos)] = joint_pos
+            mujoco.mj_kinematics(model, data)
+            pos, quat = chain.pose(torch.from_numpy(joint_pos[None, palm.carriers]))
+            site, matrix = data.site(palm.spec.site), np.zeros(9)
+            mujoco.mju_quat2Mat(matrix, quat[0].numpy())
+            np.testing.assert_allclose(pos[0].numpy(), site.xpos, atol=1e-9)
+            np.testing.assert_allclose(matrix, site.xmat, atol=1e-9)
+
+
+def test_boxes_about_the_hands_hold_them(workcell: WorkcellSpec):
+    """Whatever the fingers do, nothing of palm and fingers is outside the box that the table is kept from."""
+    model, data = at_home(workcell)
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
+    generator = np.random.default_rng(1)
+    for _ in range(200):
+        data.qpos[: len(lower)] = generator.uniform(lower, upper)
+        mujoco.mj_kinematics(model, data)
+        for palm in workcell.palms:
+            body = data.body(palm.spec.body)
+            for tip in (finger.tip for finger in palm.spec.fingers):
+                place = body.xmat.reshape(3, 3).T @ (data.site(tip).xpos - body.xpos)
+                assert (place > np.array(palm.spec.lower) + 0.012).all(), tip
+                assert (place < np.array(palm.spec.upper) - 0.012).all(), tip
+
+
+@pytest.mark.parametrize("name", ["proposed+fit", "catch_alone", "object_position"])
+def test_a_random_roll_out(workcell: WorkcellSpec, name: str):
+    method = find_method(name, workcell)
+    env = CatchEnv(CatchEnvCfg(scene=SceneCfg(workcell=workcell.name)), method, num_envs=3, seed=0)
+    assert sum(env.action_sizes.values()) == len(workcell.joints)
+    contract = contract_of(method, workcell)
+    assert {n: agent.num_inputs for n, agent in contract.agents.items()} == env.observation_sizes
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(5):
+        actions = {
+            n: torch.rand(3, size, generator=generator) * 2 - 1 for n, size in env.action_sizes.items()
+        }
+        step = env.step(actions)
+    assert all(torch.isfinite(value).all() for value in (*step.rewards.values(), step.observation.state))
+    env.close()
+
+
+@pytest.mark.gpu
+def test_a_random_roll_out_on_a_gpu(workcell: WorkcellSpec):
+    method = find_method("catch", workcell)
+    env = CatchEnv(CatchEnvCfg(scene=SceneCfg(workcell=workcell.name)), method, num_envs=64, device="cuda:0")
+    for _ in range(5):
+        step = env.step({n: torch.zeros(64, size, device="cuda:0") for n, size in env.action_sizes.items()})
+    env.check()
+    assert all(torch.isfinite(value).all() for value in step.rewards.values())
+
+
+def test_two_robots_have_an_agent_for_each_group():
+    two = find_workcell("two_ur5e_allegro")
+    agents = find_method("proposed", two).agents
+    assert [agent.name for agent in agents] == ["left_arm", "left_hand", "right_arm", "right_hand"]
+    one = METHODS["proposed"].agents
+    assert [agent.num_joints for agent in agents] == [agent.num_joints for agent in one] * 2
+    assert [agent.palms for agent in agents] == [(slice(0, 1),)] * 2 + [(slice(1, 2),)] * 2
+    (alone,) = find_method("single_agent", two).agents
+    assert alone.joints == (slice(0, 38),)
+    assert alone.palms == (slice(0, 2),)
+
+
+def test_the_methods_are_the_same_for_every_robot(workcell: WorkcellSpec):
+    assert list(methods_of(workcell)) == list(METHODS)
+
+
+def test_columns_that_do_not_follow_each_other():
+    """Two arms of one agent, with the hands of another between and after them."""
+    arms, hands = (slice(0, 6), slice(19, 25)), (slice(6, 19), slice(25, 38))
+    whole = torch.arange(76.0).view(2, 38)
+    assert (count(arms), count(hands)) == (12, 26)
+    assert take(whole, arms)[0].tolist() == [*range(6), *range(19, 25)]
+    assert torch.equal(put([(hands, take(whole, hands)), (arms, take(whole, arms))]), whole)
+
+
+def test_depth_in_the_table_is_of_the_arm_that_is_in_it():
+    two = find_workcell("two_ur5e_allegro")
+    joint_pos = torch.tensor([[joint.home for joint in two.joints]])
+    joint_pos[0, 20] = 0.2  # the right arm lies down
+    left, right = WorkcellGeometry(two).depth_in_table(joint_pos)[0]
+    assert left == 0.0
+    assert right > 0.1
+
+
+def test_a_work_cell_of_ones_own(tmp_path: Path):
+    file = tmp_path / "mine.py"
+    file.write_text(OWN)
+    mine = find_workcell(str(file))
+    assert mine.name == "mine"
+    assert find_workcell("mine") is mine
+    moved = WorkcellGeometry(mine).palm_poses(torch.zeros(1, 19))[0]
+    home = WorkcellGeometry(UR5E_ALLEGRO).palm_poses(torch.zeros(1, 19))[0]
+    torch.testing.assert_close(moved - home, torch.tensor([[[0.1, 0.0, 0.0]]]))
+
+
+def test_faults_are_named(tmp_path: Path):
+    with pytest.raises(UnknownNameError, match="ur5e_allegro"):
+        find_workcell("ur10_allegro")
+    (tmp_path / "empty.py").write_text("WORKCELL = 1\n")
+    with pytest.raises(InvalidValueError, match="defines no WORKCELLS"):
+        find_workcell(str(tmp_path / "empty.py"))
+    (tmp_path / "broken.py").write_text("import nothing_of_that_name\n")
+    with pytest.raises(InvalidValueError, match="ModuleNotFoundError"):
+        find_workcell(str(tmp_path / "broken.py"))
+    with pytest.raises(InvalidValueError, match="there is no file"):
+        find_workcell(str(tmp_path / "absent.py"))
+    with pytest.raises(InvalidValueError, match="has no palm"):
+        WorkcellSpec(name="bare", robots=(Placed(robot=UR5E, pos=(0.0, 0.0, 0.8)),))
+    (robot,) = UR5E_ALLEGRO.robots
+    with pytest.raises(InvalidValueError, match="give its robots prefixes"):
+        replace(UR5E_ALLEGRO, robots=(robot, robot))
