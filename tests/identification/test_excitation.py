@@ -7,7 +7,7 @@ import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
-from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS
+from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
 
 WHOLE = ExcitationCfg(seconds=20.0, seed=0)
 

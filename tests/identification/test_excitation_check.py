@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from pixel2catch.identification.excitation_check import assess
-from pixel2catch.identification.excitation_clearance import RULES, clearances
-from pixel2catch.identification.recording import JOINT_SPECS
+from pixel2catch.identification.rehearsal import RULES, assess, clearances
+from pixel2catch.identification.robot import JOINT_SPECS
 from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.robot.joint_dynamics import JointDynamics
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pixel2catch.identification.excitation_limits import HAND, Envelope
-from pixel2catch.identification.excitation_signals import (
+from pixel2catch.identification.excitation import (
     NUM_TURNS,
     RATE,
+    Envelope,
     Signal,
     approach,
     multisine,
@@ -17,8 +17,7 @@ from pixel2catch.identification.excitation_signals import (
     steps,
     turns,
 )
-from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS
-from pixel2catch.identification.trajectory import largest_step
+from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS, largest_step
 
 JOINTS = ROBOTS["ur5e_allegro"]
 ROUNDING = 1e-9
@@ -117,7 +116,7 @@ def test_envelope_by_hand():
 def test_limits_of_all_joints_are_kept_with_a_margin():
     envelope = Envelope.of(JOINTS, 1.0, {})
     for name, center, swing in zip(JOINTS, envelope.center, envelope.swing, strict=True):
-        margin = 0.06 if name in HAND else 0.03
+        margin = 0.06 if name in ROBOTS["allegro"] else 0.03
         spec = JOINT_SPECS[name]
         assert center - swing >= spec.lower + margin - ROUNDING, name
         assert center + swing <= spec.upper - margin + ROUNDING, name

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pixel2catch.identification.commands import mean_commands, step_commands
+from pixel2catch.identification.simulation import mean_commands, step_commands
 
 
 def test_delayed_command_counts_by_its_share_of_a_step():

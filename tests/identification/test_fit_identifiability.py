@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pixel2catch.identification.fit import Fit
-from pixel2catch.identification.fit_problem import SERVO_PARAMETERS
-from pixel2catch.identification.identifiability import half_widths, ratios, weak_directions
+from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit
+from pixel2catch.identification.identify import half_widths, ratios
+from pixel2catch.identification.report_tables import weak_directions
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")

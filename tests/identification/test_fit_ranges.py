@@ -3,7 +3,7 @@
 import numpy as np
 
 from pixel2catch.identification.fit import Fit
-from pixel2catch.identification.fit_ranges import gain_ranges
+from pixel2catch.identification.identify import gain_ranges
 from pixel2catch.mdp.randomization import TABLE_1_GAINS, GainRanges
 from pixel2catch.robot.joint_dynamics import JointDynamics
 

@@ -6,9 +6,9 @@ import pytest
 
 from pixel2catch.envs.servo import FRICTION_SPEED
 from pixel2catch.errors import RecordingError
-from pixel2catch.identification.fit_simulation import FIT_DT, RecordedMotion
-from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
-from pixel2catch.identification.signals import held
+from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
+from pixel2catch.identification.simulation import FIT_DT, RecordedMotion
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.scene import SceneCfg, build_model
 
@@ -46,7 +46,7 @@ def test_without_latency_and_filter_it_is_the_scene():
     data.qpos[:19] = HOME
     path = [HOME]
     for _ in range(fine * (len(recording.t_meas) - 1)):
-        data.ctrl[:] = held(recording, np.array([data.time]))[0]
+        data.ctrl[:] = recording.held(np.array([data.time]))[0]
         data.qfrc_applied[:19] = -loss * np.tanh(data.qvel[:19] / FRICTION_SPEED)
         mujoco.mj_step(model, data)
         path.append(data.qpos[:19].copy())

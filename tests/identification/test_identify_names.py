@@ -9,9 +9,8 @@ import pytest
 from recorded import ARM, assert_same, short
 
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
-from pixel2catch.identification.importers import read_recording
-from pixel2catch.identification.names import CommandTopic, Names
-from pixel2catch.identification.recording import ROBOTS
+from pixel2catch.identification.importers import CommandTopic, Names, read_recording
+from pixel2catch.identification.robot import ROBOTS
 
 THEIRS = [f"joint_{i}" for i in range(6)]
 RENAMES = [f"{ours}={theirs}" for ours, theirs in zip(ARM, THEIRS, strict=True)]

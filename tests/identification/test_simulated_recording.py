@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.identification.fit_simulation import FIT_DT
-from pixel2catch.identification.recording import ROBOTS, Recording
-from pixel2catch.identification.simulated_recording import (
+from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.rehearsal import (
     STALLED_TURN,
     RecorderCfg,
     rehearse,
@@ -17,6 +16,8 @@ from pixel2catch.identification.simulated_recording import (
     turns_of_a_loop,
     unlike_nominal,
 )
+from pixel2catch.identification.robot import ROBOTS
+from pixel2catch.identification.simulation import FIT_DT
 from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robot.joint_dynamics import JointDynamics

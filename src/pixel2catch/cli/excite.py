@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pixel2catch.identification.excitation_check import Assessment
+    from pixel2catch.identification.rehearsal import Assessment
     from pixel2catch.identification.trajectory import Trajectory
     from pixel2catch.robot.joint_dynamics import JointDynamics
 
@@ -54,7 +54,7 @@ class Excite:
         """Draw, try, print and write."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.working import working
-        from pixel2catch.identification.simulated_recording import RecorderCfg, rehearse
+        from pixel2catch.identification.rehearsal import RecorderCfg, rehearse
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)
         self._require_free([*outs, *pictures])
@@ -97,7 +97,7 @@ class Excite:
 
     def _dynamics(self, path: Path | None) -> "JointDynamics":
         """The dynamics of the robot's joints; what a file does not have is nominal."""
-        from pixel2catch.identification.recording import ROBOTS
+        from pixel2catch.identification.robot import ROBOTS
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robot.joint_dynamics import JointDynamics
 
@@ -107,8 +107,8 @@ class Excite:
         """The dynamics of a rehearsal's robot."""
         from numpy.random import default_rng
 
-        from pixel2catch.identification.recording import ROBOTS
-        from pixel2catch.identification.simulated_recording import unlike_nominal
+        from pixel2catch.identification.rehearsal import unlike_nominal
+        from pixel2catch.identification.robot import ROBOTS
 
         if self.truth:
             return self._dynamics(self.truth)
@@ -133,7 +133,7 @@ def _write(
 ) -> None:
     """Write trajectories and pictures to as many files."""
     from pixel2catch.files import write_atomically
-    from pixel2catch.identification.excitation_report import motion_picture
+    from pixel2catch.identification.figures import motion_picture
 
     for (trajectory, _), path in zip(found, outs, strict=False):
         trajectory.save(path)
@@ -144,7 +144,7 @@ def _write(
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
     """Print what the simulated robot did."""
     from pixel2catch.cli.console import results_console
-    from pixel2catch.identification.excitation_report import motion_table
+    from pixel2catch.identification.report_tables import motion_table
 
     console = results_console()
     console.print(motion_table(f"seed {trajectory.header['seed']}, simulated", assessment))

@@ -10,11 +10,8 @@ from tyro.conf import Positional
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rich.table import Table
-
-    from pixel2catch.identification.fit_problem import FitCfg
+    from pixel2catch.identification.fit import FitCfg
     from pixel2catch.identification.identify import CheckedRecording, Identification
-    from pixel2catch.identification.report_tables import Grid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +56,7 @@ class Identify:
         from pixel2catch.cli.console import say
         from pixel2catch.cli.working import working
         from pixel2catch.files import require_free_folder
-        from pixel2catch.identification.fit_start import start_of_fit
-        from pixel2catch.identification.identify import identify
+        from pixel2catch.identification.identify import identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
 
         require_free_folder(self.out)
@@ -86,7 +82,7 @@ class Identify:
             UnknownNameError: If there is no such parameter.
             InvalidValueError: If the rate is not one of a training.
         """
-        from pixel2catch.identification.fit_problem import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
+        from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
         from pixel2catch.robot.scene import SceneCfg
 
         default = FILTER_PARAMETERS if self.filter else SERVO_PARAMETERS
@@ -102,8 +98,7 @@ class Identify:
         from dataclasses import replace
 
         from pixel2catch.identification.identify import checked
-        from pixel2catch.identification.importers import read_recording
-        from pixel2catch.identification.names import Names
+        from pixel2catch.identification.importers import Names, read_recording
 
         names = Names.parse(self.command_topic, self.joint_states_topic, self.rename)
         recordings = []
@@ -127,10 +122,10 @@ def _circumstances() -> dict[str, Any]:
 
 def _print_checks(sources: "Sequence[CheckedRecording]") -> None:
     from pixel2catch.cli.console import results_console
-    from pixel2catch.identification.check_report import check_table
+    from pixel2catch.identification.report_tables import check_grid
 
     for source in sources:
-        results_console().print(check_table(source.recording.name, source.checks))
+        results_console().print(check_grid(source.recording.name, source.checks).for_terminal())
 
 
 def _print_result(result: "Identification") -> None:
@@ -142,24 +137,9 @@ def _print_result(result: "Identification") -> None:
     from pixel2catch.identification.report_tables import errors_grid, open_questions, parameters_grid
 
     console = results_console()
-    console.print(_table(errors_grid(result)))
-    console.print(_table(parameters_grid(result)))
+    console.print(errors_grid(result).for_terminal())
+    console.print(parameters_grid(result).for_terminal())
     for question in open_questions(result.fit):
         console.print(Text(f"- {question}"))
     if not result.of(is_held_out=True):
         console.print(Text(NOTHING_HELD_OUT, style="bold red"))
-
-
-def _table(grid: "Grid") -> "Table":
-    """A table for the terminal, with the colours of the verdicts."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from pixel2catch.identification.check_report import STYLES
-
-    table = Table(title=Text(grid.title))
-    for column in grid.columns:
-        table.add_column(Text(column), overflow="fold")
-    for row in grid.rows:
-        table.add_row(*(Text(cell.text, style=STYLES.get(cell.verdict, "")) for cell in row))
-    return table

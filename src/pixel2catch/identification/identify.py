@@ -1,5 +1,6 @@
-"""From recordings to dynamics: what is fitted, what is held out, and how well the result moves."""
+"""From recordings to a dynamics file: where a fit starts, what is held out, how well the result is known."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,18 +10,57 @@ from jaxtyping import Bool, Float
 
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
 from pixel2catch.identification.checks import Check, check_recording
-from pixel2catch.identification.fit import Fit, fit_dynamics
-from pixel2catch.identification.fit_problem import FitCfg
-from pixel2catch.identification.fit_simulation import SETTLING, RecordedMotion
-from pixel2catch.identification.fit_start import Start, identified
+from pixel2catch.identification.fit import Fit, FitCfg, fit_dynamics
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.signals import held
+from pixel2catch.identification.robot import FILTERED_ROBOT, JOINT_SPECS, ROBOTS
+from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.mdp.randomization import TABLE_1_GAINS, GainRanges
+from pixel2catch.mdp.throws import Range
+from pixel2catch.robot.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
+
+STIFF_FACTOR = 10.0
+"""Stiffness of the servo behind a command filter over the nominal one.
+
+Source: ours; the controller's feed-forward makes that servo look stiffer than positions can tell.
+"""
+
+STIFF_LAG = 0.003
+"""Damping over stiffness of the servo behind a command filter [s]. Source: real UR5, target to position."""
 
 NO_HOLD_OUT = "none"
 """What is held out if everything is to be fitted."""
 
+CONFIDENCE = 1.96
+"""Standard deviations in half a 95 % interval."""
+
+LAG = "damping / stiffness"
+"""Name of the ratio that says how far a joint lags behind its command."""
+
+RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "rad"}
+"""The ratios that decide how a joint follows its command, with their units."""
+
+LEAST_HALF_WIDTH = 0.02
+"""Half-width that is always left, as a share. Source: ours; gains drift with temperature and load."""
+
 Positions = Float[np.ndarray, "num_settled num_joints"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """What is known before a fit.
+
+    Attributes:
+        robot: Whose joints are fitted: a name in `ROBOTS`.
+        file: The dynamics file that was given, if any.
+        before: The robot's joints in it; those that are not in it are nominal.
+        first: The same, with a command filter in front where one is to be fitted.
+    """
+
+    robot: str
+    file: DynamicsFile | None
+    before: JointDynamics
+    first: JointDynamics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,20 +76,6 @@ class CheckedRecording:
     recording: Recording
     checks: tuple[Check, ...]
     is_held_out: bool
-
-    def require_integrity(self) -> None:
-        """Refuse a recording of what did not happen.
-
-        Raises:
-            RecordingError: If a check forbids to fit it.
-        """
-        faults = [check for check in self.checks if check.forbids_fit]
-        if faults:
-            texts = [
-                f"- {' of '.join(filter(None, (fault.name, fault.joint)))}: {fault.detail}"
-                for fault in faults
-            ]
-            raise RecordingError("\n".join([f"{self.recording.name} cannot be used:", *texts]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +110,7 @@ class Motion:
     @property
     def command(self) -> Positions:
         """The commands that held then [rad]."""
-        return held(self.recording, self.time)
+        return self.recording.held(self.time)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +136,41 @@ class Identification:
         return tuple(motion for motion in self.motions if motion.source.is_held_out == is_held_out)
 
 
+def start_of_fit(robot: str, path: Path | None, fits_filter: bool) -> Start:
+    """Read what is known.
+
+    Args:
+        robot: Whose joints are fitted.
+        path: A dynamics file, if there is one.
+        fits_filter: Whether the filter of the commands is to be fitted. Without a file, the servo behind it
+            is taken to be stiff.
+
+    Raises:
+        InvalidValueError: If the file cannot be read, or the robot has joints without such a filter.
+    """
+    if fits_filter and robot != FILTERED_ROBOT:
+        raise InvalidValueError(
+            f"--filter is the UR5e's and --robot is {robot}; identify --robot ur5e with it, then --robot "
+            "allegro with the dynamics file of the first as --start: the result has both."
+        )
+    file = DynamicsFile.load(path) if path else None
+    nominal = JointDynamics.nominal()
+    before = (file.dynamics.over(nominal) if file else nominal).select(ROBOTS[robot])
+    first = before
+    if fits_filter:
+        servo = before if file else stiff(before)
+        gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
+        lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
+        first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
+    return Start(robot=robot, file=file, before=before, first=first)
+
+
+def stiff(nominal: JointDynamics) -> JointDynamics:
+    """The servos of a controller whose feed-forward makes them look stiffer than positions can tell."""
+    stiffness = STIFF_FACTOR * nominal.stiffness
+    return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
+
+
 def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[CheckedRecording]:
     """Check recordings, and choose which one judges the fit.
 
@@ -126,17 +187,15 @@ def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[Check
     twice = sorted({str(path) for path in paths if paths.count(path) > 1})
     if twice:
         raise InvalidValueError(f"{', '.join(twice)} is given twice; give every recording once.")
-    is_held_out = _held_out(paths, hold_out)
     return [
         CheckedRecording(
             recording=recording, checks=tuple(check_recording(recording)), is_held_out=bool(is_out)
         )
-        for recording, is_out in zip(recordings, is_held_out, strict=True)
+        for recording, is_out in zip(recordings, _held_out(paths, hold_out), strict=True)
     ]
 
 
 def _held_out(paths: Sequence[Path], hold_out: str | None) -> Bool[np.ndarray, " num_recordings"]:
-    """Which of the recordings are held out."""
     numbers = np.arange(1, len(paths) + 1)
     if hold_out is None or hold_out == NO_HOLD_OUT:
         return (numbers == len(paths)) & (len(paths) > 1) & (hold_out is None)
@@ -171,27 +230,33 @@ def identify(
         InvalidValueError: The start has no filter where one is to be fitted.
     """
     for source in sources:
-        source.require_integrity()
-    recordings = [source.recording for source in sources]
-    motion = RecordedMotion(recordings, cfg.physics_dt)
+        _require_integrity(source)
+    motion = RecordedMotion([source.recording for source in sources], cfg.physics_dt)
     report(f"fitting {', '.join(cfg.free)} of {len(start.first.joints)} joints")
     fitted = [source.recording for source in sources if not source.is_held_out]
     fit = fit_dynamics(fitted, start.first, cfg, report)
     report("simulating all recordings before and after")
-    lengths = [np.count_nonzero(each.t_meas - each.t_meas[0] > SETTLING) for each in recordings]
-    paths = [
-        np.split(path, np.cumsum(lengths)[:-1]) for path in motion.simulate([start.before, fit.dynamics])
-    ]
+    before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics]))
     return Identification(
         start=start,
         fit=fit,
         file=identified(fit, start),
         motions=tuple(
-            Motion(source=source, before=before, after=after)
-            for source, before, after in zip(sources, *paths, strict=True)
+            Motion(source=source, before=path_before, after=path_after)
+            for source, path_before, path_after in zip(sources, before, after, strict=True)
         ),
         physics_dt=cfg.physics_dt,
     )
+
+
+def _require_integrity(source: CheckedRecording) -> None:
+    """Refuse a recording of what did not happen."""
+    faults = [check for check in source.checks if check.forbids_fit]
+    if faults:
+        texts = [
+            f"- {' of '.join(filter(None, (fault.name, fault.joint)))}: {fault.detail}" for fault in faults
+        ]
+        raise RecordingError("\n".join([f"{source.recording.name} cannot be used:", *texts]))
 
 
 def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " num_joints"]]:
@@ -209,3 +274,84 @@ def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " 
         for name in ("command", "before", "after")
     }
     return {name: np.sqrt(np.mean(error**2, axis=0)) for name, error in errors.items()}
+
+
+def half_widths(fit: Fit) -> Float[np.ndarray, "num_joints num_free"]:
+    """Half of each parameter's 95 % interval, in the coordinates of the fit.
+
+    That is of the logarithm, so that 0.1 is ±10 %, and for the latency of 10 ms. Where it is
+    `CONFIDENCE * fit.prior`, the recordings tell nothing. It is by how much noise may move the result; what
+    a robot does and no simulation of its joints is not in it.
+    """
+    return CONFIDENCE * np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratio:
+    """The ratio of two parameters, which is often known where they are not.
+
+    Attributes:
+        name: One of `RATIOS`.
+        value: Of each joint.
+        half_width: Half of the 95 % interval of its logarithm.
+    """
+
+    name: str
+    value: Float[np.ndarray, " num_joints"]
+    half_width: Float[np.ndarray, " num_joints"]
+
+
+def ratios(fit: Fit) -> tuple[Ratio, ...]:
+    """The ratios of which both parameters were fitted."""
+    found = []
+    for name in RATIOS:
+        above, below = name.split(" / ")
+        if {above, below} <= set(fit.free):
+            difference = np.zeros(len(fit.free))
+            difference[fit.free.index(above)], difference[fit.free.index(below)] = 1.0, -1.0
+            variance = np.einsum("a,jab,b->j", difference, fit.covariance, difference)
+            value = getattr(fit.dynamics, above) / getattr(fit.dynamics, below)
+            found.append(Ratio(name=name, value=value, half_width=CONFIDENCE * np.sqrt(variance)))
+    return tuple(found)
+
+
+def identified(fit: Fit, start: Start) -> DynamicsFile:
+    """The result as training takes it; joints of the file before that were not fitted are carried over."""
+    old = start.file or DynamicsFile(dynamics=fit.dynamics)
+    return DynamicsFile(dynamics=fit.dynamics.over(old.dynamics), gains=gain_ranges(fit, old.gains))
+
+
+def gain_ranges(fit: Fit, before: GainRanges) -> GainRanges:
+    """How much a training has to randomise the gains: their 95 % intervals.
+
+    They are never wider than the paper's ranges and never a single point. Gains that were not fitted keep
+    their ranges. Where the ratio of damping and stiffness is better known than the damping, they are drawn
+    with a common factor: a fit leaves their scale open unless a torque limit or a known inertia fixes it, and
+    a damping fitted at an assumed stiffness is right for that one only.
+
+    Args:
+        fit: The fit.
+        before: The ranges before: the paper's, or those of the dynamics file that the fit started from.
+    """
+    unknown = np.full(len(fit.dynamics.joints), np.inf)
+    widths = dict(zip(fit.free, half_widths(fit).T, strict=True))
+    stiffness, damping = (widths.get(name, unknown) for name in ("stiffness", "damping"))
+    lag = next((ratio.half_width for ratio in ratios(fit) if ratio.name == LAG), unknown)
+    if "stiffness" not in widths:
+        lag, damping = damping, unknown
+    columns = {name: list(values) for name, values in dataclasses.asdict(before).items()}
+    for j, name in enumerate(fit.dynamics.joints):
+        row = list(JOINT_SPECS).index(name)
+        if np.isfinite(stiffness[j]):
+            columns["stiffness_scale"][row] = _within(TABLE_1_GAINS[row], stiffness[j])
+        if np.isfinite(damping[j]) or np.isfinite(lag[j]):
+            columns["damping_scale"][row] = _within(TABLE_1_GAINS[row], min(damping[j], lag[j]))
+            columns["is_damping_relative"][row] = bool(lag[j] < damping[j])
+    return GainRanges(**{name: tuple(values) for name, values in columns.items()})
+
+
+def _within(widest: Range, half_width: float) -> Range:
+    """The factors of an interval, within the widest range."""
+    width = min(max(half_width, LEAST_HALF_WIDTH), 1.0)  # e is more than any range has
+    low, high = np.clip(np.exp((-width, width)), *widest)
+    return float(low), float(high)

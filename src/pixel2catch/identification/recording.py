@@ -6,22 +6,42 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64, Shaped
 from numpy.lib.npyio import NpzFile
 
 from pixel2catch.errors import RecordingError, UnknownNameError
-from pixel2catch.identification.rules import Place, require_motion
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS, JointSpec
+from pixel2catch.identification.robot import GROUP_OF, JOINT_SPECS
 
-JOINT_SPECS: dict[str, JointSpec] = {spec.name: spec for spec in JOINTS}
-"""All joints that can be identified, by name, in joint order."""
+REMEDY = "Record the missing joints, rename them (--rename OURS=THEIRS), or choose another --robot."
+"""What to do about joints that are not there."""
 
-ROBOTS: dict[str, tuple[str, ...]] = {
-    "ur5e": tuple(spec.name for spec in ARM_JOINTS),
-    "allegro": tuple(spec.name for spec in HAND_JOINTS),
-    "ur5e_allegro": tuple(JOINT_SPECS),
-}
-"""Joint names of each robot, in joint order."""
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where rows of numbers come from, for messages.
+
+    Attributes:
+        source: File, or topic of a bag.
+        row: What a row is called there.
+        first_row: Number of the first one.
+    """
+
+    source: str
+    row: str = "row"
+    first_row: int = 0
+
+    def at(self, index: int) -> str:
+        """The place of a row."""
+        return f"{self.source}, {self.row} {self.first_row + index}"
+
+
+def held(
+    times: Shaped[np.ndarray, " num_values"],
+    values: Float[np.ndarray, "num_values num_joints"],
+    at: Shaped[np.ndarray, " num_times"],
+) -> Float[np.ndarray, "num_times num_joints"]:
+    """Commands at some times: each holds until the next, the first also before it was sent."""
+    return values[np.maximum(np.searchsorted(times, at, side="right") - 1, 0)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,6 +84,10 @@ class Recording:
         extra = [values for values in (self.qd, self.effort) if values is not None]
         require_motion(measured, self.joints, self.t_meas, self.q, *extra)
 
+    def held(self, time: Float[np.ndarray, " num_times"]) -> Float[np.ndarray, "num_times num_joints"]:
+        """The command at some times of its own clock [s]; see `held`."""
+        return held(self.t_cmd, self.q_cmd, time)
+
     def select(self, joints: tuple[str, ...]) -> "Recording":
         """The motion of some of the joints, in the order given.
 
@@ -72,9 +96,9 @@ class Recording:
         """
         missing = [joint for joint in joints if joint not in self.joints]
         if missing:
+            recorded = ", ".join(self.joints)
             raise RecordingError(
-                f"{self.name}: no joint {', '.join(missing)}; recorded are {', '.join(self.joints)}. "
-                "Record the missing joints, rename them (--rename OURS=THEIRS), or choose another --robot."
+                f"{self.name}: no joint {', '.join(missing)}; recorded are {recorded}. {REMEDY}"
             )
         columns = [self.joints.index(joint) for joint in joints]
         arrays = {
@@ -115,13 +139,11 @@ class Recording:
             ) from None
 
     def _arrays(self) -> dict[str, np.ndarray]:
-        """The arrays that are there, by name."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self)[2:]}
         return {name: values for name, values in arrays.items() if values is not None}
 
 
 def _read(path: Path, file: NpzFile, ours: Callable[[Iterable[str]], tuple[str, ...]]) -> Recording:
-    """The recording in an open npz."""
     required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
     missing = [name for name in required if name not in file]
     if missing:
@@ -139,3 +161,130 @@ def _read(path: Path, file: NpzFile, ours: Callable[[Iterable[str]], tuple[str, 
             f"or leave them out. Ours are {', '.join(JOINT_SPECS)}."
         )
     return Recording(name=str(path), joints=recorded, **arrays)
+
+
+def require_motion(
+    place: Place, joints: tuple[str, ...], time: np.ndarray, positions: np.ndarray, *others: np.ndarray
+) -> None:
+    """Refuse motion that no robot can have done, whatever file it came from.
+
+    Args:
+        place: Where the rows come from.
+        joints: Names of the columns.
+        time: Times [s], shape (rows,).
+        positions: Positions [rad], shape (rows, joints).
+        others: More columns of the same shape, such as speeds.
+
+    Raises:
+        RecordingError: If there are no rows, shapes part, a value is not finite, time runs backwards or
+            positions are beyond every joint's reach.
+    """
+    if time.ndim != 1 or len(time) < 2:
+        raise RecordingError(f"{place.source}: no motion, shape {time.shape}; at least two rows are needed.")
+    for values in (positions, *others):
+        shape = (len(time), len(joints))
+        if values.shape != shape:
+            raise RecordingError(
+                f"{place.source}: shape {values.shape}, but {shape[0]} times and {shape[1]} joints need "
+                f"{shape}; give every time one row and every joint one column."
+            )
+        _require_finite(place, joints, values)
+    _require_finite(place, ("time",), time[:, None])
+    backwards = np.flatnonzero(np.diff(time) < 0)
+    if len(backwards):
+        row = int(backwards[0]) + 1
+        raise RecordingError(
+            f"{place.at(row)}: time runs backwards, {time[row]:.6f} s after {time[row - 1]:.6f} s; "
+            "split the recording here, or sort it if two writers shared the file."
+        )
+    reach = np.array([GROUP_OF[joint].reach for joint in joints])
+    beyond = np.argwhere(np.abs(positions) > reach)
+    if len(beyond):
+        row, column = map(int, beyond[0])
+        raise RecordingError(
+            f"{place.at(row)}, column {joints[column]}: {positions[row, column]:g} rad is beyond "
+            f"the joint's reach of {reach[column]:.2f} rad; if the file is in degrees, convert it to radians."
+        )
+
+
+def _require_finite(place: Place, columns: tuple[str, ...], values: np.ndarray) -> None:
+    if not np.isfinite(values).all():
+        row, column = map(int, np.argwhere(~np.isfinite(values))[0])
+        raise RecordingError(
+            f"{place.at(row)}, column {columns[column]}: {values[row, column]} is no number; "
+            "cut the recording before this row or record again."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A text table: cells become numbers when a column is asked for.
+
+    Attributes:
+        path: The file.
+        names: Names of the columns.
+        rows: Cells as text, row by row.
+        place: What rows are called in messages: lines of the file, counted from 1.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    place: Place
+
+    def column(self, name: str) -> np.ndarray:
+        """The numbers of a column.
+
+        Raises:
+            RecordingError: If there is no such column, or a cell is no number.
+        """
+        if name not in self.names:
+            raise RecordingError(
+                f"{self.path}: no column {name}; it has {', '.join(self.names)}. "
+                "Record this column, or give it this name in the first line."
+            )
+        index = self.names.index(name)
+        numbers = np.empty(len(self.rows))
+        for i, row in enumerate(self.rows):
+            try:
+                numbers[i] = float(row[index])
+            except ValueError:
+                raise RecordingError(
+                    f"{self.place.at(i)}, column {name}: '{row[index]}' is no number; "
+                    "correct or cut this line."
+                ) from None
+        return numbers
+
+    def columns(self, names: Iterable[str]) -> np.ndarray:
+        """The numbers of several columns, shape (rows, columns); raises as `column` does."""
+        return np.stack([self.column(name) for name in names], axis=-1)
+
+
+def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
+    """Read a table of cells between commas, or between spaces where there is no comma.
+
+    Args:
+        path: The file; its first line names the columns.
+        names: Names of the columns, if the file has no such line.
+
+    Raises:
+        RecordingError: If the file cannot be read, is empty, or a line has too few or too many cells.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").strip().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: not a readable text file ({error}).") from None
+    cells = [line.split(",") if "," in line else line.split() for line in lines]
+    rows = tuple(tuple(cell.strip() for cell in row) for row in cells)
+    first = 0 if names else 1
+    if len(rows) <= first:
+        raise RecordingError(f"{path}: empty, there is no line of numbers; record again.")
+    place = Place(source=str(path), row="line", first_row=1 + first)
+    table = Table(path=path, names=names or rows[0], rows=rows[first:], place=place)
+    for i, row in enumerate(table.rows):
+        if len(row) != len(table.names):
+            raise RecordingError(
+                f"{place.at(i)}: {len(row)} columns instead of {len(table.names)}; "
+                "correct or cut this line (the last one may have been cut off while recording)."
+            )
+    return table

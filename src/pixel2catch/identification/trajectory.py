@@ -15,12 +15,10 @@ from zipfile import BadZipFile
 import numpy as np
 from jaxtyping import Float64
 
-from pixel2catch.envs.servo import SPEED_MARGIN
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.files import write_atomically
-from pixel2catch.identification.recording import JOINT_SPECS
-from pixel2catch.identification.rules import Place, require_motion
-from pixel2catch.robot.constants import JointSpec
+from pixel2catch.identification.recording import Place, held, require_motion
+from pixel2catch.identification.robot import JOINT_SPECS, largest_step
 
 FORMAT_VERSION = 1
 
@@ -44,15 +42,6 @@ UNREADABLE = (
 
 TOLERANCE = 1e-9
 """Excess of a limit that is rounding [rad, s]."""
-
-
-def largest_step(joint: JointSpec) -> float:
-    """Largest change from a target to the next [rad]: at rest, it makes the servo move at its speed limit.
-
-    A servo whose damping dominates moves at stiffness / damping times the distance of its target, see
-    `envs/servo.py`.
-    """
-    return SPEED_MARGIN * joint.velocity_limit * joint.damping / joint.stiffness
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,8 +86,7 @@ class Trajectory:
 
     def at(self, time: Float64[np.ndarray, " num_times"]) -> Float64[np.ndarray, "num_times num_joints"]:
         """The targets that are due at some times [s]; before the first and after the last they hold."""
-        index = np.searchsorted(self.times, time, side="right") - 1
-        return self.positions[np.maximum(index, 0)]
+        return held(self.times, self.positions, time)
 
     def save(self, path: Path) -> None:
         """Write the file.
