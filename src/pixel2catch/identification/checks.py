@@ -13,14 +13,9 @@ from scipy.signal import correlate, correlation_lags, savgol_filter
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.robot import JOINT_SPECS
 
-MIN_SAMPLES = 50
-"""Fewer measurements are not checked further. Source: ours, half a second at 100 Hz."""
-
-MAX_GAP = 0.1
-"""Longest time without a measurement [s]. Source: ours; a joint can start, move and stop in more."""
-
-MAX_SPAN_RATIO = 10.0
-"""Longest duration of the commands, as a multiple of that of the measurements. Source: ours."""
+MIN_SAMPLES = 50  # fewer measurements are not checked further (ours, half a second at 100 Hz)
+MAX_GAP = 0.1  # longest time without a measurement [s] (ours; a joint can start, move and stop in more)
+MAX_SPAN_RATIO = 10.0  # longest duration of the commands, as a multiple of that of the measurements (ours)
 
 STALL_TIME = 0.01
 """A step whose motion took so much longer than the clock says, and at least one more step, is a stall [s].
@@ -28,8 +23,7 @@ STALL_TIME = 0.01
 Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms.
 """
 
-LONG_STEP = 1.5
-"""A step is long from this multiple of the median on. Source: ours."""
+LONG_STEP = 1.5  # a step is long from this multiple of the median on (ours)
 
 STALL_ANGLE = 2e-3
 """A stall is seen from this much motion on [rad]. Source: ours, ten times the noise of a UR5e's positions."""
@@ -40,11 +34,8 @@ MAX_STALL_SHARE = 5e-3
 PROGRESS_RANGE = (0.8, 1.25)
 """Plausible change of the positions over that by the speeds. Source: ours; degrees would give 0.017."""
 
-MOVING_SPEED = 0.02
-"""A joint that is slower stands still [rad/s]. Source: ours, 0.7 % of the arm's largest speed."""
-
-MAX_REPEATED_SHARE = 0.02
-"""Largest share of samples that repeat the one before while the robot moves. Source: ours."""
+MOVING_SPEED = 0.02  # a joint that is slower stands still [rad/s] (ours, 0.7 % of the arm's largest speed)
+MAX_REPEATED_SHARE = 0.02  # largest share of samples that repeat the one before while the robot moves (ours)
 
 LAG_RANGE = (-0.02, 0.3)
 """Plausible lag of the motion behind its command [s].
@@ -53,23 +44,18 @@ Source: ours; servoJ with a lookahead of 0.1 s lags by 0.1 s and a few ms. A log
 target can seem late by half its step, because a command is taken to hold until the next.
 """
 
-MOVED_ANGLE = 0.01
-"""A joint whose positions span less did not move [rad]. Source: ours."""
+MOVED_ANGLE = 0.01  # a joint whose positions span less did not move [rad] (ours)
 
 MIN_CORRELATION = 0.5
 """Smallest correlation of measured and commanded positions. Source: ours; swapped joints are near 0."""
 
-SATURATED = 0.98
-"""A torque of this share of its limit counts as saturated. Source: ours."""
+SATURATED = 0.98  # a torque of this share of its limit counts as saturated (ours)
 
 MAX_SATURATED_SHARE = 0.1
 """Largest share of saturated samples. Source: ours; some tell the scale of the gains, many hide the rest."""
 
-MIN_SPEED_SHARE = 0.1
-"""Speed that a joint must reach, as a share of its limit. Source: ours."""
-
-MIN_REVERSALS = 1
-"""A joint must reverse so often. Source: ours; without a reversal friction looks like an offset."""
+MIN_SPEED_SHARE = 0.1  # speed that a joint must reach, as a share of its limit (ours)
+MIN_REVERSALS = 1  # a joint must reverse so often (ours; without a reversal friction looks like an offset)
 
 PEAK_QUANTILE = 0.995
 """Speeds and accelerations beyond this quantile are no peaks, but single bad samples. Source: ours."""
@@ -81,30 +67,19 @@ SMOOTHING = 0.1
 Source: ours; 0.2 mrad of noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes.
 """
 
-NEIGHBOURS = 7
-"""Steps whose median speed stands for that of the middle one, where none was recorded. Source: ours."""
-
-REFINEMENTS = 10
-"""Steps of Gauss and Newton for the lag. Source: ours; three are enough for sines."""
+NEIGHBOURS = 7  # steps whose median speed stands for that of the middle one, where none was recorded (ours)
+REFINEMENTS = 10  # steps of Gauss and Newton for the lag (ours; three are enough for sines)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One answer about a recording.
+    """One answer about a recording."""
 
-    Attributes:
-        name: What was checked.
-        joint: The joint it is about; none if it is about the whole recording.
-        is_good: Whether it passed; None if the recording cannot tell.
-        is_advice: Whether the motion can be fitted even if it failed: the fit then tells less.
-        detail: The figures, and the remedy if it failed.
-    """
-
-    name: str
-    joint: str | None = None
-    is_good: bool | None
-    is_advice: bool = False
-    detail: str
+    name: str  # what was checked
+    joint: str | None = None  # the joint it is about; none if it is about the whole recording
+    is_good: bool | None  # whether it passed; None if the recording cannot tell
+    is_advice: bool = False  # whether the motion can be fitted even if it failed: the fit then tells less
+    detail: str  # the figures, and the remedy if it failed
 
     @property
     def forbids_fit(self) -> bool:
@@ -122,9 +97,7 @@ class Check:
 def check_recording(recording: Recording, effort_limits: Mapping[str, float] | None = None) -> list[Check]:
     """All checks of a recording, or those of its clocks alone if one of them failed.
 
-    Args:
-        recording: The motion.
-        effort_limits: Torque limits of the joints [N·m]; those of the simulated robot if absent.
+    The torque limits [N·m] by joint are those of the simulated robot if not given.
     """
     limits = effort_limits or {name: spec.effort_limit for name, spec in JOINT_SPECS.items()}
     clocks = [_measurement_times(recording), _command_times(recording)]

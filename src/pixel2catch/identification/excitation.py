@@ -29,23 +29,15 @@ RATE = 125.0
 Source: ours; every fourth cycle of a UR e-series controller (500 Hz), and four times a policy's 30 Hz.
 """
 
-STILL = ("start", "pause", "end")
-"""Parts of a trajectory that are no excitation."""
-
-PAUSE = 0.4
-"""Rest in the middle after each kind of motion [s] (ours, three time constants of the arm)."""
-
-APPROACH = 1.5
-"""Shortest time from the start pose to the middle of the excitation [s] (ours)."""
-
-MIN_MOTION = 12.0
-"""Least time for all kinds of motion [s]. Source: ours, half a second for each turn."""
+STILL = ("start", "pause", "end")  # parts of a trajectory that are no excitation
+PAUSE = 0.4  # rest in the middle after each kind of motion [s] (ours, three time constants of the arm)
+APPROACH = 1.5  # shortest time from the start pose to the middle of the excitation [s] (ours)
+MIN_MOTION = 12.0  # least time for all kinds of motion [s] (ours, half a second for each turn)
 
 MAX_SECONDS = 600.0
 """Longest excitation [s] (ours; a fit takes as long as all recordings together, many times over)."""
 
-MAX_TRIES = 10
-"""Tries until it is given up (ours)."""
+MAX_TRIES = 10  # tries until it is given up (ours)
 
 SPEED_SHARE = 0.8
 """Share of the speed limit that commands use at full speed. Source: ours; joints pull at each other."""
@@ -58,8 +50,7 @@ Source: ours. Damping over stiffness of the joints corresponds to 1.2 Hz (arm) a
 inertia shows above.
 """
 
-FADE = 0.4
-"""Time in which sines fade in and out [s] (ours)."""
+FADE = 0.4  # time in which sines fade in and out [s] (ours)
 
 DWELL = (0.25, 0.65)
 """Shortest and longest time between a joint's steps [s]. Source: ours, 2 to 5 time constants of the arm."""
@@ -70,8 +61,7 @@ POLICY_PERIOD = 0.05
 Source: ours, 20 Hz: a little slower than our policies, so that the servos come nearer to the targets.
 """
 
-SLOW_SPEED = 0.15
-"""Top speed of slow reversals [rad/s]. Source: ours; dry friction turns around within 0.1 rad/s."""
+SLOW_SPEED = 0.15  # top speed of slow reversals [rad/s] (ours; dry friction turns around within 0.1 rad/s)
 
 NUM_TURNS = 6
 """Groups of joints that move in turns: each joint of the arm alone, and one joint of each finger."""
@@ -82,19 +72,12 @@ Offsets = Float64[np.ndarray, "num_times num_joints"]
 
 @dataclass(frozen=True, kw_only=True)
 class ExcitationCfg:
-    """What to draw.
+    """What to draw."""
 
-    Attributes:
-        robot: Whose joints move: a name in `ROBOTS`.
-        seconds: Duration, rest included [s].
-        seed: Seed of everything that is drawn.
-        speed: Factor on speed, acceleration and jumps; 1 is full.
-    """
-
-    robot: str = "ur5e_allegro"
-    seconds: float = 40.0
-    seed: int = 0
-    speed: float = 1.0
+    robot: str = "ur5e_allegro"  # whose joints move: a name in `ROBOTS`
+    seconds: float = 40.0  # duration, rest included [s]
+    seed: int = 0  # seed of everything that is drawn
+    speed: float = 1.0  # factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn."""
@@ -110,32 +93,22 @@ class ExcitationCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class Envelope:
-    """What commands of some joints keep to; one entry per joint.
+    """What commands of some joints keep to; one entry per joint."""
 
-    Attributes:
-        joints: Their names.
-        home: Start pose [rad].
-        center: Middle of the excitation [rad]: next to the start pose, with room for `swing` on both sides.
-        swing: Farthest from the middle [rad].
-        speed: Largest speed of a command [rad/s].
-        acceleration: Largest acceleration of a smooth command [rad/s²].
-        step: Largest jump of a command [rad].
-    """
-
-    joints: tuple[str, ...]
-    home: Row
-    center: Row
-    swing: Row
-    speed: Row
-    acceleration: Row
-    step: Row
+    joints: tuple[str, ...]  # their names
+    home: Row  # start pose [rad]
+    center: Row  # middle of the excitation [rad]: next to the start pose, with room for `swing` on both sides
+    swing: Row  # farthest from the middle [rad]
+    speed: Row  # largest speed of a command [rad/s]
+    acceleration: Row  # largest acceleration of a smooth command [rad/s²]
+    step: Row  # largest jump of a command [rad]
 
     @classmethod
     def of(cls, joints: Sequence[str], speed: float, shrunk: Mapping[str, float]) -> "Envelope":
-        """The envelope of some joints.
+        """The envelope of some joints, in joint order.
 
         Args:
-            joints: Their names, in joint order.
+            joints: Their names.
             speed: Factor on speed, acceleration and jumps; 1 is full.
             shrunk: Factors on everything, by joint; 1 where there is none.
         """
@@ -273,15 +246,9 @@ SEGMENTS: tuple[tuple[Signal, float], ...] = (
 def find_excitation(
     cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None]
 ) -> tuple[Trajectory, Assessment]:
-    """Draw a trajectory, and shrink it until a simulated robot follows it without a fault.
+    """Draw a trajectory, and shrink it until a robot of some dynamics, simulated, follows it without a fault.
 
-    Args:
-        cfg: What to draw.
-        dynamics: Of the robot's joints.
-        report: Gets a line for every try that was too much.
-
-    Returns:
-        The trajectory and what the simulated robot did.
+    Returns what that robot did, too; reports every try that was too much.
 
     Raises:
         InvalidValueError: If even small motion has faults.
@@ -304,9 +271,7 @@ def find_excitation(
 def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajectory:
     """Draw one trajectory; whether a robot can follow it is not known yet.
 
-    Args:
-        cfg: What to draw.
-        shrunk: Factors on the motion of single joints; 1 where there is none.
+    Joints may be shrunk: their motion gets a factor.
 
     Raises:
         InvalidValueError: If too little time is left for the kinds of motion.

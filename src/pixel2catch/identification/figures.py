@@ -17,24 +17,20 @@ from pixel2catch.identification.rehearsal import Assessment
 from pixel2catch.identification.robot import JOINT_SPECS
 from pixel2catch.identification.trajectory import Trajectory
 
-COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}
-"""Of a report."""
+COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}  # of a report
 
 COMMAND_COLOR, MOTION_COLOR, LIMIT_COLOR, SPAN_COLOR = "#0072B2", "#D55E00", "#8A8A8A", "#F0F0F0"
 """Of a trajectory."""
 
-ZOOM = 1.5
-"""Length of the close look [s]: about the fastest motion."""
-
-ROW_HEIGHT = 1.15
-"""Height of a joint's row in the picture of a trajectory [inches]."""
+ZOOM = 1.5  # length of the close look [s]: about the fastest motion
+ROW_HEIGHT = 1.15  # height of a joint's row in the picture of a trajectory [inches]
 
 MARGINS = {"left": 0.07, "right": 0.985, "bottom": 0.16, "top": 0.98, "wspace": 0.14, "hspace": 0.12}
 """Room for the labels, as shares of the picture."""
 
-PLAIN: dict[Any, Any] = {"axes.spines.top": False, "axes.spines.right": False}
-
-STYLE: dict[Any, Any] = PLAIN | {
+PLAIN: dict[Any, Any] = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
+STYLE: dict[Any, Any] = {
+    **PLAIN,
     "font.size": 8,
     "axes.edgecolor": "#5B5B5B",
     "axes.grid": True,
@@ -45,12 +41,7 @@ STYLE: dict[Any, Any] = PLAIN | {
 
 
 def joint_picture(motion: Motion, column: int) -> bytes:
-    """Position of a joint as commanded, measured and simulated, its errors, and a close look.
-
-    Args:
-        motion: The recording and its simulation.
-        column: Number of the joint.
-    """
+    """Position of a column's joint as commanded, measured and simulated, its errors, and a close look."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 2.6), dpi=120)  # its own layout engine would draw it three times
         grid = figure.add_gridspec(2, 2, height_ratios=(3, 1), width_ratios=(5, 3), **MARGINS)
@@ -104,7 +95,7 @@ def _zoom_in(axes: Axes, motion: Motion, column: int) -> None:
 def motion_picture(trajectory: Trajectory, assessment: Assessment) -> bytes:
     """Commands and simulated motion of every joint over time, with the joints' limits where they are near."""
     segments = trajectory.header.get("segments", {})
-    with matplotlib.rc_context(PLAIN | {"font.size": 9}):
+    with matplotlib.rc_context(PLAIN):
         num_joints = len(trajectory.joints)
         figure = Figure(figsize=(12.0, 0.8 + ROW_HEIGHT * num_joints), layout="constrained")
         panels = np.atleast_1d(figure.subplots(num_joints, 1, sharex=True))
@@ -117,7 +108,7 @@ def motion_picture(trajectory: Trajectory, assessment: Assessment) -> bytes:
         panels[-1].set_xlim(0.0, trajectory.duration)
         handles = panels[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside lower center", ncols=3, frameon=False)
-        buffer = io.BytesIO()
+    buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     return buffer.getvalue()
 

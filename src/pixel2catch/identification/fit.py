@@ -32,35 +32,16 @@ SCALE = ("stiffness", "damping", "frictionloss", "armature")
 LAG_PARAMETERS = ("damping", "filter_lookahead", "latency")
 """What is fitted first, alone: else an unexplained lag drives the armature into a far, wrong minimum."""
 
-LATENCY_UNIT = 0.01
-"""Latency that counts as much as a factor e of another parameter [s]. Source: ours."""
-
-MAX_LATENCY = 0.2
-"""Largest latency that a fit tries [s]. Source: ours."""
-
-MAX_FACTOR = 1e3
-"""Largest factor between the start and the result of any other parameter. Source: ours."""
-
-LEAST_VALUE = 1e-9
-"""What a fit takes for 0 where it needs a logarithm."""
-
-COARSENESS = 2.0
-"""Length of the time steps with which a fit begins, in those with which it ends. Source: ours."""
-
-COARSE_ROUNDS = 2
-"""Evaluations of the Jacobian with these. Source: ours."""
-
-ROUGH = 0.03
-"""Share of the squares that is worth a step while only the lag moves. Source: ours."""
-
-FINE = 0.2
-"""Step that is worth to be taken, in standard errors of what is fitted. Source: ours."""
-
-MAX_STEPS = 6
-"""Steps under one Jacobian. Source: ours; each is about a fifth of the one before, or of no use."""
-
-MAX_STEP = 1.0
-"""Longest step of a coordinate. Source: ours; farther away motion is another."""
+LATENCY_UNIT = 0.01  # latency that counts as much as a factor e of another parameter [s] (ours)
+MAX_LATENCY = 0.2  # largest latency that a fit tries [s] (ours)
+MAX_FACTOR = 1e3  # largest factor between the start and the result of any other parameter (ours)
+LEAST_VALUE = 1e-9  # what a fit takes for 0 where it needs a logarithm
+COARSENESS = 2.0  # length of the time steps with which a fit begins, in those with which it ends (ours)
+COARSE_ROUNDS = 2  # evaluations of the Jacobian with these (ours)
+ROUGH = 0.03  # share of the squares that is worth a step while only the lag moves (ours)
+FINE = 0.2  # step that is worth to be taken, in standard errors of what is fitted (ours)
+MAX_STEPS = 6  # steps under one Jacobian (ours; each is about a fifth of the one before, or of no use)
+MAX_STEP = 1.0  # longest step of a coordinate (ours; farther away motion is another)
 
 DAMPINGS = (0.0, 0.1, 10.0)
 """Marquardt's factors; of their steps, all tried at once, the best is taken. Source: ours."""
@@ -80,19 +61,13 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class FitCfg:
-    """How the dynamics are fitted.
+    """How the dynamics are fitted."""
 
-    Attributes:
-        free: Parameters that are fitted; the others keep their start values.
-        prior: Standard deviation of what is known before, in the coordinates of the fit: 2 is a factor 7.
-        physics_dt: Time step of the simulation [s].
-        max_rounds: Most evaluations of the Jacobian with this time step.
-    """
-
-    free: tuple[str, ...] = SERVO_PARAMETERS
+    free: tuple[str, ...] = SERVO_PARAMETERS  # parameters that are fitted; the others keep their start values
+    # standard deviation of what is known before, in the coordinates of the fit: 2 is a factor 7
     prior: float = 2.0
-    physics_dt: float = FIT_DT
-    max_rounds: int = 4
+    physics_dt: float = FIT_DT  # time step of the simulation [s]
+    max_rounds: int = 4  # most evaluations of the Jacobian with this time step
 
     def __post_init__(self) -> None:
         """Refuse unknown parameters, none at all, and sizes that are not positive."""
@@ -108,33 +83,22 @@ class FitCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A fit and how well its recordings determine it.
+    """A fit and how well its recordings determine it."""
 
-    Attributes:
-        dynamics: The fitted dynamics.
-        free: The parameters that were fitted.
-        covariance: Of each joint's free parameters, in the coordinates of the fit; the prior is in it.
-        prior: Standard deviation of the prior: where it is not reduced, the recordings tell nothing.
-        residual: Simulated minus measured positions of the fitted recordings [rad].
-    """
-
-    dynamics: JointDynamics
-    free: tuple[str, ...]
+    dynamics: JointDynamics  # the fitted dynamics
+    free: tuple[str, ...]  # the parameters that were fitted
+    # of each joint's free parameters, in the coordinates of the fit; the prior is in it
     covariance: Float[np.ndarray, "num_joints num_free num_free"]
-    prior: float
-    residual: Residuals
+    prior: float  # standard deviation of the prior: where it is not reduced, the recordings tell nothing
+    residual: Residuals  # simulated minus measured positions of the fitted recordings [rad]
 
 
 def fit_dynamics(
     recordings: Sequence[Recording], start: JointDynamics, cfg: FitCfg, report: Report = lambda _: None
 ) -> Fit:
-    """Fit the free parameters of every joint to the recordings.
+    """Fit the free parameters of every joint to recordings; hold whole ones out to judge the result.
 
-    Args:
-        recordings: What to fit; hold whole recordings out to judge the result.
-        start: Start values, and the values of what is not free.
-        cfg: How to fit.
-        report: Told how far it is.
+    The start has also the values of what is not free. Reports how far the fit is.
 
     Raises:
         RecordingError: There is no recording, one is too short, or they are of different joints.
@@ -161,15 +125,10 @@ def fit_dynamics(
 
 @dataclass(frozen=True, kw_only=True)
 class Directions:
-    """Ways in which a point can move.
+    """Ways in which a point can move."""
 
-    Attributes:
-        steps: A unit step of each.
-        felt_by: Which joints move otherwise then.
-    """
-
-    steps: Float[np.ndarray, "num_directions num_joints num_free"]
-    felt_by: Bool[np.ndarray, "num_directions num_joints"]
+    steps: Float[np.ndarray, "num_directions num_joints num_free"]  # a unit step of each
+    felt_by: Bool[np.ndarray, "num_directions num_joints"]  # which joints move otherwise then
 
     def together(self) -> list[list[int]]:
         """Directions by number, in batches that no joint feels more than one of."""
@@ -186,17 +145,12 @@ class Directions:
 
 @dataclass(frozen=True, kw_only=True)
 class NormalEquations:
-    """The squares about a point, as a quadratic function of the coordinates of some directions.
+    """The squares about a point, as a quadratic function of the coordinates of some directions."""
 
-    Attributes:
-        directions: What moves.
-        hessian: Half of the second derivatives: the inverse of a covariance.
-        gradient: Half of the derivatives.
-    """
-
-    directions: Directions
+    directions: Directions  # what moves
+    # half of the second derivatives: the inverse of a covariance
     hessian: Float[np.ndarray, "num_directions num_directions"]
-    gradient: Float[np.ndarray, " num_directions"]
+    gradient: Float[np.ndarray, " num_directions"]  # half of the derivatives
 
     def step(self, damping: float) -> Point:
         """The step to the least squares; damping, as Marquardt's, makes it shorter and steeper."""
@@ -218,19 +172,13 @@ class NormalEquations:
 
 @dataclass(frozen=True, kw_only=True)
 class Jacobian:
-    """Derivatives of the simulated positions at a point.
+    """Derivatives of the simulated positions at a point."""
 
-    Attributes:
-        residuals: Simulated minus measured positions at the point [rad].
-        directions: What moves.
-        changes: Change of the positions in each of some simulations, in which several directions moved.
-        source: In which of these each direction moved.
-    """
-
-    residuals: Residuals
-    directions: Directions
+    residuals: Residuals  # simulated minus measured positions at the point [rad]
+    directions: Directions  # what moves
+    # change of the positions in each of some simulations, in which several directions moved
     changes: Float[np.ndarray, "num_simulations num_settled num_joints"]
-    source: Int[np.ndarray, " num_directions"]
+    source: Int[np.ndarray, " num_directions"]  # in which of these each direction moved
 
 
 class _Problem:
@@ -274,15 +222,12 @@ class _Problem:
         return point.clip(lower, upper)
 
     def directions(self, names: Sequence[str], is_coupled: bool) -> Directions:
-        """How some of the parameters can move.
+        """How some of the parameters, of which one is free at least, can move.
 
         The commands of a group of joints arrive together, so that they share the change of latency; every
         other parameter is a joint's own. What is a torque over motion moves with the stiffness: their common
-        scale shows weakly, and differences of large derivatives would not tell it.
-
-        Args:
-            names: The parameters: one that is free at least.
-            is_coupled: Whether to see that the motion of a joint moves others.
+        scale shows weakly, and differences of large derivatives would not tell it. Coupled directions are
+        felt by the joints that the motion of a joint moves, too.
         """
         joints, free = self._dynamics.joints, self._cfg.free
         chain = coupled(joints)

@@ -28,14 +28,9 @@ Source: ours; the controller's feed-forward makes that servo look stiffer than p
 STIFF_LAG = 0.003
 """Damping over stiffness of the servo behind a command filter [s]. Source: real UR5, target to position."""
 
-NO_HOLD_OUT = "none"
-"""What is held out if everything is to be fitted."""
-
-CONFIDENCE = 1.96
-"""Standard deviations in half a 95 % interval."""
-
-LAG = "damping / stiffness"
-"""Name of the ratio that says how far a joint lags behind its command."""
+NO_HOLD_OUT = "none"  # what is held out if everything is to be fitted
+CONFIDENCE = 1.96  # standard deviations in half a 95 % interval
+LAG = "damping / stiffness"  # name of the ratio that says how far a joint lags behind its command
 
 RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "rad"}
 """The ratios that decide how a joint follows its command, with their units."""
@@ -48,49 +43,31 @@ Positions = Float[np.ndarray, "num_settled num_joints"]
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """What is known before a fit.
+    """What is known before a fit."""
 
-    Attributes:
-        robot: Whose joints are fitted: a name in `ROBOTS`.
-        file: The dynamics file that was given, if any.
-        before: The robot's joints in it; those that are not in it are nominal.
-        first: The same, with a command filter in front where one is to be fitted.
-    """
-
-    robot: str
-    file: DynamicsFile | None
-    before: JointDynamics
-    first: JointDynamics
+    robot: str  # whose joints are fitted: a name in `ROBOTS`
+    file: DynamicsFile | None  # the dynamics file that was given, if any
+    before: JointDynamics  # the robot's joints in it; those that are not in it are nominal
+    first: JointDynamics  # the same, with a command filter in front where one is to be fitted
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedRecording:
-    """A recording and what its checks found.
-
-    Attributes:
-        recording: The motion.
-        checks: The answers.
-        is_held_out: Whether it is not fitted, so that it tells how good the fit is.
-    """
+    """A recording and what its checks found."""
 
     recording: Recording
     checks: tuple[Check, ...]
-    is_held_out: bool
+    is_held_out: bool  # whether it is not fitted, so that it tells how good the fit is
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """A recording beside its simulation.
-
-    Attributes:
-        source: The recording.
-        before: Simulated positions under the dynamics before the fit, at the measurements compared [rad].
-        after: And under the fitted ones.
-    """
+    """A recording beside its simulation."""
 
     source: CheckedRecording
+    # simulated positions under the dynamics before the fit, at the measurements compared [rad]
     before: Positions
-    after: Positions
+    after: Positions  # and under the fitted ones
 
     @property
     def recording(self) -> Recording:
@@ -115,21 +92,13 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """A fit with what a reader needs to judge it.
+    """A fit with what a reader needs to judge it."""
 
-    Attributes:
-        start: What was known before.
-        fit: What was fitted, and how well it is known.
-        file: The result as training takes it, with the ranges in which it randomises the gains.
-        motions: The recordings.
-        physics_dt: Time step of the simulation [s].
-    """
-
-    start: Start
-    fit: Fit
-    file: DynamicsFile
+    start: Start  # what was known before
+    fit: Fit  # what was fitted, and how well it is known
+    file: DynamicsFile  # the result as training takes it, with the ranges in which it randomises the gains
     motions: tuple[Motion, ...]
-    physics_dt: float
+    physics_dt: float  # time step of the simulation [s]
 
     def of(self, is_held_out: bool) -> tuple[Motion, ...]:
         """The motions that were held out, or those that were fitted."""
@@ -137,13 +106,9 @@ class Identification:
 
 
 def start_of_fit(robot: str, path: Path | None, fits_filter: bool) -> Start:
-    """Read what is known.
+    """Read what is known, from a dynamics file if there is one.
 
-    Args:
-        robot: Whose joints are fitted.
-        path: A dynamics file, if there is one.
-        fits_filter: Whether the filter of the commands is to be fitted. Without a file, the servo behind it
-            is taken to be stiff.
+    Without a file, the servo behind a filter that is to be fitted is taken to be stiff.
 
     Raises:
         InvalidValueError: If the file cannot be read, or the robot has joints without such a filter.
@@ -174,10 +139,8 @@ def stiff(nominal: JointDynamics) -> JointDynamics:
 def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[CheckedRecording]:
     """Check recordings, and choose which one judges the fit.
 
-    Args:
-        recordings: All of them.
-        hold_out: File name of the one, with or without its folder and ending; or its number, from 1; or
-            `none`. If absent, it is the last of several.
+    It is that of a file name, with or without its folder and ending; or of a number, from 1; or `none`; if
+    nothing is said, the last of several.
 
     Raises:
         UnknownNameError: If there is no such recording.
@@ -219,12 +182,6 @@ def identify(
 ) -> Identification:
     """Fit the recordings that are not held out, and simulate all of them before and after.
 
-    Args:
-        sources: The recordings.
-        start: What is known before.
-        cfg: How to fit.
-        report: Told what is done, before it is.
-
     Raises:
         RecordingError: A recording is not sound, or too short.
         InvalidValueError: The start has no filter where one is to be fitted.
@@ -262,12 +219,8 @@ def _require_integrity(source: CheckedRecording) -> None:
 def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " num_joints"]]:
     """Root mean square of predicted minus measured positions of all motions together, per joint [rad].
 
-    Args:
-        motions: At least one.
-
-    Returns:
-        By prediction: the `command`, as if the joint were there at once, and the simulation `before` and
-        `after` the fit.
+    By prediction: the `command`, as if the joint were there at once, and the simulation `before` and `after`
+    the fit.
     """
     errors = {
         name: np.concatenate([getattr(motion, name) - motion.measured for motion in motions])
@@ -288,17 +241,11 @@ def half_widths(fit: Fit) -> Float[np.ndarray, "num_joints num_free"]:
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """The ratio of two parameters, which is often known where they are not.
+    """The ratio of two parameters, which is often known where they are not."""
 
-    Attributes:
-        name: One of `RATIOS`.
-        value: Of each joint.
-        half_width: Half of the 95 % interval of its logarithm.
-    """
-
-    name: str
-    value: Float[np.ndarray, " num_joints"]
-    half_width: Float[np.ndarray, " num_joints"]
+    name: str  # one of `RATIOS`
+    value: Float[np.ndarray, " num_joints"]  # of each joint
+    half_width: Float[np.ndarray, " num_joints"]  # half of the 95 % interval of its logarithm
 
 
 def ratios(fit: Fit) -> tuple[Ratio, ...]:
@@ -325,13 +272,10 @@ def gain_ranges(fit: Fit, before: GainRanges) -> GainRanges:
     """How much a training has to randomise the gains: their 95 % intervals.
 
     They are never wider than the paper's ranges and never a single point. Gains that were not fitted keep
-    their ranges. Where the ratio of damping and stiffness is better known than the damping, they are drawn
-    with a common factor: a fit leaves their scale open unless a torque limit or a known inertia fixes it, and
-    a damping fitted at an assumed stiffness is right for that one only.
-
-    Args:
-        fit: The fit.
-        before: The ranges before: the paper's, or those of the dynamics file that the fit started from.
+    their ranges: the paper's, or those of the dynamics file that the fit started from. Where the ratio of
+    damping and stiffness is better known than the damping, they are drawn with a common factor: a fit leaves
+    their scale open unless a torque limit or a known inertia fixes it, and a damping fitted at an assumed
+    stiffness is right for that one only.
     """
     unknown = np.full(len(fit.dynamics.joints), np.inf)
     widths = dict(zip(fit.free, half_widths(fit).T, strict=True))

@@ -16,8 +16,7 @@ from pixel2catch.identification.rosbag_messages import PARSERS, SPEED_AND_EFFORT
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-MEASURED_TOPIC = "/joint_states"
-"""Topic of the measurements. Source: ROS 2, `joint_state_broadcaster`."""
+MEASURED_TOPIC = "/joint_states"  # topic of the measurements. Source: ROS 2, `joint_state_broadcaster`.
 
 MEASURED_FILE = "rtde.csv"
 """Measurements: `timestamp, actual_q_0` … `actual_q_5`, perhaps `actual_qd_*`. Source: the names of RTDE."""
@@ -26,8 +25,7 @@ COMMAND_FILE = "commands.csv"
 """Commands: `t, q_0` … `q_5`, written by whoever sent them. RTDE's `target_q` is what the controller made of
 them, with hardly any lag, and not the command."""
 
-RTDE_ROBOT = "ur5e"
-"""The robot whose controller speaks RTDE."""
+RTDE_ROBOT = "ur5e"  # the robot whose controller speaks RTDE
 
 FORMATS = (
     f"an .npz file in the canonical layout, a folder with {MEASURED_FILE} and {COMMAND_FILE}, "
@@ -38,30 +36,22 @@ FORMATS = (
 
 @dataclass(frozen=True, kw_only=True)
 class CommandTopic:
-    """A topic on which commands were sent.
+    """A topic on which commands were sent."""
 
-    Attributes:
-        name: Its name.
-        joints: Our names of the joints in messages that name none, in their order; empty if they are the
-            robot's joints, or if the messages name them.
-    """
-
-    name: str
+    name: str  # its name
+    # our names of the joints in messages that name none, in their order; empty if they are the robot's
+    # joints, or if the messages name them
     joints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Names:
-    """What a lab's recordings call our topics and joints.
+    """What a lab's recordings call our topics and joints."""
 
-    Attributes:
-        command_topics: Topics of the commands of a bag; may be empty if only one can be it.
-        measured_topic: Topic of the measurements of a bag.
-        theirs: The recording's names of joints that have another name there, by ours.
-    """
-
+    # topics of the commands of a bag; may be empty if only one can be it
     command_topics: tuple[CommandTopic, ...] = ()
-    measured_topic: str = MEASURED_TOPIC
+    measured_topic: str = MEASURED_TOPIC  # topic of the measurements of a bag
+    # the recording's names of joints that have another name there, by ours
     theirs: Mapping[str, str] = field(default_factory=dict)
 
     def ours(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -76,22 +66,23 @@ class Names:
 
         Args:
             command_topics: Each `TOPIC`, `TOPIC=ROBOT` or `TOPIC=JOINT,JOINT,…` with the recording's names.
-            measured_topic: Topic of the measurements.
+            measured_topic: As in `Names`.
             renames: Each `OURS=THEIRS`.
 
         Raises:
             UnknownNameError: If a joint that is renamed is none of ours.
             InvalidValueError: If an option is of another form, or names something twice.
         """
-        pairs = [tuple(rename.partition("=")[::2]) for rename in renames]
-        for rename, (ours, theirs) in zip(renames, pairs, strict=True):
+        pairs: list[tuple[str, str]] = []
+        for rename in renames:
+            ours, _, theirs = rename.partition("=")
             if not ours or not theirs:
                 raise InvalidValueError(
                     f"--rename {rename}: not of the form OURS=THEIRS, such as index_joint_1=joint_1.0"
                 )
-        for ours, _ in pairs:
             if ours not in JOINT_SPECS:
                 raise UnknownNameError("joint", ours, JOINT_SPECS)
+            pairs.append((ours, theirs))
         _require_once("--rename", [ours for ours, _ in pairs])
         _require_once("--rename", [theirs for _, theirs in pairs])
         names = cls(measured_topic=measured_topic, theirs=dict(pairs))
@@ -111,12 +102,7 @@ def _require_once(option: str, names: Sequence[str]) -> None:
 
 
 def read_recording(path: Path, robot: str = "ur5e_allegro", names: Names | None = None) -> Recording:
-    """Read the motion of a robot's joints, in joint order.
-
-    Args:
-        path: A file or folder; what it is chooses the reader.
-        robot: Which joints are wanted: a name in `ROBOTS`.
-        names: What the recording calls topics and joints, if not as we do.
+    """Read the motion of a robot's joints, in joint order; what the file or folder is chooses the reader.
 
     Raises:
         RecordingError: If it is of no known format, lacks a joint, or says what cannot be.
@@ -159,19 +145,12 @@ def _read_rtde(folder: Path) -> Recording:
 
 @dataclass(frozen=True, kw_only=True)
 class _Stream:
-    """The motion on one topic.
+    """The motion on one topic."""
 
-    Attributes:
-        joints: Those of the wanted joints that it has, the columns.
-        recorded: All joints that it has, for messages.
-        times: When each message was sent [ns].
-        fields: `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them.
-    """
-
-    joints: tuple[str, ...]
-    recorded: tuple[str, ...]
-    times: np.ndarray
-    fields: Fields
+    joints: tuple[str, ...]  # those of the wanted joints that it has, the columns
+    recorded: tuple[str, ...]  # all joints that it has, for messages
+    times: np.ndarray  # when each message was sent [ns]
+    fields: Fields  # `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,15 +164,11 @@ class _Bag:
 
 
 def read_rosbag(path: Path, joints: tuple[str, ...], names: Names) -> Recording:
-    """Read the motion of some joints from a rosbag2 (MCAP or SQLite).
+    """Read the motion of some joints from a rosbag2 (MCAP or SQLite), its folder or file.
 
     A topic's times are its header stamps, or the bag's receive times if any header has none. All are counted
     from the earliest. Several topics of commands become one stream, with a row whenever one of them changes.
-
-    Args:
-        path: The bag's folder, or its .mcap or .db3 file.
-        joints: Names of the joints; a message without names has these, in this order, unless `names` tells.
-        names: What the bag calls topics and joints.
+    A message without names has the joints in this order, unless `names` tells.
 
     Raises:
         RecordingError: If a topic or joint is missing, or a message says what cannot be.

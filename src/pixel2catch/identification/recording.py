@@ -18,17 +18,11 @@ REMEDY = "Record the missing joints, rename them (--rename OURS=THEIRS), or choo
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where rows of numbers come from, for messages.
+    """Where rows of numbers come from, for messages."""
 
-    Attributes:
-        source: File, or topic of a bag.
-        row: What a row is called there.
-        first_row: Number of the first one.
-    """
-
-    source: str
-    row: str = "row"
-    first_row: int = 0
+    source: str  # file, or topic of a bag
+    row: str = "row"  # what a row is called there
+    first_row: int = 0  # number of the first one
 
     def at(self, index: int) -> str:
         """The place of a row."""
@@ -50,28 +44,21 @@ class Recording:
 
     The two clocks are never merged: their offset is a result, not an assumption.
 
-    Attributes:
-        name: What messages and reports call it.
-        joints: Names of the joints, the columns of all arrays.
-        t_cmd: Send times of the commands [s], not decreasing.
-        q_cmd: Commanded positions [rad]; each holds until the next.
-        t_meas: Times of the measurements [s], not decreasing.
-        q: Measured positions [rad].
-        qd: Measured speeds [rad/s], if they were recorded.
-        effort: Measured torques [N·m], if they were recorded.
-
     Raises:
         RecordingError: If a shape, time or value cannot be; the message says where.
         UnknownNameError: If the robot has no such joint.
     """
 
-    name: str = "recording"
-    joints: tuple[str, ...]
-    t_cmd: Float64[np.ndarray, " num_commands"]
+    name: str = "recording"  # what messages and reports call it
+    joints: tuple[str, ...]  # names of the joints, the columns of all arrays
+    t_cmd: Float64[np.ndarray, " num_commands"]  # send times of the commands [s], not decreasing
+    # commanded positions [rad]; each holds until the next
     q_cmd: Float64[np.ndarray, "num_commands num_joints"]
-    t_meas: Float64[np.ndarray, " num_samples"]
-    q: Float64[np.ndarray, "num_samples num_joints"]
+    t_meas: Float64[np.ndarray, " num_samples"]  # times of the measurements [s], not decreasing
+    q: Float64[np.ndarray, "num_samples num_joints"]  # measured positions [rad]
+    # measured speeds [rad/s], if they were recorded
     qd: Float64[np.ndarray, "num_samples num_joints"] | None = None
+    # measured torques [N·m], if they were recorded
     effort: Float64[np.ndarray, "num_samples num_joints"] | None = None
 
     def __post_init__(self) -> None:
@@ -121,11 +108,7 @@ class Recording:
 
     @staticmethod
     def load(path: Path, ours: Callable[[Iterable[str]], tuple[str, ...]] = tuple) -> "Recording":
-        """Read a canonical file.
-
-        Args:
-            path: The file.
-            ours: What makes our names of the file's names of joints.
+        """Read a canonical file; `ours` makes our names of its names of joints.
 
         Raises:
             RecordingError: If it is no such file, or what it says cannot be.
@@ -168,12 +151,7 @@ def require_motion(
 ) -> None:
     """Refuse motion that no robot can have done, whatever file it came from.
 
-    Args:
-        place: Where the rows come from.
-        joints: Names of the columns.
-        time: Times [s], shape (rows,).
-        positions: Positions [rad], shape (rows, joints).
-        others: More columns of the same shape, such as speeds.
+    Times [s] are of shape (rows,), positions [rad] and others, such as speeds, of shape (rows, joints).
 
     Raises:
         RecordingError: If there are no rows, shapes part, a value is not finite, time runs backwards or
@@ -218,19 +196,12 @@ def _require_finite(place: Place, columns: tuple[str, ...], values: np.ndarray) 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A text table: cells become numbers when a column is asked for.
-
-    Attributes:
-        path: The file.
-        names: Names of the columns.
-        rows: Cells as text, row by row.
-        place: What rows are called in messages: lines of the file, counted from 1.
-    """
+    """A text table: cells become numbers when a column is asked for."""
 
     path: Path
-    names: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    place: Place
+    names: tuple[str, ...]  # names of the columns
+    rows: tuple[tuple[str, ...], ...]  # cells as text, row by row
+    place: Place  # what rows are called in messages: lines of the file, counted from 1
 
     def column(self, name: str) -> np.ndarray:
         """The numbers of a column.
@@ -263,9 +234,7 @@ class Table:
 def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
     """Read a table of cells between commas, or between spaces where there is no comma.
 
-    Args:
-        path: The file; its first line names the columns.
-        names: Names of the columns, if the file has no such line.
+    Its first line names the columns, unless their names are given.
 
     Raises:
         RecordingError: If the file cannot be read, is empty, or a line has too few or too many cells.

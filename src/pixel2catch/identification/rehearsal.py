@@ -32,8 +32,7 @@ from pixel2catch.robot.joint_dynamics import JointDynamics
 STALLED_TURN = 0.04
 """Length of a turn of a loop that stalls [s]. Source: a real UR5 recording, where 5 % of them did."""
 
-MIN_PHYSICS_HZ = 120.0
-"""Fewest physics steps in a second. Source: paper, the rate of a training."""
+MIN_PHYSICS_HZ = 120.0  # fewest physics steps in a second. Source: paper, the rate of a training.
 
 LIMIT_TOLERANCE = 0.005
 """Excess of a position limit that counts as none [rad].
@@ -41,30 +40,21 @@ LIMIT_TOLERANCE = 0.005
 Source: ours; in the start pose two joints stand at their limits, and the pull of others moves them a little.
 """
 
-HORIZON = 0.1
-"""Distance up to which the robot is watched [m]."""
+HORIZON = 0.1  # distance up to which the robot is watched [m]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecorderCfg:
-    """How motion is commanded and recorded: two loops that know nothing of each other.
+    """How motion is commanded and recorded: two loops that know nothing of each other."""
 
-    Attributes:
-        noise: Standard deviation of a measured position [rad]. Default: a UR's encoders.
-        stall: Share of each loop's turns that take 40 ms.
-        send_period: Turn of the loop that sends targets [s].
-        read_period: Turn of the loop that reads positions [s].
-        clock_offset: By how much the clock of the measurements is ahead of that of the commands [s].
-            Positions cannot tell it from latency.
-        physics_hz: Physics steps in a second; a fit with as many finds the truth best.
-    """
-
-    noise: float = 2e-4
-    stall: float = 0.05
-    send_period: float = 0.008
-    read_period: float = 0.008
+    noise: float = 2e-4  # standard deviation of a measured position [rad]. Default: a UR's encoders.
+    stall: float = 0.05  # share of each loop's turns that take 40 ms
+    send_period: float = 0.008  # turn of the loop that sends targets [s]
+    read_period: float = 0.008  # turn of the loop that reads positions [s]
+    # by how much the clock of the measurements is ahead of that of the commands [s]. Positions cannot
+    # tell it from latency.
     clock_offset: float = 0.0
-    physics_hz: float = 1.0 / FIT_DT
+    physics_hz: float = 1.0 / FIT_DT  # physics steps in a second; a fit with as many finds the truth best
 
     def __post_init__(self) -> None:
         """Refuse what no recorder does."""
@@ -83,8 +73,7 @@ class RecorderCfg:
             )
 
 
-PERFECT = RecorderCfg(noise=0.0, stall=0.0, read_period=FIT_DT)
-"""Measures every physics step, without noise."""
+PERFECT = RecorderCfg(noise=0.0, stall=0.0, read_period=FIT_DT)  # measures every physics step, without noise
 
 
 def turns_of_a_loop(
@@ -99,14 +88,7 @@ def turns_of_a_loop(
 def simulated_recordings(
     trajectories: Sequence[Trajectory], truth: JointDynamics, cfg: RecorderCfg, rng: Generator
 ) -> list[Recording]:
-    """What a robot with these dynamics would have recorded of some trajectories, each from its start pose.
-
-    Args:
-        trajectories: What it is sent; all of the joints of `truth`.
-        truth: Its dynamics.
-        cfg: How it is recorded.
-        rng: Draws noise and stalls.
-    """
+    """What a robot with these dynamics would have recorded of trajectories, each from its start pose."""
     blanks = [_blank(trajectory, cfg, rng) for trajectory in trajectories]
     motion = RecordedMotion(blanks, 1.0 / cfg.physics_hz)
     (simulated,) = motion.simulate([truth])
@@ -136,15 +118,7 @@ def _blank(trajectory: Trajectory, cfg: RecorderCfg, rng: Generator) -> Recordin
 def rehearse(
     folder: Path, trajectories: Sequence[Trajectory], truth: JointDynamics, cfg: RecorderCfg, seed: int
 ) -> None:
-    """Write what a robot would have recorded of some trajectories, and its dynamics.
-
-    Args:
-        folder: A new or empty folder; it gets recording-1.npz and so on, and truth.json.
-        trajectories: What the robot is sent.
-        truth: Its dynamics.
-        cfg: How it is recorded.
-        seed: Seed of noise and stalls.
-    """
+    """Write what a robot would have recorded, recording-1.npz and so on, and truth.json."""
     recordings = simulated_recordings(trajectories, truth, cfg, np.random.default_rng((seed, 1)))
     folder.mkdir(parents=True, exist_ok=True)
     for number, recording in enumerate(recordings, start=1):
@@ -153,13 +127,7 @@ def rehearse(
 
 
 def unlike_nominal(rng: Generator, joints: Sequence[str], latency: float = 0.012) -> JointDynamics:
-    """Dynamics that differ from the nominal ones by up to 40 % in every parameter.
-
-    Args:
-        rng: Draws them.
-        joints: Names, in joint order.
-        latency: Delay of the commands [s].
-    """
+    """Dynamics up to 40 % off the nominal ones in every parameter, and with a latency [s]."""
     nominal = JointDynamics.nominal(joints)
     names = ("stiffness", "damping", "frictionloss", "armature")
     factors = {name: getattr(nominal, name) * rng.uniform(0.7, 1.4, len(nominal.joints)) for name in names}
@@ -168,17 +136,11 @@ def unlike_nominal(rng: Generator, joints: Sequence[str], latency: float = 0.012
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """A distance to keep.
+    """A distance to keep."""
 
-    Attributes:
-        name: Between what.
-        margin: The distance [m].
-        is_of_hand: Whether only joints of what the arm carries change it.
-    """
-
-    name: str
-    margin: float
-    is_of_hand: bool
+    name: str  # between what
+    margin: float  # the distance [m]
+    is_of_hand: bool  # whether only joints of what the arm carries change it
 
 
 RULES = (
@@ -195,19 +157,12 @@ the maker's covers of the fingers run 5.5 to 9 mm beyond the boxes of his descri
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance:
-    """The least distance under one rule.
+    """The least distance under one rule."""
 
-    Attributes:
-        rule: The rule.
-        distance: The distance [m]; infinite beyond the horizon.
-        bodies: Between which bodies it was.
-        time: When it was [s].
-    """
-
-    rule: Rule
-    distance: float = np.inf
-    bodies: tuple[str, str] = ("", "")
-    time: float = 0.0
+    rule: Rule  # the rule
+    distance: float = np.inf  # the distance [m]; infinite beyond the horizon
+    bodies: tuple[str, str] = ("", "")  # between which bodies it was
+    time: float = 0.0  # when it was [s]
 
     @property
     def is_kept(self) -> bool:
@@ -231,10 +186,7 @@ def clearances(
 ) -> tuple[Clearance, ...]:
     """The least distances over a motion, one for each of `RULES`, by MuJoCo's own collision detection.
 
-    Args:
-        joints: Names of the joints that move; the others hold the start pose.
-        time: Times [s].
-        positions: Their positions [rad].
+    The joints are at some positions [rad] at some times [s]; others hold the start pose.
     """
     model = watched_model(HORIZON)
     data = mujoco.MjData(model)
@@ -273,38 +225,24 @@ def _rule_of_pairs(model: mujoco.MjModel) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Something that a robot must not do.
+    """Something that a robot must not do."""
 
-    Attributes:
-        text: What it is, in words.
-        joints: Whose motion should shrink.
-        remedy: By which factor. Default: ours.
-    """
-
-    text: str
-    joints: tuple[str, ...]
-    remedy: float = 0.85
+    text: str  # what it is, in words
+    joints: tuple[str, ...]  # whose motion should shrink
+    remedy: float = 0.85  # by which factor. Default: ours.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Assessment:
-    """What a trajectory makes a simulated robot do.
+    """What a trajectory makes a simulated robot do."""
 
-    Attributes:
-        recording: The motion at every physics step.
-        speed: Top speed of each joint [rad/s].
-        torque_share: Top torque of each joint's servo, as a share of its limit.
-        clearances: Distances to the table and of the robot's parts.
-        checks: Whether each joint is excited enough to tell its dynamics.
-        faults: What must not be.
-    """
-
-    recording: Recording
-    speed: Float64[np.ndarray, " num_joints"]
+    recording: Recording  # the motion at every physics step
+    speed: Float64[np.ndarray, " num_joints"]  # top speed of each joint [rad/s]
+    # top torque of each joint's servo, as a share of its limit
     torque_share: Float64[np.ndarray, " num_joints"]
-    clearances: tuple[Clearance, ...]
-    checks: tuple[Check, ...]
-    faults: tuple[Fault, ...]
+    clearances: tuple[Clearance, ...]  # distances to the table and of the robot's parts
+    checks: tuple[Check, ...]  # whether each joint is excited enough to tell its dynamics
+    faults: tuple[Fault, ...]  # what must not be
 
 
 def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
@@ -312,10 +250,6 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
 
     The motion is simulated as in a fit, without contacts, and every step of it is then placed in the whole
     scene: as long as nothing comes near anything, contacts would change nothing.
-
-    Args:
-        trajectory: Joint targets.
-        dynamics: Of the same joints.
     """
     (recording,) = simulated_recordings([trajectory], dynamics, PERFECT, np.random.default_rng(0))
     speed = np.diff(recording.q, axis=0) / FIT_DT

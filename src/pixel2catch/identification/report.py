@@ -30,8 +30,7 @@ from pixel2catch.identification.report_tables import (
 from pixel2catch.identification.robot import short
 from pixel2catch.robot.joint_dynamics import PARAMETERS
 
-DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"
-"""Names of the files."""
+DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files
 
 NOTHING_HELD_OUT = (
     "Nothing was held out: the errors are those of motion that was fitted, and do not tell how well other "
@@ -97,15 +96,10 @@ Content = dict[str, Any]
 
 
 def write_report(folder: Path, result: Identification, circumstances: Mapping[str, Any]) -> Content:
-    """Write everything; the dynamics file is the last, so that where it is, the others are.
+    """Write everything to a new or empty folder, and return the numbers for programs.
 
-    Args:
-        folder: A new or empty folder.
-        result: What was found.
-        circumstances: When, how and with which versions this was done.
-
-    Returns:
-        The numbers for programs.
+    The dynamics file is the last, so that where it is, the others are. The circumstances say when, how and
+    with which versions this was done.
 
     Raises:
         InvalidValueError: If the folder is not free.
@@ -124,12 +118,7 @@ def write_report(folder: Path, result: Identification, circumstances: Mapping[st
 
 
 def report_page(result: Identification, circumstances: Mapping[str, Any]) -> str:
-    """The report as a page.
-
-    Args:
-        result: What was found.
-        circumstances: When, how and with which versions this was done.
-    """
+    """The report as a page."""
     title = f"System identification: {result.start.robot}"
     errors, parameters = errors_grid(result), parameters_grid(result)
     ratio, ranges = ratios_grid(result.fit), ranges_grid(result)
@@ -236,12 +225,7 @@ def _table(grid: Grid) -> str:
 
 
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:
-    """All numbers of the report, in SI units, by joint.
-
-    Args:
-        result: What was found.
-        circumstances: When, how and with which versions this was done.
-    """
+    """All numbers of the report, in SI units, by joint."""
     fit, joints = result.fit, result.fit.dynamics.joints
     groups = {"held_out": result.of(is_held_out=True), "fitted": result.of(is_held_out=False)}
     errors = {group: tracking_errors(motions) if motions else {} for group, motions in groups.items()}

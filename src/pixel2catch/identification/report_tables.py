@@ -27,14 +27,9 @@ from pixel2catch.robot.joint_dynamics import PARAMETERS
 WELL_KNOWN = 0.1
 """Half-width of an interval up to which a parameter counts as identified: 10 %, or 1 ms. Source: ours."""
 
-NOTABLE = 0.3
-"""Share of a weak direction's largest component from which a parameter is named. Source: ours."""
-
-UNKNOWN_SHARE = 0.9
-"""An interval of this share of the prior's tells nothing that was not assumed. Source: ours."""
-
-WIDE = 0.3
-"""Half-width from which an interval is told as a factor, not in percent. Source: ours."""
+NOTABLE = 0.3  # share of a weak direction's largest component from which a parameter is named (ours)
+UNKNOWN_SHARE = 0.9  # an interval of this share of the prior's tells nothing that was not assumed (ours)
+WIDE = 0.3  # half-width from which an interval is told as a factor, not in percent (ours)
 
 UNITS = {
     "stiffness": "N·m/rad",
@@ -58,8 +53,7 @@ EXCITATION = {
 }
 """What shows a parameter in positions."""
 
-FILTER = ("filter_gain", "filter_lookahead")
-"""Parameters that a joint without a filter does not have."""
+FILTER = ("filter_gain", "filter_lookahead")  # parameters that a joint without a filter does not have
 
 STYLES = {"good": "green", "BAD": "bold red", "weak": "yellow", "unknown": "dim"}
 """Colour of each verdict; the word tells without colour, too."""
@@ -94,12 +88,7 @@ class Grid:
 
 
 def check_grid(name: str, checks: Sequence[Check]) -> Grid:
-    """One line a check that failed or is of the whole recording, one for all joints that passed one.
-
-    Args:
-        name: What the recording is called.
-        checks: Its checks.
-    """
+    """One line a check that failed or is of the whole recording, one for all joints that passed one."""
     num_bad = sum(check.is_good is False for check in checks)
     groups: dict[tuple[str, str, str | None], list[Check]] = {}
     for check in checks:
@@ -239,19 +228,12 @@ def ranges_grid(result: Identification) -> Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class WeakDirection:
-    """Parameters of a joint that can change together with hardly a change of its motion.
+    """Parameters of a joint that can change together with hardly a change of its motion."""
 
-    Attributes:
-        joint: Name of the joint.
-        parameters: Names of the parameters, the one that changes most first.
-        half_width: Half of the 95 % interval along the direction, in the coordinates of the fit.
-        is_scale: Whether all of them grow together, so that their ratios are known.
-    """
-
-    joint: str
-    parameters: tuple[str, ...]
-    half_width: float
-    is_scale: bool
+    joint: str  # name of the joint
+    parameters: tuple[str, ...]  # names of the parameters, the one that changes most first
+    half_width: float  # half of the 95 % interval along the direction, in the coordinates of the fit
+    is_scale: bool  # whether all of them grow together, so that their ratios are known
 
     @property
     def meaning(self) -> str:
@@ -274,12 +256,7 @@ class WeakDirection:
 
 
 def weak_directions(fit: Fit, limit: float = WELL_KNOWN) -> tuple[WeakDirection, ...]:
-    """The directions in which a joint's parameters are not identified, widest first.
-
-    Args:
-        fit: The fit.
-        limit: Half-width up to which a direction counts as identified.
-    """
+    """The directions in which a joint's parameters are less known than a half-width, widest first."""
     found = []
     for joint, covariance in zip(fit.dynamics.joints, fit.covariance, strict=True):
         variances, directions = np.linalg.eigh(covariance)
@@ -318,12 +295,7 @@ def _together(group: Iterable[WeakDirection]) -> WeakDirection:
 
 
 def motion_table(title: str, assessment: Assessment) -> Table:
-    """One line a joint: range, top speed and acceleration, reversals, and torque as a share of its limit.
-
-    Args:
-        title: What the table is called.
-        assessment: What the simulated robot did.
-    """
+    """One line a joint: range, top speed and acceleration, reversals, and torque as a share of its limit."""
     numbers = ("from [rad]", "to [rad]", "[rad/s]", "[rad/s²]", "reversals", "torque [%]")
     table = Table(title=title)
     for i, column in enumerate(("joint", "verdict", *numbers)):

@@ -17,26 +17,18 @@ from pixel2catch.robot.scene import SceneCfg, build_spec
 
 @dataclass(frozen=True, kw_only=True)
 class JointGroup:
-    """Joints that get their commands together.
+    """Joints that get their commands together."""
 
-    Attributes:
-        joints: In joint order.
-        chains: How the names of the joints of each serial chain begin; empty if the group is one chain, which
-            carries the other groups.
-        bodies: How the names of its bodies begin; empty if they are all bodies that are no other group's.
-        reach: No joint gets so far from 0 [rad].
-        margin: Distance that commands of an excitation keep from a joint's limits [rad].
-        swing: Farthest from the middle of the excitation [rad].
-        acceleration: Largest acceleration of its smooth commands [rad/s²].
-    """
-
-    joints: tuple[JointSpec, ...]
+    joints: tuple[JointSpec, ...]  # in joint order
+    # how the names of the joints of each serial chain begin; empty if the group is one chain, which
+    # carries the other groups
     chains: tuple[str, ...] = ()
+    # how the names of its bodies begin; empty if they are all bodies that are no other group's
     bodies: tuple[str, ...] = ()
-    reach: float
-    margin: float
-    swing: float
-    acceleration: float
+    reach: float  # no joint gets so far from 0 [rad]
+    margin: float  # distance that commands of an excitation keep from a joint's limits [rad]
+    swing: float  # farthest from the middle of the excitation [rad]
+    acceleration: float  # largest acceleration of its smooth commands [rad/s²]
 
 
 ARM = JointGroup(joints=ARM_JOINTS, reach=2.0 * pi + 0.1, margin=0.03, swing=0.35, acceleration=15.0)
@@ -62,8 +54,7 @@ GROUPS = (ARM, HAND)
 JOINT_SPECS: dict[str, JointSpec] = {spec.name: spec for spec in JOINTS}
 """All joints that can be identified, by name, in joint order."""
 
-GROUP_OF = {spec.name: group for group in GROUPS for spec in group.joints}
-"""The group of each joint."""
+GROUP_OF = {spec.name: group for group in GROUPS for spec in group.joints}  # the group of each joint
 
 ROBOTS: dict[str, tuple[str, ...]] = {
     "ur5e": tuple(spec.name for spec in ARM_JOINTS),
@@ -72,11 +63,8 @@ ROBOTS: dict[str, tuple[str, ...]] = {
 }
 """Joint names of each robot, in joint order."""
 
-FILTERED_ROBOT = "ur5e"
-"""The robot whose controller filters commands."""
-
-STANDING = ("base_link", "shoulder_link")
-"""Bodies that stand on the table."""
+FILTERED_ROBOT = "ur5e"  # the robot whose controller filters commands
+STANDING = ("base_link", "shoulder_link")  # bodies that stand on the table
 
 
 def short(joint: str) -> str:
@@ -113,11 +101,9 @@ def coupled(joints: Sequence[str]) -> Bool[np.ndarray, "num_joints num_joints"]:
 
 
 def recorded_model(joints: Sequence[str], physics_dt: float) -> mujoco.MjModel:
-    """The robot with only these joints, without object, contacts, limits and MuJoCo's own dry friction.
+    """The robot with only these joints, the others welded, at a time step [s].
 
-    Args:
-        joints: Those that were recorded; the others are welded.
-        physics_dt: Time step [s].
+    It has no object, contacts, limits, and none of MuJoCo's own dry friction.
     """
     spec = _without_object()
     for exclude in spec.excludes:

@@ -38,11 +38,8 @@ SETTLING = 0.5
 """Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over
 stiffness of the slowest joint."""
 
-MAX_COPIES = 96
-"""Copies simulated at once, for the memory."""
-
-THREADED_COPIES = 24
-"""Copies from which on several threads are faster than one. Source: ours, measured with the arm."""
+MAX_COPIES = 96  # copies simulated at once, for the memory
+THREADED_COPIES = 24  # copies from which on several threads are faster than one (ours, measured with the arm)
 
 
 def mean_commands(
@@ -140,13 +137,7 @@ class Servos:
         )
 
     def drive(self, first: np.ndarray, last: np.ndarray, share: np.ndarray) -> None:
-        """Set what drives the joints in the next step.
-
-        Args:
-            first: The target with which the step begins [rad].
-            last: The target with which it ends [rad].
-            share: The share of the step in which the first one holds.
-        """
+        """Set what drives the joints in the next step, of which the first target [rad] holds in a share."""
         resting = self._stiffness * self._qpos + self._damping * self._qvel
         (before, time_before), (after, time_after) = (
             self._limited(self._stiffness * target - resting) for target in (first, last)
@@ -196,21 +187,14 @@ class Filters:
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """A recording on the grid of physics steps.
+    """A recording on the grid of physics steps."""
 
-    Attributes:
-        recording: What was recorded.
-        edges: Starts of the steps and the end of the last [s].
-        start: Position [rad] and speed [rad/s] of each joint at the first measurement.
-        index: For each measurement that is compared, the edge before it.
-        weight: And the share of the step after that edge.
-    """
-
-    recording: Recording
-    edges: Float[np.ndarray, " num_edges"]
+    recording: Recording  # what was recorded
+    edges: Float[np.ndarray, " num_edges"]  # starts of the steps and the end of the last [s]
+    # position [rad] and speed [rad/s] of each joint at the first measurement
     start: Float[np.ndarray, "2 num_joints"]
-    index: Int[np.ndarray, " num_settled"]
-    weight: Float[np.ndarray, " num_settled"]
+    index: Int[np.ndarray, " num_settled"]  # for each measurement that is compared, the edge before it
+    weight: Float[np.ndarray, " num_settled"]  # and the share of the step after that edge
 
     @classmethod
     def of(cls, recording: Recording, dt: float) -> "_Motion":

@@ -40,19 +40,12 @@ UNREADABLE = (
 )
 """What reading a file that is no trajectory, or none to follow, can raise."""
 
-TOLERANCE = 1e-9
-"""Excess of a limit that is rounding [rad, s]."""
+TOLERANCE = 1e-9  # excess of a limit that is rounding [rad, s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
     """Targets of some joints that a robot can be let loose on; it begins and ends at rest in the same pose.
-
-    Attributes:
-        joints: Names of the joints, the columns, in joint order; the others hold the start pose.
-        times: When each target is due [s], from 0.
-        positions: The targets [rad].
-        header: Where they come from: anything that JSON can hold.
 
     Raises:
         InvalidValueError: If a robot should not follow it; the message says where.
@@ -60,10 +53,11 @@ class Trajectory:
         UnknownNameError: If the robot has no such joint.
     """
 
+    # names of the joints, the columns, in joint order; the others hold the start pose
     joints: tuple[str, ...]
-    times: Float64[np.ndarray, " num_targets"]
-    positions: Float64[np.ndarray, "num_targets num_joints"]
-    header: dict[str, Any] = field(default_factory=dict)
+    times: Float64[np.ndarray, " num_targets"]  # when each target is due [s], from 0
+    positions: Float64[np.ndarray, "num_targets num_joints"]  # the targets [rad]
+    header: dict[str, Any] = field(default_factory=dict)  # where they come from: anything that JSON can hold
 
     def __post_init__(self) -> None:
         """Refuse what no robot should be sent."""
