@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import correlate, correlation_lags, savgol_filter
 
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import JOINT_SPECS
+from pixel2catch.identification.robot import JointSpec
 
 MIN_SAMPLES = 50  # fewer measurements are not checked further (ours, half a second at 100 Hz)
 MAX_GAP = 0.1  # longest time without a measurement [s] (ours; a joint can start, move and stop in more)
@@ -99,7 +99,7 @@ def check_recording(recording: Recording, effort_limits: Mapping[str, float] | N
 
     The torque limits [N·m] by joint are those of the simulated robot if not given.
     """
-    limits = effort_limits or {name: spec.effort_limit for name, spec in JOINT_SPECS.items()}
+    limits = effort_limits or {name: spec.effort_limit for name, spec in recording.robot.specs.items()}
     clocks = [_measurement_times(recording), _command_times(recording)]
     if not all(clock.is_good for clock in clocks):
         return clocks
@@ -202,7 +202,7 @@ def _joint_checks(recording: Recording, lag: float, limits: Mapping[str, float])
         effort = None if recording.effort is None else recording.effort[:, column]
         yield _following(joint, command[:, column], recording.q[:, column])
         yield _saturation(joint, effort, limits[joint])
-        yield _excitation(joint, speed[:, column], acceleration[:, column])
+        yield _excitation(recording.robot.specs[joint], speed[:, column], acceleration[:, column])
 
 
 def _following(joint: str, command: np.ndarray, position: np.ndarray) -> Check:
@@ -228,12 +228,11 @@ def _saturation(joint: str, effort: np.ndarray | None, limit: float) -> Check:
     return Check(name="saturation", joint=joint, is_good=is_good, is_advice=True, detail=detail)
 
 
-def _excitation(joint: str, speed: np.ndarray, acceleration: np.ndarray) -> Check:
+def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> Check:
     """Whether the joint was moved fast, hard and often enough to tell damping, armature and friction.
 
     The acceleration must let the armature's torque exceed the simulated joint's dry friction (ours).
     """
-    spec = JOINT_SPECS[joint]
     least_speed, least_acceleration = MIN_SPEED_SHARE * spec.velocity_limit, spec.frictionloss / spec.armature
     reversals = num_reversals(speed)
     needs = {
@@ -246,7 +245,7 @@ def _excitation(joint: str, speed: np.ndarray, acceleration: np.ndarray) -> Chec
         f"{_range(speed, 2)} rad/s, {_range(acceleration, 1)} rad/s², {reversals} reversals"
         f"{f'; needs {lacking}' if lacking else ''}"
     )
-    return Check(name="excitation", joint=joint, is_good=not lacking, is_advice=True, detail=detail)
+    return Check(name="excitation", joint=spec.name, is_good=not lacking, is_advice=True, detail=detail)
 
 
 def _peak(values: np.ndarray) -> float:

@@ -19,7 +19,7 @@ from numpy.random import Generator
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.rehearsal import Assessment, assess
-from pixel2catch.identification.robot import GROUP_OF, JOINT_SPECS, ROBOTS, largest_step
+from pixel2catch.identification.robot import ROBOT, Robot, largest_step
 from pixel2catch.identification.trajectory import REST, Trajectory
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
@@ -74,15 +74,15 @@ Offsets = Float64[np.ndarray, "num_times num_joints"]
 class ExcitationCfg:
     """What to draw."""
 
-    robot: str = "ur5e_allegro"  # whose joints move: a name in `ROBOTS`
+    robot: str = ROBOT.whole  # what moves: one of the robot's parts
     seconds: float = 40.0  # duration, rest included [s]
     seed: int = 0  # seed of everything that is drawn
     speed: float = 1.0  # factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn."""
-        if self.robot not in ROBOTS:
-            raise UnknownNameError("robot", self.robot, ROBOTS)
+        if self.robot not in ROBOT.parts:
+            raise UnknownNameError("robot", self.robot, ROBOT.parts)
         if not 0.0 < self.seconds <= MAX_SECONDS:
             raise InvalidValueError(f"seconds is {self.seconds:g}; it must be up to {MAX_SECONDS:g}")
         if not 0.0 < self.speed <= 1.0:
@@ -104,15 +104,18 @@ class Envelope:
     step: Row  # largest jump of a command [rad]
 
     @classmethod
-    def of(cls, joints: Sequence[str], speed: float, shrunk: Mapping[str, float]) -> "Envelope":
+    def of(
+        cls, joints: Sequence[str], speed: float, shrunk: Mapping[str, float], robot: Robot = ROBOT
+    ) -> "Envelope":
         """The envelope of some joints, in joint order.
 
         Args:
             joints: Their names.
             speed: Factor on speed, acceleration and jumps; 1 is full.
             shrunk: Factors on everything, by joint; 1 where there is none.
+            robot: Whose joints.
         """
-        specs, groups = [JOINT_SPECS[name] for name in joints], [GROUP_OF[name] for name in joints]
+        specs, groups = [robot.specs[name] for name in joints], [robot.group_of[name] for name in joints]
         share = np.array([shrunk.get(name, 1.0) for name in joints])
         lower, upper, home = np.array([(spec.lower, spec.upper, spec.home) for spec in specs]).T
         margin, swing, acceleration = np.array([(g.margin, g.swing, g.acceleration) for g in groups]).T
@@ -244,7 +247,7 @@ SEGMENTS: tuple[tuple[Signal, float], ...] = (
 
 
 def find_excitation(
-    cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None]
+    cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None], robot: Robot = ROBOT
 ) -> tuple[Trajectory, Assessment]:
     """Draw a trajectory, and shrink it until a robot of some dynamics, simulated, follows it without a fault.
 
@@ -256,7 +259,7 @@ def find_excitation(
     shrunk: dict[str, float] = {}
     reasons = ""
     for _ in range(MAX_TRIES):
-        trajectory = draw_excitation(cfg, shrunk)
+        trajectory = draw_excitation(cfg, shrunk, robot)
         assessment = assess(trajectory, dynamics)
         if not assessment.faults:
             return trajectory, assessment
@@ -268,7 +271,7 @@ def find_excitation(
     raise InvalidValueError(f"no safe excitation: at last, {reasons}. Try another seed or less speed.")
 
 
-def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajectory:
+def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float], robot: Robot = ROBOT) -> Trajectory:
     """Draw one trajectory; whether a robot can follow it is not known yet.
 
     Joints may be shrunk: their motion gets a factor.
@@ -277,12 +280,13 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajecto
         InvalidValueError: If too little time is left for the kinds of motion.
     """
     rng = np.random.default_rng(cfg.seed)
-    envelope = Envelope.of(ROBOTS[cfg.robot], cfg.speed, shrunk)
+    envelope = Envelope.of(robot.parts[cfg.robot], cfg.speed, shrunk, robot)
     parts = _parts(rng, envelope, cfg.seconds)
     edges = np.cumsum([0, *(len(offsets) for _, offsets in parts)]) / RATE
     spans = {name: edges[i : i + 2].tolist() for i, (name, _) in enumerate(parts) if name not in STILL}
     positions = envelope.center + np.concatenate([offsets for _, offsets in parts])
     return Trajectory(
+        robot=robot,
         joints=envelope.joints,
         times=np.arange(len(positions)) / RATE,
         positions=positions,

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from pixel2catch.identification.identify import Motion
 from pixel2catch.identification.rehearsal import Assessment
-from pixel2catch.identification.robot import JOINT_SPECS
 from pixel2catch.identification.trajectory import Trajectory
 
 COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}  # of a report
@@ -115,7 +114,7 @@ def motion_picture(trajectory: Trajectory, assessment: Assessment) -> bytes:
 
 def _draw_trajectory(axes: Axes, trajectory: Trajectory, assessment: Assessment, column: int) -> None:
     """Command, motion, limits and segments of one joint."""
-    spec = JOINT_SPECS[trajectory.joints[column]]
+    spec = trajectory.robot.specs[trajectory.joints[column]]
     command, recording = trajectory.positions[:, column], assessment.recording
     axes.step(trajectory.times, command, where="post", color=COMMAND_COLOR, lw=0.7, label="command")
     axes.plot(recording.t_meas, recording.q[:, column], color=MOTION_COLOR, lw=0.9, label="simulated motion")

@@ -16,7 +16,6 @@ from jaxtyping import Bool, Float, Int
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import coupled, groups_of
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion
 from pixel2catch.robot.joint_dynamics import PARAMETERS, SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 
@@ -230,11 +229,11 @@ class _Problem:
         felt by the joints that the motion of a joint moves, too.
         """
         joints, free = self._dynamics.joints, self._cfg.free
-        chain = coupled(joints)
+        robot, chain = self._motion.robot, self._motion.robot.coupled(joints)
         steps, felt_by = [], []
         for name in free:
             along = np.isin(free, SCALE if name == "stiffness" else name) & np.isin(free, names)
-            moved = groups_of(joints) if name == "latency" else np.eye(len(joints), dtype=bool)
+            moved = robot.owned(joints) if name == "latency" else np.eye(len(joints), dtype=bool)
             for group in moved if name in names else ():
                 steps.append(np.outer(group, along).astype(float))
                 felt_by.append(chain[group].any(axis=0) if is_coupled else group)

@@ -12,7 +12,7 @@ from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameErr
 from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.fit import Fit, FitCfg, fit_dynamics
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import FILTERED_ROBOT, JOINT_SPECS, ROBOTS
+from pixel2catch.identification.robot import ROBOT, Robot
 from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import TABLE_1_GAINS, GainRanges
@@ -45,7 +45,7 @@ Positions = Float[np.ndarray, "num_settled num_joints"]
 class Start:
     """What is known before a fit."""
 
-    robot: str  # whose joints are fitted: a name in `ROBOTS`
+    robot: str  # what is fitted: one of the robot's parts
     file: DynamicsFile | None  # the dynamics file that was given, if any
     before: JointDynamics  # the robot's joints in it; those that are not in it are nominal
     first: JointDynamics  # the same, with a command filter in front where one is to be fitted
@@ -105,7 +105,7 @@ class Identification:
         return tuple(motion for motion in self.motions if motion.source.is_held_out == is_held_out)
 
 
-def start_of_fit(robot: str, path: Path | None, fits_filter: bool) -> Start:
+def start_of_fit(part: str, path: Path | None, fits_filter: bool, robot: Robot = ROBOT) -> Start:
     """Read what is known, from a dynamics file if there is one.
 
     Without a file, the servo behind a filter that is to be fitted is taken to be stiff.
@@ -113,21 +113,21 @@ def start_of_fit(robot: str, path: Path | None, fits_filter: bool) -> Start:
     Raises:
         InvalidValueError: If the file cannot be read, or the robot has joints without such a filter.
     """
-    if fits_filter and robot != FILTERED_ROBOT:
+    if fits_filter and part != robot.ur_part:
         raise InvalidValueError(
-            f"--filter is the UR5e's and --robot is {robot}; identify --robot ur5e with it, then --robot "
+            f"--filter is the UR5e's and --robot is {part}; identify --robot ur5e with it, then --robot "
             "allegro with the dynamics file of the first as --start: the result has both."
         )
     file = DynamicsFile.load(path) if path else None
     nominal = JointDynamics.nominal()
-    before = (file.dynamics.over(nominal) if file else nominal).select(ROBOTS[robot])
+    before = (file.dynamics.over(nominal) if file else nominal).select(robot.parts[part])
     first = before
     if fits_filter:
         servo = before if file else stiff(before)
         gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
         lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
         first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
-    return Start(robot=robot, file=file, before=before, first=first)
+    return Start(robot=part, file=file, before=before, first=first)
 
 
 def stiff(nominal: JointDynamics) -> JointDynamics:
@@ -285,7 +285,7 @@ def gain_ranges(fit: Fit, before: GainRanges) -> GainRanges:
         lag, damping = damping, unknown
     columns = {name: list(values) for name, values in dataclasses.asdict(before).items()}
     for j, name in enumerate(fit.dynamics.joints):
-        row = list(JOINT_SPECS).index(name)
+        row = list(ROBOT.specs).index(name)
         if np.isfinite(stiffness[j]):
             columns["stiffness_scale"][row] = _within(TABLE_1_GAINS[row], stiffness[j])
         if np.isfinite(damping[j]) or np.isfinite(lag[j]):

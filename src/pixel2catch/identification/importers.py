@@ -10,7 +10,7 @@ import numpy as np
 
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
 from pixel2catch.identification.recording import REMEDY, Place, Recording, held, read_table, require_motion
-from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
+from pixel2catch.identification.robot import ROBOT, Robot
 from pixel2catch.identification.rosbag_messages import PARSERS, SPEED_AND_EFFORT, Fields, JointMessage, parser
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ COMMAND_FILE = "commands.csv"
 """Commands: `t, q_0` … `q_5`, written by whoever sent them. RTDE's `target_q` is what the controller made of
 them, with hardly any lag, and not the command."""
 
-RTDE_ROBOT = "ur5e"  # the robot whose controller speaks RTDE
 
 FORMATS = (
     f"an .npz file in the canonical layout, a folder with {MEASURED_FILE} and {COMMAND_FILE}, "
@@ -61,13 +60,20 @@ class Names:
         return tuple((shadowed | renamed).get(name, name) for name in names)
 
     @classmethod
-    def parse(cls, command_topics: Sequence[str], measured_topic: str, renames: Sequence[str]) -> "Names":
+    def parse(
+        cls,
+        command_topics: Sequence[str],
+        measured_topic: str,
+        renames: Sequence[str],
+        robot: Robot = ROBOT,
+    ) -> "Names":
         """Read the options of the command line.
 
         Args:
             command_topics: Each `TOPIC`, `TOPIC=ROBOT` or `TOPIC=JOINT,JOINT,…` with the recording's names.
             measured_topic: As in `Names`.
             renames: Each `OURS=THEIRS`.
+            robot: Whose joints are ours.
 
         Raises:
             UnknownNameError: If a joint that is renamed is none of ours.
@@ -80,8 +86,8 @@ class Names:
                 raise InvalidValueError(
                     f"--rename {rename}: not of the form OURS=THEIRS, such as index_joint_1=joint_1.0"
                 )
-            if ours not in JOINT_SPECS:
-                raise UnknownNameError("joint", ours, JOINT_SPECS)
+            if ours not in robot.specs:
+                raise UnknownNameError("joint", ours, robot.specs)
             pairs.append((ours, theirs))
         _require_once("--rename", [ours for ours, _ in pairs])
         _require_once("--rename", [theirs for _, theirs in pairs])
@@ -89,7 +95,7 @@ class Names:
         topics = []
         for text in command_topics:
             name, _, joints = text.partition("=")
-            known = ROBOTS.get(joints) or names.ours(joints.split(",")) if joints else ()
+            known = robot.parts.get(joints) or names.ours(joints.split(",")) if joints else ()
             topics.append(CommandTopic(name=name, joints=known))
         _require_once("--command-topic", [topic.name for topic in topics])
         return replace(names, command_topics=tuple(topics))
@@ -101,24 +107,26 @@ def _require_once(option: str, names: Sequence[str]) -> None:
         raise InvalidValueError(f"{option} names {', '.join(twice)} twice; name each once")
 
 
-def read_recording(path: Path, robot: str = "ur5e_allegro", names: Names | None = None) -> Recording:
-    """Read the motion of a robot's joints, in joint order; what the file or folder is chooses the reader.
+def read_recording(
+    path: Path, part: str = ROBOT.whole, names: Names | None = None, robot: Robot = ROBOT
+) -> Recording:
+    """Read the motion of a robot's part, in joint order; what the file or folder is chooses the reader.
 
     Raises:
         RecordingError: If it is of no known format, lacks a joint, or says what cannot be.
         UnknownNameError: If there is no such robot.
     """
-    if robot not in ROBOTS:
-        raise UnknownNameError("robot", robot, ROBOTS)
-    names = names or Names()
+    if part not in robot.parts:
+        raise UnknownNameError("robot", part, robot.parts)
+    joints, names = robot.parts[part], names or Names()
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
     if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists():
-        return read_rosbag(path, ROBOTS[robot], names)
+        return read_rosbag(path, joints, names, robot)
     if path.is_dir() and any((path / name).exists() for name in (MEASURED_FILE, COMMAND_FILE)):
-        return _read_rtde(path).select(ROBOTS[robot])
+        return _read_rtde(path, robot).select(joints)
     if path.suffix == ".npz":
-        return Recording.load(path, names.ours).select(ROBOTS[robot])
+        return Recording.load(path, names.ours, robot).select(joints)
     if path.suffix == ".parquet":
         raise RecordingError(
             f"{path}: parquet is not read; save its columns with numpy.savez as an .npz file of the arrays "
@@ -127,20 +135,21 @@ def read_recording(path: Path, robot: str = "ur5e_allegro", names: Names | None 
     raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")
 
 
-def _read_rtde(folder: Path) -> Recording:
+def _read_rtde(folder: Path, robot: Robot) -> Recording:
     """A folder of two logs. RTDE's currents are in ampere, its moments are targets: there is no effort."""
-    joints = ROBOTS[RTDE_ROBOT]
+    joints = robot.parts[robot.ur_part]
     command, measured = read_table(folder / COMMAND_FILE), read_table(folder / MEASURED_FILE)
     q_cmd_names, q_names, qd_names = (
         [f"{prefix}_{i}" for i in range(len(joints))] for prefix in ("q", "actual_q", "actual_qd")
     )
     t_cmd, q_cmd = command.column("t"), command.columns(q_cmd_names)
-    require_motion(command.place, joints, t_cmd, q_cmd)
+    require_motion(command.place, joints, t_cmd, q_cmd, robot=robot)
     t_meas, q = measured.column("timestamp"), measured.columns(q_names)
     has_speed = any(name.startswith("actual_qd_") for name in measured.names)
     qd = measured.columns(qd_names) if has_speed else None
-    require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]))
-    return Recording(name=str(folder), joints=joints, t_cmd=t_cmd, q_cmd=q_cmd, t_meas=t_meas, q=q, qd=qd)
+    require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]), robot=robot)
+    arrays = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
+    return Recording(name=str(folder), robot=robot, joints=joints, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,11 +168,12 @@ class _Bag:
 
     path: Path
     reader: "AnyReader"
+    robot: Robot
     joints: tuple[str, ...]
     names: Names
 
 
-def read_rosbag(path: Path, joints: tuple[str, ...], names: Names) -> Recording:
+def read_rosbag(path: Path, joints: tuple[str, ...], names: Names, robot: Robot = ROBOT) -> Recording:
     """Read the motion of some joints from a rosbag2 (MCAP or SQLite), its folder or file.
 
     A topic's times are its header stamps, or the bag's receive times if any header has none. All are counted
@@ -174,7 +184,7 @@ def read_rosbag(path: Path, joints: tuple[str, ...], names: Names) -> Recording:
         RecordingError: If a topic or joint is missing, or a message says what cannot be.
     """
     with _opened(path) as reader:
-        bag = _Bag(path=path, reader=reader, joints=joints, names=names)
+        bag = _Bag(path=path, reader=reader, robot=robot, joints=joints, names=names)
         topics = names.command_topics or (CommandTopic(name=_only_command_topic(bag)),)
         command_ns, q_cmd = _merged(bag, topics)
         measured = _read_topic(bag, CommandTopic(name=names.measured_topic))
@@ -182,6 +192,7 @@ def read_rosbag(path: Path, joints: tuple[str, ...], names: Names) -> Recording:
     start = min(command_ns[0], measured.times[0])
     return Recording(
         name=str(path),
+        robot=robot,
         joints=joints,
         t_cmd=_seconds(command_ns - start),
         q_cmd=q_cmd,
@@ -283,7 +294,7 @@ def _read_topic(bag: _Bag, topic: CommandTopic) -> _Stream:
     fields = {name: np.stack([message.fields[name] for message in messages])[:, order] for name in names}
     stamps = [message.stamp for message in messages]
     times = np.array(stamps if all(stamps) else received, dtype=np.int64)
-    require_motion(place, joints, _seconds(times - times[0]), *fields.values())
+    require_motion(place, joints, _seconds(times - times[0]), *fields.values(), robot=bag.robot)
     return _Stream(joints=joints, recorded=recorded, times=times, fields=fields)
 
 

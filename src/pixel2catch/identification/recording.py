@@ -10,7 +10,7 @@ from jaxtyping import Float, Float64, Shaped
 from numpy.lib.npyio import NpzFile
 
 from pixel2catch.errors import RecordingError, UnknownNameError
-from pixel2catch.identification.robot import GROUP_OF, JOINT_SPECS
+from pixel2catch.identification.robot import ROBOT, Robot
 
 REMEDY = "Record the missing joints, rename them (--rename OURS=THEIRS), or choose another --robot."
 """What to do about joints that are not there."""
@@ -50,6 +50,7 @@ class Recording:
     """
 
     name: str = "recording"  # what messages and reports call it
+    robot: Robot = ROBOT  # whose joints they are
     joints: tuple[str, ...]  # names of the joints, the columns of all arrays
     t_cmd: Float64[np.ndarray, " num_commands"]  # send times of the commands [s], not decreasing
     # commanded positions [rad]; each holds until the next
@@ -64,12 +65,13 @@ class Recording:
     def __post_init__(self) -> None:
         """Refuse what no robot can have done."""
         for joint in self.joints:
-            if joint not in JOINT_SPECS:
-                raise UnknownNameError("joint", joint, JOINT_SPECS)
-        require_motion(Place(source=f"{self.name}: q_cmd"), self.joints, self.t_cmd, self.q_cmd)
+            if joint not in self.robot.specs:
+                raise UnknownNameError("joint", joint, self.robot.specs)
+        commanded = Place(source=f"{self.name}: q_cmd")
+        require_motion(commanded, self.joints, self.t_cmd, self.q_cmd, robot=self.robot)
         measured = Place(source=f"{self.name}: q, qd, effort")
         extra = [values for values in (self.qd, self.effort) if values is not None]
-        require_motion(measured, self.joints, self.t_meas, self.q, *extra)
+        require_motion(measured, self.joints, self.t_meas, self.q, *extra, robot=self.robot)
 
     def held(self, time: Float[np.ndarray, " num_times"]) -> Float[np.ndarray, "num_times num_joints"]:
         """The command at some times of its own clock [s]; see `held`."""
@@ -92,7 +94,7 @@ class Recording:
             name: values if name.startswith("t_") else values[:, columns]
             for name, values in self._arrays().items()
         }
-        return Recording(name=self.name, joints=joints, **arrays)
+        return Recording(name=self.name, joints=joints, robot=self.robot, **arrays)
 
     def save(self, path: Path) -> None:
         """Write the canonical file: an npz with the arrays under the names of the attributes.
@@ -107,7 +109,9 @@ class Recording:
             raise RecordingError(f"{path} exists; choose another name or remove it.") from None
 
     @staticmethod
-    def load(path: Path, ours: Callable[[Iterable[str]], tuple[str, ...]] = tuple) -> "Recording":
+    def load(
+        path: Path, ours: Callable[[Iterable[str]], tuple[str, ...]] = tuple, robot: Robot = ROBOT
+    ) -> "Recording":
         """Read a canonical file; `ours` makes our names of its names of joints.
 
         Raises:
@@ -115,18 +119,20 @@ class Recording:
         """
         try:
             with np.load(path, allow_pickle=False) as file:
-                return _read(path, file, ours)
+                return _read(path, file, ours, robot)
         except (OSError, EOFError, BadZipFile, ValueError) as error:
             raise RecordingError(
                 f"{path}: not a readable npz file ({error}); record or convert it again."
             ) from None
 
     def _arrays(self) -> dict[str, np.ndarray]:
-        arrays = {field.name: getattr(self, field.name) for field in fields(self)[2:]}
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)[3:]}
         return {name: values for name, values in arrays.items() if values is not None}
 
 
-def _read(path: Path, file: NpzFile, ours: Callable[[Iterable[str]], tuple[str, ...]]) -> Recording:
+def _read(
+    path: Path, file: NpzFile, ours: Callable[[Iterable[str]], tuple[str, ...]], robot: Robot
+) -> Recording:
     required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
     missing = [name for name in required if name not in file]
     if missing:
@@ -137,17 +143,22 @@ def _read(path: Path, file: NpzFile, ours: Callable[[Iterable[str]], tuple[str, 
     present = [name for name in (*required[1:], "qd", "effort") if name in file]
     arrays = {name: np.asarray(file[name], dtype=np.float64) for name in present}
     recorded = ours(map(str, np.atleast_1d(file["joints"])))
-    unknown = [joint for joint in recorded if joint not in JOINT_SPECS]
+    unknown = [joint for joint in recorded if joint not in robot.specs]
     if unknown:
         raise RecordingError(
             f"{path}: {', '.join(unknown)} are no joints of ours; rename them (--rename OURS=THEIRS), "
-            f"or leave them out. Ours are {', '.join(JOINT_SPECS)}."
+            f"or leave them out. Ours are {', '.join(robot.specs)}."
         )
-    return Recording(name=str(path), joints=recorded, **arrays)
+    return Recording(name=str(path), robot=robot, joints=recorded, **arrays)
 
 
 def require_motion(
-    place: Place, joints: tuple[str, ...], time: np.ndarray, positions: np.ndarray, *others: np.ndarray
+    place: Place,
+    joints: tuple[str, ...],
+    time: np.ndarray,
+    positions: np.ndarray,
+    *others: np.ndarray,
+    robot: Robot = ROBOT,
 ) -> None:
     """Refuse motion that no robot can have done, whatever file it came from.
 
@@ -175,7 +186,7 @@ def require_motion(
             f"{place.at(row)}: time runs backwards, {time[row]:.6f} s after {time[row - 1]:.6f} s; "
             "split the recording here, or sort it if two writers shared the file."
         )
-    reach = np.array([GROUP_OF[joint].reach for joint in joints])
+    reach = np.array([robot.group_of[joint].reach for joint in joints])
     beyond = np.argwhere(np.abs(positions) > reach)
     if len(beyond):
         row, column = map(int, beyond[0])

@@ -16,14 +16,7 @@ from numpy.random import Generator
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import (
-    GROUPS,
-    JOINT_SPECS,
-    STANDING,
-    carries_others,
-    recorded_model,
-    watched_model,
-)
+from pixel2catch.identification.robot import ROBOT, Robot
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, friction_torque, is_settled
 from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
@@ -107,6 +100,7 @@ def _blank(trajectory: Trajectory, cfg: RecorderCfg, rng: Generator) -> Recordin
     start = rng.uniform(0.0, cfg.read_period)
     t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, cfg.read_period, cfg.stall)
     return Recording(
+        robot=trajectory.robot,
         joints=trajectory.joints,
         t_cmd=t_cmd,
         q_cmd=trajectory.at(t_cmd),
@@ -183,16 +177,17 @@ def clearances(
     joints: Sequence[str],
     time: Float64[np.ndarray, " num_times"],
     positions: Float64[np.ndarray, "num_times num_joints"],
+    robot: Robot = ROBOT,
 ) -> tuple[Clearance, ...]:
     """The least distances over a motion, one for each of `RULES`, by MuJoCo's own collision detection.
 
     The joints are at some positions [rad] at some times [s]; others hold the start pose.
     """
-    model = watched_model(HORIZON)
+    model = robot.watched_model(HORIZON)
     data = mujoco.MjData(model)
-    data.qpos[:] = [spec.home for spec in JOINT_SPECS.values()]
+    data.qpos[:] = [spec.home for spec in robot.specs.values()]
     columns = [int(model.joint(name).qposadr[0]) for name in joints]
-    rules = _rule_of_pairs(model)
+    rules = _rule_of_pairs(model, robot)
     least = [Clearance(rule=rule) for rule in RULES]
     for now, row in zip(time, positions, strict=True):
         data.qpos[columns] = row
@@ -210,13 +205,13 @@ def clearances(
     return tuple(least)
 
 
-def _rule_of_pairs(model: mujoco.MjModel) -> np.ndarray:
+def _rule_of_pairs(model: mujoco.MjModel, robot: Robot) -> np.ndarray:
     """Which of `RULES` holds for two geoms, shape (geoms, geoms); -1 for those that stand on each other."""
     body = [model.body(owner).name for owner in model.geom_bodyid]
-    carried = tuple(name for group in GROUPS for name in group.bodies)
+    carried = tuple(name for group in robot.groups for name in group.bodies)
     is_hand = np.array([name.startswith(carried) for name in body])
     is_table = np.array([name == "table" for name in body])
-    is_standing = np.array([name in STANDING for name in body])
+    is_standing = np.array([name in robot.standing for name in body])
     rules = np.where(is_hand[:, None] & is_hand, 2, 1)
     rules[is_table[:, None] | is_table] = 0
     rules[(is_table[:, None] & is_standing) | (is_standing[:, None] & is_table)] = -1
@@ -253,14 +248,14 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
     """
     (recording,) = simulated_recordings([trajectory], dynamics, PERFECT, np.random.default_rng(0))
     speed = np.diff(recording.q, axis=0) / FIT_DT
-    near = clearances(recording.joints, recording.t_meas, recording.q)
+    near = clearances(recording.joints, recording.t_meas, recording.q, recording.robot)
     return Assessment(
         recording=recording,
         speed=np.abs(speed).max(axis=0),
         torque_share=_torque_share(recording, speed, dynamics),
         clearances=near,
         checks=tuple(check for check in check_recording(recording) if check.name == "excitation"),
-        faults=(*_limit_faults(recording, speed), *_clearance_faults(recording.joints, near)),
+        faults=(*_limit_faults(recording, speed), *_clearance_faults(recording, near)),
     )
 
 
@@ -268,7 +263,7 @@ def _limit_faults(recording: Recording, speed: np.ndarray) -> list[Fault]:
     """Joints beyond their limits of position or speed."""
     faults = []
     for column, joint in enumerate(recording.joints):
-        spec, q = JOINT_SPECS[joint], recording.q[:, column]
+        spec, q = recording.robot.specs[joint], recording.q[:, column]
         excess, top = max(spec.lower - q.min(), q.max() - spec.upper), np.abs(speed[:, column]).max()
         if excess > LIMIT_TOLERANCE:
             text = f"{joint} moves {excess:.3f} rad beyond its limits"
@@ -279,8 +274,9 @@ def _limit_faults(recording: Recording, speed: np.ndarray) -> list[Fault]:
     return faults
 
 
-def _clearance_faults(joints: Sequence[str], near: Sequence[Clearance]) -> list[Fault]:
+def _clearance_faults(recording: Recording, near: Sequence[Clearance]) -> list[Fault]:
     """Parts that come too near to each other; the arm is shrunk where it moves and has a part in it."""
+    joints, carries_others = recording.joints, recording.robot.carries_others
     faults = []
     for clearance in near:
         if not clearance.is_kept:
@@ -293,7 +289,7 @@ def _torque_share(
     recording: Recording, speed: np.ndarray, dynamics: JointDynamics
 ) -> Float64[np.ndarray, " num_joints"]:
     """Top torque of the servos, found backwards from the motion: what moves masses and overcomes friction."""
-    model = recorded_model(recording.joints, FIT_DT)
+    model = recording.robot.recorded_model(recording.joints, FIT_DT)
     model.dof_armature[:] = dynamics.armature
     data = mujoco.MjData(model)
     top = np.zeros(len(recording.joints))
@@ -301,4 +297,4 @@ def _torque_share(
         data.qpos[:], data.qvel[:], data.qacc[:] = q, before, jump / FIT_DT
         mujoco.mj_inverse(model, data)
         top = np.maximum(top, np.abs(data.qfrc_inverse - friction_torque(dynamics.frictionloss, before)))
-    return top / np.array([JOINT_SPECS[joint].effort_limit for joint in recording.joints])
+    return top / np.array([recording.robot.specs[joint].effort_limit for joint in recording.joints])

@@ -20,7 +20,7 @@ from pixel2catch.identification.identify import (
     tracking_errors,
 )
 from pixel2catch.identification.rehearsal import Assessment
-from pixel2catch.identification.robot import JOINT_SPECS, short
+from pixel2catch.identification.robot import ROBOT, short
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robot.joint_dynamics import PARAMETERS
 
@@ -213,7 +213,7 @@ def ranges_grid(result: Identification) -> Grid:
     paper, ranges = GainRanges(), result.file.gains
     rows = []
     for joint in result.fit.dynamics.joints:
-        i = list(JOINT_SPECS).index(joint)
+        i = list(ROBOT.specs).index(joint)
         is_relative = ranges.is_damping_relative[i]
         cells = [Cell(short(joint))]
         for name in ("stiffness_scale", "damping_scale"):
@@ -284,13 +284,16 @@ def open_questions(fit: Fit) -> list[str]:
     groups: dict[tuple[frozenset[str], bool], list[WeakDirection]] = {}
     for weak in weak_directions(fit):
         groups.setdefault((frozenset(weak.parameters), weak.is_scale), []).append(weak)
-    return [f"{weak.meaning}: {weak.proposal}." for weak in map(_together, groups.values())]
+    return [
+        f"{weak.meaning}: {weak.proposal}."
+        for weak in (_together(group, fit.dynamics.joints) for group in groups.values())
+    ]
 
 
-def _together(group: Iterable[WeakDirection]) -> WeakDirection:
+def _together(group: Iterable[WeakDirection], joints: Sequence[str]) -> WeakDirection:
     """The widest of some directions, in the name of all their joints."""
     widest, *_ = ordered = sorted(group, key=lambda weak: -weak.half_width)
-    names = [joint for joint in JOINT_SPECS if joint in {weak.joint for weak in ordered}]
+    names = [joint for joint in joints if joint in {weak.joint for weak in ordered}]
     return replace(widest, joint=", ".join(map(short, names)))
 
 

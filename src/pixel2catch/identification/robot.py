@@ -1,17 +1,18 @@
-"""All that this room knows of the robot: its joints by group, and models of it. Nothing else here imports it.
+"""All that this room needs to know of a robot, as a value that recordings and trajectories carry.
 
-A group's commands arrive together, and excitation has one margin, swing and acceleration for it.
+Only `ROBOT`, the default, names one. A group's commands arrive together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 
 import mujoco
 import numpy as np
 from jaxtyping import Bool
 
-from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, HAND_JOINTS, JOINTS, SPEED_MARGIN, JointSpec
+from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, HAND_JOINTS, SPEED_MARGIN, JointSpec
 from pixel2catch.robot.scene import SceneCfg, build_spec
 
 
@@ -19,52 +20,95 @@ from pixel2catch.robot.scene import SceneCfg, build_spec
 class JointGroup:
     """Joints that get their commands together."""
 
-    joints: tuple[JointSpec, ...]  # in joint order
-    # how the names of the joints of each serial chain begin; empty if the group is one chain, which
-    # carries the other groups
+    name: str  # what commands and files call it
+    joints: tuple[JointSpec, ...]
+    # how the names of the joints of each serial chain begin; none if it is one chain that carries the others
     chains: tuple[str, ...] = ()
-    # how the names of its bodies begin; empty if they are all bodies that are no other group's
-    bodies: tuple[str, ...] = ()
+    bodies: tuple[str, ...] = ()  # how the names of its bodies begin; none if they are what is left
+    is_ur: bool = False  # whether its controller filters commands by servoJ, and logs motion by RTDE
     reach: float  # no joint gets so far from 0 [rad]
     margin: float  # distance that commands of an excitation keep from a joint's limits [rad]
     swing: float  # farthest from the middle of the excitation [rad]
     acceleration: float  # largest acceleration of its smooth commands [rad/s²]
 
 
-ARM = JointGroup(joints=ARM_JOINTS, reach=2.0 * pi + 0.1, margin=0.03, swing=0.35, acceleration=15.0)
-"""Source: reach: UR, ±360°, and 0.1 rad for calibration. The others are ours: the palm stays within 0.5 m of
-its start and 0.18 m above the table. UR limits the torque only: 15 rad/s² of all joints at once take 51 N·m
-of the UR5e's 150."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Robot:
+    """Groups of joints in joint order, and the scene in which they move."""
 
-HAND = JointGroup(
-    joints=HAND_JOINTS,
-    chains=FINGERS,
-    bodies=("palm", *FINGERS),
-    reach=pi,
-    margin=0.06,
-    swing=0.4,
-    acceleration=100.0,
-)
-"""Source: reach: the limits in `robot.constants` end at 1.72 rad. The others are ours: a fast arm shakes the
-hand; fingers do not meet; 100 rad/s² take 0.22 of the hand's 0.5 N·m at most. As the arm's, that is several
-times what dry friction hides."""
+    groups: tuple[JointGroup, ...]
+    whole: str  # what commands call all groups together
+    standing: tuple[str, ...]  # bodies that stand on the table
+    scene: Callable[[], mujoco.MjSpec]  # the robot, a body `table` and a body `object`
 
-GROUPS = (ARM, HAND)
+    @cached_property
+    def specs(self) -> dict[str, JointSpec]:
+        """All joints by name, in joint order."""
+        return {spec.name: spec for group in self.groups for spec in group.joints}
 
-JOINT_SPECS: dict[str, JointSpec] = {spec.name: spec for spec in JOINTS}
-"""All joints that can be identified, by name, in joint order."""
+    @cached_property
+    def group_of(self) -> dict[str, JointGroup]:
+        """The group of each joint."""
+        return {spec.name: group for group in self.groups for spec in group.joints}
 
-GROUP_OF = {spec.name: group for group in GROUPS for spec in group.joints}  # the group of each joint
+    @cached_property
+    def parts(self) -> dict[str, tuple[str, ...]]:
+        """What can be identified alone: the joints of each group, and all of them, by name."""
+        groups = {group.name: tuple(spec.name for spec in group.joints) for group in self.groups}
+        return groups | {self.whole: tuple(self.specs)}
 
-ROBOTS: dict[str, tuple[str, ...]] = {
-    "ur5e": tuple(spec.name for spec in ARM_JOINTS),
-    "allegro": tuple(spec.name for spec in HAND_JOINTS),
-    "ur5e_allegro": tuple(JOINT_SPECS),
-}
-"""Joint names of each robot, in joint order."""
+    @property
+    def ur_part(self) -> str:
+        """The part whose controller is Universal Robots'; empty if there is none."""
+        return next((group.name for group in self.groups if group.is_ur), "")
 
-FILTERED_ROBOT = "ur5e"  # the robot whose controller filters commands
-STANDING = ("base_link", "shoulder_link")  # bodies that stand on the table
+    def owned(self, joints: Sequence[str]) -> Bool[np.ndarray, "num_groups num_joints"]:
+        """Which of the joints are of each group, without groups that have none of them."""
+        owned = np.array([[self.group_of[joint] is group for joint in joints] for group in self.groups])
+        return owned[owned.any(axis=1)]
+
+    def carries_others(self, joint: str) -> bool:
+        """Whether a joint moves the joints of the other groups, too."""
+        return not self.group_of[joint].chains
+
+    def coupled(self, joints: Sequence[str]) -> Bool[np.ndarray, "num_joints num_joints"]:
+        """Which joints (columns) each one moves: the rest of its chain, and what that carries."""
+        chains = [next((c for c in self.group_of[j].chains if j.startswith(c)), "") for j in joints]
+        return np.array([[one in ("", other) for other in chains] for one in chains])
+
+    def recorded_model(self, joints: Sequence[str], physics_dt: float) -> mujoco.MjModel:
+        """The robot with only these joints, the others welded, at a time step [s].
+
+        It has no object, contacts, limits, and none of MuJoCo's own dry friction.
+        """
+        spec = self._without_object()
+        for exclude in spec.excludes:
+            spec.delete(exclude)
+        for name in self.specs:
+            if name not in joints:
+                spec.delete(spec.actuator(name))
+                spec.delete(spec.joint(name))
+        spec.compiler.fusestatic = True
+        spec.option.timestep = physics_dt
+        model = spec.compile()
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        model.dof_frictionloss[:] = 0.0
+        model.actuator_ctrllimited[:] = 0
+        model.actuator_forcelimited[:] = 0
+        return model
+
+    def watched_model(self, horizon: float) -> mujoco.MjModel:
+        """Robot and table; what is within the horizon [m] counts as a contact without force."""
+        model = self._without_object().compile()
+        model.geom_gap[:] = horizon / 2
+        return model
+
+    def _without_object(self) -> mujoco.MjSpec:
+        spec = self.scene()
+        for sensor in spec.sensors:
+            spec.delete(sensor)
+        spec.delete(spec.body("object"))
+        return spec
 
 
 def short(joint: str) -> str:
@@ -81,57 +125,38 @@ def largest_step(joint: JointSpec) -> float:
     return SPEED_MARGIN * joint.velocity_limit * joint.damping / joint.stiffness
 
 
-def carries_others(joint: str) -> bool:
-    """Whether a joint moves the joints of the other groups, too."""
-    return not GROUP_OF[joint].chains
+ARM = JointGroup(
+    name="ur5e",
+    joints=ARM_JOINTS,
+    is_ur=True,
+    reach=2.0 * pi + 0.1,
+    margin=0.03,
+    swing=0.35,
+    acceleration=15.0,
+)
+"""Source: reach: UR, ±360°, and 0.1 rad for calibration. The others are ours: the palm stays within 0.5 m of
+its start and 0.18 m above the table. UR limits the torque only: 15 rad/s² of all joints at once take 51 N·m
+of the UR5e's 150."""
 
+HAND = JointGroup(
+    name="allegro",
+    joints=HAND_JOINTS,
+    chains=FINGERS,
+    bodies=("palm", *FINGERS),
+    reach=pi,
+    margin=0.06,
+    swing=0.4,
+    acceleration=100.0,
+)
+"""Source: reach: the limits in `robot.constants` end at 1.72 rad. The others are ours: a fast arm shakes the
+hand; fingers do not meet; 100 rad/s² take 0.22 of the hand's 0.5 N·m at most. As the arm's, that is several
+times what dry friction hides."""
 
-def groups_of(joints: Sequence[str]) -> Bool[np.ndarray, "num_groups num_joints"]:
-    """Which of the joints are of each group, without groups that have none of them."""
-    owned = np.array([[GROUP_OF[joint] is group for joint in joints] for group in GROUPS])
-    return owned[owned.any(axis=1)]
+ROBOT = Robot(
+    groups=(ARM, HAND),
+    whole="ur5e_allegro",
+    standing=("base_link", "shoulder_link"),
+    scene=lambda: build_spec(SceneCfg()),
+)
 
-
-def coupled(joints: Sequence[str]) -> Bool[np.ndarray, "num_joints num_joints"]:
-    """Which joints (columns) the motion of each one moves: the rest of its chain, and what that carries."""
-    chain = [
-        next((c for c in GROUP_OF[joint].chains if joint.startswith(c)), "") for joint in joints
-    ]  # of what carries the others: ""
-    return np.array([[not one or one == other for other in chain] for one in chain])
-
-
-def recorded_model(joints: Sequence[str], physics_dt: float) -> mujoco.MjModel:
-    """The robot with only these joints, the others welded, at a time step [s].
-
-    It has no object, contacts, limits, and none of MuJoCo's own dry friction.
-    """
-    spec = _without_object()
-    for exclude in spec.excludes:
-        spec.delete(exclude)
-    for name in JOINT_SPECS:
-        if name not in joints:
-            spec.delete(spec.actuator(name))
-            spec.delete(spec.joint(name))
-    spec.compiler.fusestatic = True
-    spec.option.timestep = physics_dt
-    model = spec.compile()
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT
-    model.dof_frictionloss[:] = 0.0
-    model.actuator_ctrllimited[:] = 0
-    model.actuator_forcelimited[:] = 0
-    return model
-
-
-def watched_model(horizon: float) -> mujoco.MjModel:
-    """Robot and table; what is within the horizon [m] counts as a contact without force."""
-    model = _without_object().compile()
-    model.geom_gap[:] = horizon / 2
-    return model
-
-
-def _without_object() -> mujoco.MjSpec:
-    spec = build_spec(SceneCfg())
-    for sensor in spec.sensors:
-        spec.delete(sensor)
-    spec.delete(spec.body("object"))
-    return spec
+JOINT_SPECS, ROBOTS = ROBOT.specs, ROBOT.parts

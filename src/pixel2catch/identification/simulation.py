@@ -20,7 +20,6 @@ from pixel2catch.envs.command_path import filtered
 from pixel2catch.envs.servo import EFFORT_MARGIN, FRICTION_SPEED
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording, held
-from pixel2catch.identification.robot import JOINT_SPECS, recorded_model
 from pixel2catch.robot.joint_dynamics import JointDynamics, command_lag, filter_transition
 from pixel2catch.sim.batch import BatchSimulation
 
@@ -109,6 +108,7 @@ class Servos:
         self,
         simulation: BatchSimulation,
         dynamics: Sequence[JointDynamics],
+        efforts: Float[np.ndarray, " num_joints"],
         link_inertia: Float[np.ndarray, " num_joints"],
         dt: float,
     ) -> None:
@@ -117,6 +117,7 @@ class Servos:
         Args:
             simulation: The copies.
             dynamics: Of each.
+            efforts: Largest torques [N·m].
             link_inertia: What a joint moves beside its armature [kg·m²].
             dt: Time step [s].
         """
@@ -125,8 +126,7 @@ class Servos:
             for name in ("stiffness", "damping", "frictionloss", "armature")
         )
         self._dt, self._half, self._inertia = dt, self._damping / 2, armature + link_inertia
-        efforts = [JOINT_SPECS[name].effort_limit for name in dynamics[0].joints]
-        self._limit = EFFORT_MARGIN * np.array(efforts)
+        self._limit = EFFORT_MARGIN * efforts
         simulation.expand("dof_armature").numpy()[:] = armature
         simulation.expand("actuator_gainprm").numpy()[:, :, 0] = self._stiffness
         bias = simulation.expand("actuator_biasprm").numpy()
@@ -253,7 +253,7 @@ class RecordedMotion:
         """
         if not recordings:
             raise RecordingError("there is no recording to simulate; give at least one.")
-        self.joints = recordings[0].joints
+        self.robot, self.joints = recordings[0].robot, recordings[0].joints
         for recording in recordings:
             if recording.joints != self.joints:
                 raise RecordingError(
@@ -261,8 +261,9 @@ class RecordedMotion:
                     f"{self.joints}; give recordings of the same joints."
                 )
         self._dt = physics_dt
+        self._efforts = np.array([self.robot.specs[name].effort_limit for name in self.joints])
         self._motions = [_Motion.of(recording, physics_dt) for recording in recordings]
-        self._model = recorded_model(self.joints, physics_dt)
+        self._model = self.robot.recorded_model(self.joints, physics_dt)
         data, inertia = mujoco.MjData(self._model), np.zeros((self._model.nv, self._model.nv))
         data.qpos[:] = self._motions[0].start[0]
         mujoco.mj_forward(self._model, data)
@@ -303,11 +304,12 @@ class RecordedMotion:
         """Positions at every edge [rad]."""
         num_threads = 0 if len(copies) >= THREADED_COPIES else 1
         simulation = BatchSimulation(self._model, len(copies), num_threads)
-        servos = Servos(simulation, [dynamics for dynamics, _ in copies], self._link_inertia, self._dt)
+        candidates = [dynamics for dynamics, _ in copies]
+        servos = Servos(simulation, candidates, self._efforts, self._link_inertia, self._dt)
         qpos, qvel = (simulation.bind(name).numpy() for name in ("qpos", "qvel"))
         start = np.stack([motion.start for _, motion in copies], axis=1)
         qpos[:], qvel[:] = start
-        path = Filters(self._dt, start, [dynamics for dynamics, _ in copies])
+        path = Filters(self._dt, start, candidates)
         commands, index = _commands(copies, self._dt)
         paths = np.empty((len(commands) + 1, *qpos.shape))
         paths[0] = qpos

@@ -18,7 +18,7 @@ from jaxtyping import Float64
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.files import write_atomically
 from pixel2catch.identification.recording import Place, held, require_motion
-from pixel2catch.identification.robot import JOINT_SPECS, largest_step
+from pixel2catch.identification.robot import ROBOT, Robot, largest_step
 
 FORMAT_VERSION = 1
 
@@ -53,6 +53,7 @@ class Trajectory:
         UnknownNameError: If the robot has no such joint.
     """
 
+    robot: Robot = ROBOT  # whose joints they are
     # names of the joints, the columns, in joint order; the others hold the start pose
     joints: tuple[str, ...]
     times: Float64[np.ndarray, " num_targets"]  # when each target is due [s], from 0
@@ -61,14 +62,13 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         """Refuse what no robot should be sent."""
+        known = list(self.robot.specs)
         for joint in self.joints:
-            if joint not in JOINT_SPECS:
-                raise UnknownNameError("joint", joint, JOINT_SPECS)
-        if not self.joints or list(self.joints) != [name for name in JOINT_SPECS if name in self.joints]:
-            raise InvalidValueError(
-                f"joints are {list(self.joints)}; name each once, in the order {list(JOINT_SPECS)}"
-            )
-        require_motion(Place(source="targets"), self.joints, self.times, self.positions)
+            if joint not in known:
+                raise UnknownNameError("joint", joint, known)
+        if not self.joints or list(self.joints) != [name for name in known if name in self.joints]:
+            raise InvalidValueError(f"joints are {list(self.joints)}; name each once, in the order {known}")
+        require_motion(Place(source="targets"), self.joints, self.times, self.positions, robot=self.robot)
         self._require_clock()
         self._require_limits()
         self._require_rest()
@@ -129,7 +129,7 @@ class Trajectory:
             )
 
     def _require_limits(self) -> None:
-        specs = [JOINT_SPECS[name] for name in self.joints]
+        specs = [self.robot.specs[name] for name in self.joints]
         lower, upper = np.array([(spec.lower, spec.upper) for spec in specs]).T
         excess = np.maximum(lower - self.positions, self.positions - upper)
         self._refuse(excess > TOLERANCE, "is beyond the joint's limits")
