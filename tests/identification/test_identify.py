@@ -105,7 +105,6 @@ def hand_fit() -> Fit:
         free=SERVO_PARAMETERS,
         covariance=np.tile(1e-4 * np.eye(5), (len(HAND), 1, 1)),
         prior=2.0,
-        residual=np.zeros((10, len(HAND))),
     )
 
 

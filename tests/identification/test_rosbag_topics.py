@@ -5,17 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import (
-    ARRAY,
-    NANOSECOND,
-    Message,
-    array,
-    commands,
-    joint_state,
-    nanoseconds,
-    trajectory,
-    write_bag,
-)
+from bags import ARRAY, NANOSECOND, Message, array, commands, joint_state, nanoseconds, trajectory, write_bag
 from recorded import ARM, assert_same, short
 
 from pixel2catch.errors import RecordingError

@@ -89,7 +89,6 @@ class Fit:
     # of each joint's free parameters, in the coordinates of the fit; the prior is in it
     covariance: Float[np.ndarray, "num_joints num_free num_free"]
     prior: float  # standard deviation of the prior: where it is not reduced, the recordings tell nothing
-    residual: Residuals  # simulated minus measured positions of the fitted recordings [rad]
 
 
 def fit_dynamics(
@@ -118,7 +117,6 @@ def fit_dynamics(
         free=cfg.free,
         covariance=fine.normal_equations(point, jacobian, weight).covariance,
         prior=cfg.prior,
-        residual=jacobian.residuals,
     )
 
 

@@ -61,11 +61,7 @@ class Names:
 
     @classmethod
     def parse(
-        cls,
-        command_topics: Sequence[str],
-        measured_topic: str,
-        renames: Sequence[str],
-        robot: Robot = ROBOT,
+        cls, command_topics: Sequence[str], measured_topic: str, renames: Sequence[str], robot: Robot = ROBOT
     ) -> "Names":
         """Read the options of the command line.
 
