@@ -52,14 +52,21 @@ class Excite:
 
     def run(self) -> None:
         """Draw, try, print and write."""
+        from numpy.random import default_rng
+
         from pixel2catch.cli.console import say
         from pixel2catch.cli.working import working
-        from pixel2catch.identification.rehearsal import RecorderCfg, rehearse
+        from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)
         self._require_free([*outs, *pictures])
         recorder = RecorderCfg(noise=self.noise, stall=self.stall, physics_hz=self.physics_hz)
-        dynamics, truth = self._dynamics(self.dynamics), self._truth()
+        dynamics = self._dynamics(self.dynamics)
+        truth = (
+            self._dynamics(self.truth)
+            if self.truth
+            else unlike_nominal(default_rng(self.seed), dynamics.joints)
+        )
         with working() as report:
             found = self._find(dynamics, report)
             _write(found, outs, pictures)
@@ -80,11 +87,7 @@ class Excite:
         return [path] if self.recordings == 1 else [path.with_stem(f"{path.stem}-{i}") for i in numbers]
 
     def _require_free(self, files: "Sequence[Path]") -> None:
-        """Refuse what would overwrite something, before the work.
-
-        Raises:
-            InvalidValueError: A file exists, or the rehearsal's folder is not empty.
-        """
+        """Refuse what would overwrite something, before the work."""
         from pixel2catch.errors import InvalidValueError
         from pixel2catch.files import require_free_file, require_free_folder
 
@@ -102,17 +105,6 @@ class Excite:
         from pixel2catch.robot.joint_dynamics import JointDynamics
 
         return DynamicsFile.load(path).dynamics.over(JointDynamics.nominal()).select(ROBOTS[self.robot])
-
-    def _truth(self) -> "JointDynamics":
-        """The dynamics of a rehearsal's robot."""
-        from numpy.random import default_rng
-
-        from pixel2catch.identification.rehearsal import unlike_nominal
-        from pixel2catch.identification.robot import ROBOTS
-
-        if self.truth:
-            return self._dynamics(self.truth)
-        return unlike_nominal(default_rng(self.seed), ROBOTS[self.robot])
 
     def _find(
         self, dynamics: "JointDynamics", report: "Callable[[str], None]"

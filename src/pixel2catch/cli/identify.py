@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from pixel2catch.identification.fit import FitCfg
     from pixel2catch.identification.identify import CheckedRecording, Identification
@@ -53,18 +53,20 @@ class Identify:
 
     def run(self) -> None:
         """Check, fit, and write the report."""
-        from pixel2catch.cli.console import say
+        from pixel2catch.cli.console import results_console, say
         from pixel2catch.cli.working import working
         from pixel2catch.files import require_free_folder
         from pixel2catch.identification.identify import identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
+        from pixel2catch.identification.report_tables import check_grid
 
         require_free_folder(self.out)
         cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter)
         with working() as report:
             sources = self._sources(report)
-        if not self.json:
-            _print_checks(sources)
+        for source in () if self.json else sources:
+            table = check_grid(source.recording.name, source.checks).for_terminal()
+            results_console().print(table)
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
@@ -76,12 +78,7 @@ class Identify:
         say(f"wrote {self.out / DYNAMICS}, and the report for people, {self.out / PAGE}")
 
     def _fit_cfg(self) -> "FitCfg":
-        """How to fit.
-
-        Raises:
-            UnknownNameError: If there is no such parameter.
-            InvalidValueError: If the rate is not one of a training.
-        """
+        """How to fit; the rate is one that a training can have."""
         from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
         from pixel2catch.robot.scene import SceneCfg
 
@@ -90,11 +87,7 @@ class Identify:
         return FitCfg(free=self.free or default, physics_dt=physics_dt)
 
     def _sources(self, report: "Callable[[str], None]") -> "list[CheckedRecording]":
-        """Read and check the recordings.
-
-        Raises:
-            RecordingError: If one cannot be read, or says what cannot be.
-        """
+        """Read and check the recordings."""
         from dataclasses import replace
 
         from pixel2catch.identification.identify import checked
@@ -118,14 +111,6 @@ def _circumstances() -> dict[str, Any]:
 
     now = circumstances()
     return now | {"command": shlex.join(["pixel2catch", *now["command"][1:]])}
-
-
-def _print_checks(sources: "Sequence[CheckedRecording]") -> None:
-    from pixel2catch.cli.console import results_console
-    from pixel2catch.identification.report_tables import check_grid
-
-    for source in sources:
-        results_console().print(check_grid(source.recording.name, source.checks).for_terminal())
 
 
 def _print_result(result: "Identification") -> None:

@@ -31,7 +31,7 @@ Source: ours; in excitation up to the torque limits, positions of the arm are wi
 """
 
 START_WINDOW = 0.1
-"""Measurements that give the first position and speed [s]. Source: ours; a tenth of a servo's settling."""
+"""Measurements whose parabola begins a motion [s]. Source: ours; a tenth of a servo's settling."""
 
 SETTLING = 0.5
 """Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over
@@ -41,19 +41,20 @@ MAX_COPIES = 96  # copies simulated at once, for the memory
 THREADED_COPIES = 24  # copies from which on several threads are faster than one (ours, measured with the arm)
 
 
+PerJoint = Float[np.ndarray, " num_joints"]
+Settled = Float[np.ndarray, "num_settled num_joints"]
+
+
 def mean_commands(
     t_cmd: Float[np.ndarray, " num_commands"],
     q_cmd: Float[np.ndarray, "num_commands num_joints"],
     edges: Float[np.ndarray, " num_edges"],
-    latency: Float[np.ndarray, " num_joints"],
+    latency: PerJoint,
 ) -> Float[np.ndarray, "num_steps num_joints"]:
     """Mean of the held, delayed commands over every time step: it depends smoothly on the latency.
 
-    Args:
-        t_cmd: When each command was sent [s].
-        q_cmd: The commands [rad]; the first also holds before it was sent.
-        edges: Starts of the steps, and the end of the last [s].
-        latency: Delay of each joint's commands [s].
+    Times [s], commands [rad] and latency [s] are as in a recording and a `JointDynamics`; the edges are the
+    starts of the steps, and the end of the last [s].
     """
     end = max(float(edges[-1]), float(t_cmd[-1])) + 1.0
     start = min(float(edges[0]) - float(latency.max()), float(t_cmd[0])) - 1.0
@@ -69,7 +70,7 @@ def step_commands(
     t_cmd: Float[np.ndarray, " num_commands"],
     q_cmd: Float[np.ndarray, "num_commands num_joints"],
     edges: Float[np.ndarray, " num_edges"],
-    latency: Float[np.ndarray, " num_joints"],
+    latency: PerJoint,
 ) -> Float[np.ndarray, "num_steps 4 num_joints"]:
     """What arrives in every time step: a command, and from some moment on the next one.
 
@@ -108,8 +109,8 @@ class Servos:
         self,
         simulation: BatchSimulation,
         dynamics: Sequence[JointDynamics],
-        efforts: Float[np.ndarray, " num_joints"],
-        link_inertia: Float[np.ndarray, " num_joints"],
+        efforts: PerJoint,
+        link_inertia: PerJoint,
         dt: float,
     ) -> None:
         """Give every copy of the simulation its dynamics.
@@ -212,12 +213,13 @@ class _Motion:
             )
         edges = recording.t_meas[0] + dt * np.arange(int(np.ceil(time[-1] / dt)) + 1)
         index = np.minimum((settled / dt).astype(int), len(edges) - 2)
-        start, weight = _start(time, recording.q), settled / dt - index
+        start, is_first = np.stack((recording.q[0], np.zeros_like(recording.q[0]))), time <= START_WINDOW
+        if np.count_nonzero(is_first) >= 5:
+            start = np.polynomial.polynomial.polyfit(time[is_first], recording.q[is_first], 2)[:2]
+        weight = settled / dt - index
         return cls(recording=recording, edges=edges, start=start, index=index, weight=weight)
 
-    def sample(
-        self, path: Float[np.ndarray, "num_edges num_joints"]
-    ) -> Float[np.ndarray, "num_settled num_joints"]:
+    def sample(self, path: Float[np.ndarray, "num_edges num_joints"]) -> Settled:
         """Simulated positions at the measurement times."""
         before, after = path[self.index], path[self.index + 1]
         return before + self.weight[:, None] * (after - before)
@@ -228,25 +230,11 @@ def is_settled(recording: Recording) -> Bool[np.ndarray, " num_samples"]:
     return recording.t_meas - recording.t_meas[0] > SETTLING
 
 
-def _start(
-    time: Float[np.ndarray, " num_samples"], q: Float[np.ndarray, "num_samples num_joints"]
-) -> Float[np.ndarray, "2 num_joints"]:
-    """First position and speed, by a parabola through the first measurements."""
-    is_first = time <= START_WINDOW
-    if np.count_nonzero(is_first) < 5:
-        return np.stack((q[0], np.zeros_like(q[0])))
-    return np.polynomial.polynomial.polyfit(time[is_first], q[is_first], 2)[:2]
-
-
 class RecordedMotion:
     """Some recordings of the same joints, ready to be simulated under any dynamics."""
 
     def __init__(self, recordings: Sequence[Recording], physics_dt: float = FIT_DT) -> None:
-        """Build the model of the recorded joints.
-
-        Args:
-            recordings: At least one; all of the same joints, in joint order.
-            physics_dt: Time step of the simulation [s].
+        """Build the model of the recorded joints, which are the same in all, with a time step [s].
 
         Raises:
             RecordingError: There is none, one is too short, or they are of different joints.
@@ -271,14 +259,12 @@ class RecordedMotion:
         self._link_inertia = np.diagonal(inertia) - self._model.dof_armature
 
     @property
-    def measured(self) -> Float[np.ndarray, "num_settled num_joints"]:
+    def measured(self) -> Settled:
         """Measured positions that are compared, recording after recording [rad]."""
         recordings = [motion.recording for motion in self._motions]
         return np.concatenate([recording.q[is_settled(recording)] for recording in recordings])
 
-    def split(
-        self, positions: Float[np.ndarray, "num_settled num_joints"]
-    ) -> list[Float[np.ndarray, "num_samples num_joints"]]:
+    def split(self, positions: Settled) -> list[np.ndarray]:
         """Simulated positions, recording by recording."""
         return np.split(positions, np.cumsum([len(motion.index) for motion in self._motions])[:-1])
 
