@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
-from pixel2catch.identification.fit import Fit, fit_dynamics
-from pixel2catch.identification.fit_problem import LATENCY_UNIT, SERVO_PARAMETERS, FitCfg
-from pixel2catch.identification.identifiability import CONFIDENCE, half_widths
-from pixel2catch.identification.simulated_recording import RecorderCfg, simulated_recordings, unlike_nominal
+from pixel2catch.identification.fit import LATENCY_UNIT, SERVO_PARAMETERS, Fit, FitCfg, fit_dynamics
+from pixel2catch.identification.identify import CONFIDENCE, half_widths
+from pixel2catch.identification.rehearsal import RecorderCfg, simulated_recordings, unlike_nominal
 from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.robot.joint_dynamics import JointDynamics
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.cli.main import main as pixel2catch
-from pixel2catch.identification.fit_start import start_of_fit
+from pixel2catch.identification.identify import start_of_fit
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robot.joint_dynamics import JointDynamics
 

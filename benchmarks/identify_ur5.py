@@ -20,13 +20,10 @@ from pathlib import Path
 import numpy as np
 from ur5_recordings import read_ur5
 
-from pixel2catch.identification.fit import fit_dynamics, tracking_error
-from pixel2catch.identification.fit_problem import FitCfg
-from pixel2catch.identification.fit_simulation import SETTLING
-from pixel2catch.identification.fit_start import stiff
-from pixel2catch.identification.identifiability import half_widths
+from pixel2catch.identification.fit import FitCfg, fit_dynamics
+from pixel2catch.identification.identify import half_widths, stiff
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.signals import held
+from pixel2catch.identification.simulation import RecordedMotion, is_settled
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 FREE = ("damping", "latency")
@@ -49,9 +46,9 @@ def main() -> None:
     errors = {
         group: {
             "target itself": target_error(recording),
-            "nominal": tracking_error([recording], nominal),
-            "before the fit": tracking_error([recording], stiff(nominal)),
-            "fitted": tracking_error([recording], fit.dynamics),
+            "nominal": tracking_error(recording, nominal),
+            "before the fit": tracking_error(recording, stiff(nominal)),
+            "fitted": tracking_error(recording, fit.dynamics),
         }
         for group, recording in (("fitted motion", fitted), ("held-out motion", held_out))
     }
@@ -78,9 +75,15 @@ def continuous(recording: Recording) -> Recording:
 
 def target_error(recording: Recording) -> np.ndarray:
     """Error of the prediction that the joints are where their targets are [rad]."""
-    is_settled = recording.t_meas - recording.t_meas[0] > SETTLING
-    error = held(recording, recording.t_meas) - recording.q
-    return np.sqrt(np.mean(error[is_settled] ** 2, axis=0))
+    error = recording.held(recording.t_meas) - recording.q
+    return np.sqrt(np.mean(error[is_settled(recording)] ** 2, axis=0))
+
+
+def tracking_error(recording: Recording, dynamics: JointDynamics) -> np.ndarray:
+    """Root mean square of simulated minus measured positions, joint by joint [rad]."""
+    motion = RecordedMotion([recording])
+    (simulated,) = motion.simulate([dynamics])
+    return np.sqrt(np.mean((simulated - motion.measured) ** 2, axis=0))
 
 
 def parameters(dynamics: JointDynamics, widths: np.ndarray) -> np.ndarray:

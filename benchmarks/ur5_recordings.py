@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from pixel2catch.identification.check_report import check_table
 from pixel2catch.identification.checks import check_recording
-from pixel2catch.identification.recording import ROBOTS, Recording
-from pixel2catch.identification.rules import require_motion
-from pixel2catch.identification.tables import read_table
+from pixel2catch.identification.recording import Recording, read_table, require_motion
+from pixel2catch.identification.report_tables import check_grid
+from pixel2catch.identification.robot import ROBOTS
 
 ARM = ROBOTS["ur5e"]
 
@@ -29,7 +28,7 @@ def main() -> None:
     )
     parser.add_argument("folders", nargs="+", type=Path, help="folders of log files")
     for folder in parser.parse_args().folders:
-        Console(width=120).print(check_table(folder.name, check_recording(read_ur5(folder))))
+        Console(width=120).print(check_grid(folder.name, check_recording(read_ur5(folder))).for_terminal())
 
 
 def read_ur5(folder: Path) -> Recording:

@@ -16,8 +16,7 @@ from pixel2catch.deployment.profile import Profile
 from pixel2catch.deployment.recorder import Recorder
 from pixel2catch.deployment.transport import Topic
 from pixel2catch.errors import DeploymentError
-from pixel2catch.identification.names import Names
-from pixel2catch.identification.rosbag import read_rosbag
+from pixel2catch.identification.importers import Names, read_rosbag
 from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)

@@ -4,10 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from pixel2catch.identification.excitation_limits import Envelope
-from pixel2catch.identification.excitation_signals import RATE, multisine, steps
-from pixel2catch.identification.fit_simulation import SETTLING, RecordedMotion
+from pixel2catch.identification.excitation import RATE, Envelope, multisine, steps
 from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.simulation import SETTLING, RecordedMotion
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 NOISE = 2e-4
@@ -47,3 +46,10 @@ def perturbed(rng: np.random.Generator, nominal: JointDynamics, latency: float) 
     names = ("stiffness", "damping", "frictionloss", "armature")
     factors = {name: getattr(nominal, name) * rng.uniform(0.7, 1.4, len(nominal.joints)) for name in names}
     return nominal.with_values(**factors, latency=latency)
+
+
+def tracking_error(recordings: list[Recording], dynamics: JointDynamics, physics_dt: float) -> np.ndarray:
+    """Root mean square of simulated minus measured positions, per joint [rad]."""
+    motion = RecordedMotion(recordings, physics_dt)
+    (simulated,) = motion.simulate([dynamics])
+    return np.sqrt(np.mean((simulated - motion.measured) ** 2, axis=0))

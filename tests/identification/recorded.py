@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
+from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
 
 ARM = ROBOTS["ur5e"]
 LAG = 0.06

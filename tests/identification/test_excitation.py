@@ -1,13 +1,28 @@
-"""Trajectories as they are drawn: repeatable, complete, as fast as asked for. `excite` tries them."""
+"""Trajectories as they are drawn, and their kinds of motion: repeatable, complete, within their envelope."""
 
 import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
-from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS
+from pixel2catch.identification.excitation import (
+    NUM_TURNS,
+    RATE,
+    Envelope,
+    ExcitationCfg,
+    Signal,
+    approach,
+    draw_excitation,
+    multisine,
+    policy_targets,
+    slow_reversals,
+    steps,
+    turns,
+)
+from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS, largest_step
 
 WHOLE = ExcitationCfg(seconds=20.0, seed=0)
 
@@ -59,3 +74,106 @@ def test_what_cannot_be_drawn_is_refused():
         draw_excitation(ExcitationCfg(seconds=10.0), {})
     shortest = draw_excitation(ExcitationCfg(seconds=21.0), {})
     assert shortest.duration == pytest.approx(21.0)
+
+
+JOINTS = ROBOTS["ur5e_allegro"]
+ROUNDING = 1e-9
+SIGNALS = [multisine, steps, policy_targets, turns, slow_reversals]
+SEEDS, SPEEDS = st.integers(0, 2**31), st.floats(0.05, 1.0)
+
+
+def draw(signal: Signal, seed: int, speed: float, num_times: int = 500) -> tuple[Envelope, np.ndarray]:
+    envelope = Envelope.of(JOINTS, speed, {})
+    return envelope, signal(np.random.default_rng(seed), envelope, num_times)
+
+
+def peaks(offsets: np.ndarray) -> np.ndarray:
+    """Largest offset, change and change of change of each joint, per second."""
+    return np.array([np.abs(np.diff(offsets, n, axis=0)).max(axis=0) * RATE**n for n in range(3)])
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+@given(seed=SEEDS, speed=SPEEDS)
+def test_every_signal_stays_near_the_middle_and_returns_to_it(signal: Signal, seed: int, speed: float):
+    envelope, offsets = draw(signal, seed, speed)
+    assert offsets.shape == (500, len(JOINTS))
+    np.testing.assert_allclose(offsets[[0, -1]], 0.0, atol=ROUNDING)
+    assert (peaks(offsets)[0] <= envelope.swing + ROUNDING).all()
+    assert np.ptp(offsets, axis=0).min() > 0.0
+
+
+@given(seed=SEEDS, speed=SPEEDS)
+def test_smooth_signals_keep_to_speed_and_acceleration(seed: int, speed: float):
+    for signal in (multisine, slow_reversals):
+        envelope, offsets = draw(signal, seed, speed)
+        _, top_speed, top_acceleration = peaks(offsets)
+        assert (top_speed <= envelope.speed + ROUNDING).all()
+        assert (top_acceleration <= envelope.acceleration + 1e-6).all()
+
+
+@given(seed=SEEDS, speed=SPEEDS)
+def test_sines_use_what_they_may(seed: int, speed: float):
+    envelope, offsets = draw(multisine, seed, speed)
+    limits = np.array([envelope.swing, envelope.speed, envelope.acceleration])
+    np.testing.assert_allclose((peaks(offsets) / limits).max(axis=0), 1.0)
+
+
+@given(seed=SEEDS, speed=SPEEDS)
+def test_ramps_to_targets_keep_to_the_speed(seed: int, speed: float):
+    envelope, offsets = draw(policy_targets, seed, speed)
+    assert (peaks(offsets)[1] <= envelope.speed + ROUNDING).all()
+
+
+@given(seed=SEEDS, speed=SPEEDS)
+def test_steps_keep_to_the_largest_step_and_use_it(seed: int, speed: float):
+    envelope, offsets = draw(steps, seed, speed, 1000)
+    jumps = np.abs(np.diff(offsets, axis=0))
+    assert (jumps.max(axis=0) <= envelope.step + ROUNDING).all()
+    assert (jumps.max(axis=0) >= 0.5 * np.minimum(envelope.step, envelope.swing)).all()
+    assert (np.count_nonzero(jumps, axis=0) >= 8).all()
+
+
+@given(seed=SEEDS)
+def test_one_joint_of_the_arm_and_one_of_a_finger_move_at_a_time(seed: int):
+    _, offsets = draw(turns, seed, 1.0, 750)
+    is_moving = offsets != 0.0
+    for prefix in ("shoulder|elbow|wrist", "index", "middle", "ring", "thumb"):
+        columns = [i for i, name in enumerate(JOINTS) if name.startswith(tuple(prefix.split("|")))]
+        assert (np.count_nonzero(is_moving[:, columns], axis=1) <= 1).all(), prefix
+    assert is_moving.any(axis=0).all()
+    assert not is_moving[:: 750 // NUM_TURNS].any()
+
+
+def test_approach_goes_smoothly_from_the_start_pose_to_the_middle():
+    envelope = Envelope.of(JOINTS, 0.1, {})
+    offsets = approach(envelope)
+    np.testing.assert_allclose(envelope.center + offsets[0], envelope.home)
+    np.testing.assert_allclose(offsets[-1], 0.0, atol=ROUNDING)
+    _, top_speed, top_acceleration = peaks(offsets)
+    assert (top_speed <= envelope.speed).all()
+    assert (top_acceleration <= envelope.acceleration).all()
+    assert (np.abs(np.diff(offsets, axis=0))[[0, -1]] < 1e-4).all()
+
+
+def test_envelope_by_hand():
+    envelope = Envelope.of(JOINTS, 0.5, {"elbow_joint": 0.8})
+    elbow, wrist, thumb = (JOINTS.index(name) for name in ("elbow_joint", "wrist_2_joint", "thumb_joint_0"))
+    # the elbow is far from its limits: 80 % of 0.35 rad about its start pose, 40 % of everything else
+    assert envelope.swing[elbow] == pytest.approx(0.28)
+    assert envelope.center[elbow] == JOINT_SPECS["elbow_joint"].home
+    assert envelope.acceleration[elbow] == pytest.approx(6.0)
+    assert envelope.step[elbow] == pytest.approx(0.4 * largest_step(JOINT_SPECS["elbow_joint"]))
+    # wrist 2 has 20 degrees: the middle of them, and 0.03 rad from each end
+    assert envelope.center[wrist] == pytest.approx(np.radians(-100.0))
+    assert envelope.swing[wrist] == pytest.approx(np.radians(10.0) - 0.03)
+    # the thumb's first joint starts at its lower limit of 0.263 rad
+    assert envelope.center[thumb] == pytest.approx(0.263 + 0.06 + 0.4)
+
+
+def test_limits_of_all_joints_are_kept_with_a_margin():
+    envelope = Envelope.of(JOINTS, 1.0, {})
+    for name, center, swing in zip(JOINTS, envelope.center, envelope.swing, strict=True):
+        margin = 0.06 if name in ROBOTS["allegro"] else 0.03
+        spec = JOINT_SPECS[name]
+        assert center - swing >= spec.lower + margin - ROUNDING, name
+        assert center + swing <= spec.upper - margin + ROUNDING, name

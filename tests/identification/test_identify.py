@@ -8,17 +8,18 @@ import pytest
 from recorded import ARM, clean, short
 
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
-from pixel2catch.identification.fit import Fit
-from pixel2catch.identification.fit_problem import SERVO_PARAMETERS, FitCfg
-from pixel2catch.identification.fit_start import identified, start_of_fit
+from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit, FitCfg
 from pixel2catch.identification.identify import (
     CheckedRecording,
     Motion,
     checked,
+    identified,
     identify,
+    start_of_fit,
     tracking_errors,
 )
-from pixel2catch.identification.recording import ROBOTS, Recording
+from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.robot import ROBOTS
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robot.joint_dynamics import PARAMETERS, JointDynamics
@@ -104,7 +105,6 @@ def hand_fit() -> Fit:
         free=SERVO_PARAMETERS,
         covariance=np.tile(1e-4 * np.eye(5), (len(HAND), 1, 1)),
         prior=2.0,
-        residual=np.zeros((10, len(HAND))),
     )
 
 

@@ -15,8 +15,8 @@ import pytest
 from recorded import ARM, clean, position
 
 from pixel2catch.cli.main import main
-from pixel2catch.identification.fit_simulation import RecordedMotion
 from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robot.joint_dynamics import JointDynamics
 

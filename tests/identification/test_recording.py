@@ -10,8 +10,8 @@ from recorded import ARM, assert_same, short
 
 from pixel2catch.errors import Pixel2CatchError, RecordingError, UnknownNameError
 from pixel2catch.identification.importers import read_recording
-from pixel2catch.identification.recording import ROBOTS, Recording
-from pixel2catch.identification.rules import Place, require_motion
+from pixel2catch.identification.recording import Place, Recording, require_motion
+from pixel2catch.identification.robot import ROBOTS
 from pixel2catch.robot.constants import JOINTS
 
 

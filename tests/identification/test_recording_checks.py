@@ -10,10 +10,17 @@ import pytest
 from recorded import AMPLITUDE, ARM, FREQUENCIES, LAG, clean, position, speed
 from rich.console import Console
 
-from pixel2catch.identification.check_report import check_table, verdict
-from pixel2catch.identification.checks import Check, check_recording
-from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
-from pixel2catch.identification.signals import command_lag, excess_time, held, progress, smoothed
+from pixel2catch.identification.checks import (
+    Check,
+    check_recording,
+    command_lag,
+    excess_time,
+    progress,
+    smoothed,
+)
+from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.report_tables import check_grid
+from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
 
 WHOLE = ["measurement times", "command times", "speeds", "stalls", "repeated samples", "clock offset"]
 EACH = ["follows its command", "saturation", "excitation"]
@@ -143,7 +150,7 @@ def test_lag_is_found_whatever_the_clocks(offset: float):
 def test_command_holds_until_the_next():
     recording = replace(clean(), t_cmd=np.array([0.0, 1.0]), q_cmd=position(np.array([0.0, 0.5])))
     times = np.array([-1.0, 0.0, 0.999, 1.0, 9.0])
-    np.testing.assert_array_equal(held(recording, times), recording.q_cmd[[0, 0, 0, 1, 1]])
+    np.testing.assert_array_equal(recording.held(times), recording.q_cmd[[0, 0, 0, 1, 1]])
 
 
 def test_swapped_and_stopped_joints_are_found():
@@ -179,10 +186,10 @@ def test_saturation_is_the_share_at_the_limit():
 
 def test_motion_is_smoothed_to_its_derivatives():
     """Speed and acceleration of a sine are known: Aω and Aω²; 0.2 mrad of noise does not hide them."""
-    motion = smoothed(clean().t_meas, clean().q)
+    speeds, accelerations = smoothed(clean().t_meas, clean().q)
     omega = 2 * np.pi * FREQUENCIES
-    np.testing.assert_allclose(np.abs(motion.speed).max(0), AMPLITUDE * omega, rtol=0.02)
-    np.testing.assert_allclose(np.abs(motion.acceleration).max(0), AMPLITUDE * omega**2, rtol=0.1)
+    np.testing.assert_allclose(np.abs(speeds).max(0), AMPLITUDE * omega, rtol=0.02)
+    np.testing.assert_allclose(np.abs(accelerations).max(0), AMPLITUDE * omega**2, rtol=0.1)
 
 
 def excited(path: np.ndarray) -> Check:
@@ -213,7 +220,7 @@ def test_weak_motion_is_a_warning_and_unsound_data_forbid_a_fit():
     warned = check_recording(replace(recording, **small))
     assert {check.name for check in warned if check.is_good is False} == {"excitation"}
     warned += check_recording(replace(recording, effort=effort))
-    assert {verdict(check) for check in warned} == {"good", "weak", "unknown"}
+    assert {check.verdict for check in warned} == {"good", "weak", "unknown"}
     assert not any(check.forbids_fit for check in warned)
     late = check_recording(replace(recording, t_cmd=recording.t_cmd - 3.0))
     assert [check.name for check in late if check.forbids_fit] == ["clock offset"]
@@ -221,7 +228,7 @@ def test_weak_motion_is_a_warning_and_unsound_data_forbid_a_fit():
 
 def printed(checks: list[Check]) -> str:
     output = StringIO()
-    Console(file=output, width=200).print(check_table("run", checks))
+    Console(file=output, width=200).print(check_grid("run", checks).for_terminal())
     return output.getvalue()
 
 
@@ -244,7 +251,7 @@ def test_report_tells_every_answer_with_and_without_colour():
     ]
     output = StringIO()
     console = Console(file=output, width=100, force_terminal=True, color_system="standard")
-    console.print(check_table("run [1]", checks))
+    console.print(check_grid("run [1]", checks).for_terminal())
     assert "run [1]: 1 of 3 checks failed" in output.getvalue()
     for coloured in ("\x1b[1;31mBAD", "\x1b[2munknown", "\x1b[32mgood", "5 steps [ms]", "elbow_joint"):
         assert coloured in output.getvalue()

@@ -27,8 +27,7 @@ from recorded import ARM, assert_same, short
 from rosbags.rosbag2 import StoragePlugin
 
 from pixel2catch.errors import RecordingError
-from pixel2catch.identification.importers import read_recording
-from pixel2catch.identification.names import CommandTopic, Names
+from pixel2catch.identification.importers import CommandTopic, Names, read_recording
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))

@@ -171,8 +171,7 @@ def _read_views(path: Path) -> "tuple[list[str], np.ndarray]":
     import numpy as np
 
     from pixel2catch.errors import RecordingError
-    from pixel2catch.identification.rules import require_motion
-    from pixel2catch.identification.tables import read_table
+    from pixel2catch.identification.recording import read_table, require_motion
     from pixel2catch.robot.constants import ARM_JOINTS
 
     table = read_table(path)

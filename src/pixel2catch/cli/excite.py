@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pixel2catch.identification.excitation_check import Assessment
+    from pixel2catch.identification.rehearsal import Assessment
     from pixel2catch.identification.trajectory import Trajectory
     from pixel2catch.robot.joint_dynamics import JointDynamics
 
@@ -52,14 +52,21 @@ class Excite:
 
     def run(self) -> None:
         """Draw, try, print and write."""
+        from numpy.random import default_rng
+
         from pixel2catch.cli.console import say
         from pixel2catch.cli.working import working
-        from pixel2catch.identification.simulated_recording import RecorderCfg, rehearse
+        from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)
         self._require_free([*outs, *pictures])
         recorder = RecorderCfg(noise=self.noise, stall=self.stall, physics_hz=self.physics_hz)
-        dynamics, truth = self._dynamics(self.dynamics), self._truth()
+        dynamics = self._dynamics(self.dynamics)
+        truth = (
+            self._dynamics(self.truth)
+            if self.truth
+            else unlike_nominal(default_rng(self.seed), dynamics.joints)
+        )
         with working() as report:
             found = self._find(dynamics, report)
             _write(found, outs, pictures)
@@ -80,11 +87,7 @@ class Excite:
         return [path] if self.recordings == 1 else [path.with_stem(f"{path.stem}-{i}") for i in numbers]
 
     def _require_free(self, files: "Sequence[Path]") -> None:
-        """Refuse what would overwrite something, before the work.
-
-        Raises:
-            InvalidValueError: A file exists, or the rehearsal's folder is not empty.
-        """
+        """Refuse what would overwrite something, before the work."""
         from pixel2catch.errors import InvalidValueError
         from pixel2catch.files import require_free_file, require_free_folder
 
@@ -97,22 +100,11 @@ class Excite:
 
     def _dynamics(self, path: Path | None) -> "JointDynamics":
         """The dynamics of the robot's joints; what a file does not have is nominal."""
-        from pixel2catch.identification.recording import ROBOTS
+        from pixel2catch.identification.robot import ROBOTS
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robot.joint_dynamics import JointDynamics
 
         return DynamicsFile.load(path).dynamics.over(JointDynamics.nominal()).select(ROBOTS[self.robot])
-
-    def _truth(self) -> "JointDynamics":
-        """The dynamics of a rehearsal's robot."""
-        from numpy.random import default_rng
-
-        from pixel2catch.identification.recording import ROBOTS
-        from pixel2catch.identification.simulated_recording import unlike_nominal
-
-        if self.truth:
-            return self._dynamics(self.truth)
-        return unlike_nominal(default_rng(self.seed), ROBOTS[self.robot])
 
     def _find(
         self, dynamics: "JointDynamics", report: "Callable[[str], None]"
@@ -133,7 +125,7 @@ def _write(
 ) -> None:
     """Write trajectories and pictures to as many files."""
     from pixel2catch.files import write_atomically
-    from pixel2catch.identification.excitation_report import motion_picture
+    from pixel2catch.identification.figures import motion_picture
 
     for (trajectory, _), path in zip(found, outs, strict=False):
         trajectory.save(path)
@@ -144,7 +136,7 @@ def _write(
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
     """Print what the simulated robot did."""
     from pixel2catch.cli.console import results_console
-    from pixel2catch.identification.excitation_report import motion_table
+    from pixel2catch.identification.report_tables import motion_table
 
     console = results_console()
     console.print(motion_table(f"seed {trajectory.header['seed']}, simulated", assessment))

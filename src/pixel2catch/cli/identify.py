@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
-    from rich.table import Table
-
-    from pixel2catch.identification.fit_problem import FitCfg
+    from pixel2catch.identification.fit import FitCfg
     from pixel2catch.identification.identify import CheckedRecording, Identification
-    from pixel2catch.identification.report_tables import Grid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,19 +53,20 @@ class Identify:
 
     def run(self) -> None:
         """Check, fit, and write the report."""
-        from pixel2catch.cli.console import say
+        from pixel2catch.cli.console import results_console, say
         from pixel2catch.cli.working import working
         from pixel2catch.files import require_free_folder
-        from pixel2catch.identification.fit_start import start_of_fit
-        from pixel2catch.identification.identify import identify
+        from pixel2catch.identification.identify import identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
+        from pixel2catch.identification.report_tables import check_grid
 
         require_free_folder(self.out)
         cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter)
         with working() as report:
             sources = self._sources(report)
-        if not self.json:
-            _print_checks(sources)
+        for source in () if self.json else sources:
+            table = check_grid(source.recording.name, source.checks).for_terminal()
+            results_console().print(table)
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
@@ -80,13 +78,8 @@ class Identify:
         say(f"wrote {self.out / DYNAMICS}, and the report for people, {self.out / PAGE}")
 
     def _fit_cfg(self) -> "FitCfg":
-        """How to fit.
-
-        Raises:
-            UnknownNameError: If there is no such parameter.
-            InvalidValueError: If the rate is not one of a training.
-        """
-        from pixel2catch.identification.fit_problem import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
+        """How to fit; the rate is one that a training can have."""
+        from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
         from pixel2catch.robot.scene import SceneCfg
 
         default = FILTER_PARAMETERS if self.filter else SERVO_PARAMETERS
@@ -94,16 +87,11 @@ class Identify:
         return FitCfg(free=self.free or default, physics_dt=physics_dt)
 
     def _sources(self, report: "Callable[[str], None]") -> "list[CheckedRecording]":
-        """Read and check the recordings.
-
-        Raises:
-            RecordingError: If one cannot be read, or says what cannot be.
-        """
+        """Read and check the recordings."""
         from dataclasses import replace
 
         from pixel2catch.identification.identify import checked
-        from pixel2catch.identification.importers import read_recording
-        from pixel2catch.identification.names import Names
+        from pixel2catch.identification.importers import Names, read_recording
 
         names = Names.parse(self.command_topic, self.joint_states_topic, self.rename)
         recordings = []
@@ -125,14 +113,6 @@ def _circumstances() -> dict[str, Any]:
     return now | {"command": shlex.join(["pixel2catch", *now["command"][1:]])}
 
 
-def _print_checks(sources: "Sequence[CheckedRecording]") -> None:
-    from pixel2catch.cli.console import results_console
-    from pixel2catch.identification.check_report import check_table
-
-    for source in sources:
-        results_console().print(check_table(source.recording.name, source.checks))
-
-
 def _print_result(result: "Identification") -> None:
     """Print errors and parameters as tables, then what is not known."""
     from rich.text import Text
@@ -142,24 +122,9 @@ def _print_result(result: "Identification") -> None:
     from pixel2catch.identification.report_tables import errors_grid, open_questions, parameters_grid
 
     console = results_console()
-    console.print(_table(errors_grid(result)))
-    console.print(_table(parameters_grid(result)))
+    console.print(errors_grid(result).for_terminal())
+    console.print(parameters_grid(result).for_terminal())
     for question in open_questions(result.fit):
         console.print(Text(f"- {question}"))
     if not result.of(is_held_out=True):
         console.print(Text(NOTHING_HELD_OUT, style="bold red"))
-
-
-def _table(grid: "Grid") -> "Table":
-    """A table for the terminal, with the colours of the verdicts."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from pixel2catch.identification.check_report import STYLES
-
-    table = Table(title=Text(grid.title))
-    for column in grid.columns:
-        table.add_column(Text(column), overflow="fold")
-    for row in grid.rows:
-        table.add_row(*(Text(cell.text, style=STYLES.get(cell.verdict, "")) for cell in row))
-    return table

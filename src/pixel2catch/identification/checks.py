@@ -1,28 +1,21 @@
-"""What a recording must be like before anything is fitted to it: checks as values."""
+"""What a recording must be like before anything is fitted to it: checks as values.
+
+They look at speed, acceleration, elapsed time and lag, as the recorded positions tell them.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import correlate, correlation_lags, savgol_filter
 
-from pixel2catch.identification.recording import JOINT_SPECS, Recording
-from pixel2catch.identification.signals import (
-    command_lag,
-    excess_time,
-    held,
-    progress,
-    smoothed,
-    time_step,
-)
+from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.robot import JointSpec
 
-MIN_SAMPLES = 50
-"""Fewer measurements are not checked further. Source: ours, half a second at 100 Hz."""
-
-MAX_GAP = 0.1
-"""Longest time without a measurement [s]. Source: ours; a joint can start, move and stop in more."""
-
-MAX_SPAN_RATIO = 10.0
-"""Longest duration of the commands, as a multiple of that of the measurements. Source: ours."""
+MIN_SAMPLES = 50  # fewer measurements are not checked further (ours, half a second at 100 Hz)
+MAX_GAP = 0.1  # longest time without a measurement [s] (ours; a joint can start, move and stop in more)
+MAX_SPAN_RATIO = 10.0  # longest duration of the commands, as a multiple of that of the measurements (ours)
 
 STALL_TIME = 0.01
 """A step whose motion took so much longer than the clock says, and at least one more step, is a stall [s].
@@ -30,8 +23,7 @@ STALL_TIME = 0.01
 Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms.
 """
 
-LONG_STEP = 1.5
-"""A step is long from this multiple of the median on. Source: ours."""
+LONG_STEP = 1.5  # a step is long from this multiple of the median on (ours)
 
 STALL_ANGLE = 2e-3
 """A stall is seen from this much motion on [rad]. Source: ours, ten times the noise of a UR5e's positions."""
@@ -42,11 +34,8 @@ MAX_STALL_SHARE = 5e-3
 PROGRESS_RANGE = (0.8, 1.25)
 """Plausible change of the positions over that by the speeds. Source: ours; degrees would give 0.017."""
 
-MOVING_SPEED = 0.02
-"""A joint that is slower stands still [rad/s]. Source: ours, 0.7 % of the arm's largest speed."""
-
-MAX_REPEATED_SHARE = 0.02
-"""Largest share of samples that repeat the one before while the robot moves. Source: ours."""
+MOVING_SPEED = 0.02  # a joint that is slower stands still [rad/s] (ours, 0.7 % of the arm's largest speed)
+MAX_REPEATED_SHARE = 0.02  # largest share of samples that repeat the one before while the robot moves (ours)
 
 LAG_RANGE = (-0.02, 0.3)
 """Plausible lag of the motion behind its command [s].
@@ -55,60 +44,62 @@ Source: ours; servoJ with a lookahead of 0.1 s lags by 0.1 s and a few ms. A log
 target can seem late by half its step, because a command is taken to hold until the next.
 """
 
-MOVED_ANGLE = 0.01
-"""A joint whose positions span less did not move [rad]. Source: ours."""
+MOVED_ANGLE = 0.01  # a joint whose positions span less did not move [rad] (ours)
 
 MIN_CORRELATION = 0.5
 """Smallest correlation of measured and commanded positions. Source: ours; swapped joints are near 0."""
 
-SATURATED = 0.98
-"""A torque of this share of its limit counts as saturated. Source: ours."""
+SATURATED = 0.98  # a torque of this share of its limit counts as saturated (ours)
 
 MAX_SATURATED_SHARE = 0.1
 """Largest share of saturated samples. Source: ours; some tell the scale of the gains, many hide the rest."""
 
-MIN_SPEED_SHARE = 0.1
-"""Speed that a joint must reach, as a share of its limit. Source: ours."""
-
-MIN_REVERSALS = 1
-"""A joint must reverse so often. Source: ours; without a reversal friction looks like an offset."""
+MIN_SPEED_SHARE = 0.1  # speed that a joint must reach, as a share of its limit (ours)
+MIN_REVERSALS = 1  # a joint must reverse so often (ours; without a reversal friction looks like an offset)
 
 PEAK_QUANTILE = 0.995
 """Speeds and accelerations beyond this quantile are no peaks, but single bad samples. Source: ours."""
 
 
+SMOOTHING = 0.1
+"""Length of the window in which a cubic is fitted for speed and acceleration [s].
+
+Source: ours; 0.2 mrad of noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes.
+"""
+
+NEIGHBOURS = 7  # steps whose median speed stands for that of the middle one, where none was recorded (ours)
+REFINEMENTS = 10  # steps of Gauss and Newton for the lag (ours; three are enough for sines)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One answer about a recording.
+    """One answer about a recording."""
 
-    Attributes:
-        name: What was checked.
-        joint: The joint it is about; none if it is about the whole recording.
-        is_good: Whether it passed; None if the recording cannot tell.
-        is_advice: Whether the motion can be fitted even if it failed: the fit then tells less.
-        detail: The figures, and the remedy if it failed.
-    """
-
-    name: str
-    joint: str | None = None
-    is_good: bool | None
-    is_advice: bool = False
-    detail: str
+    name: str  # what was checked
+    joint: str | None = None  # the joint it is about; none if it is about the whole recording
+    is_good: bool | None  # whether it passed; None if the recording cannot tell
+    is_advice: bool = False  # whether the motion can be fitted even if it failed: the fit then tells less
+    detail: str  # the figures, and the remedy if it failed
 
     @property
     def forbids_fit(self) -> bool:
         """Whether nothing can be fitted to such a recording."""
         return self.is_good is False and not self.is_advice
 
+    @property
+    def verdict(self) -> str:
+        """The answer in a word: BAD forbids a fit, weak means that it tells less."""
+        if self.is_good is None:
+            return "unknown"
+        return "good" if self.is_good else "BAD" if self.forbids_fit else "weak"
+
 
 def check_recording(recording: Recording, effort_limits: Mapping[str, float] | None = None) -> list[Check]:
     """All checks of a recording, or those of its clocks alone if one of them failed.
 
-    Args:
-        recording: The motion.
-        effort_limits: Torque limits of the joints [N·m]; those of the simulated robot if absent.
+    The torque limits [N·m] by joint are those of the simulated robot if not given.
     """
-    limits = effort_limits or {name: spec.effort_limit for name, spec in JOINT_SPECS.items()}
+    limits = effort_limits or {name: spec.effort_limit for name, spec in recording.robot.specs.items()}
     clocks = [_measurement_times(recording), _command_times(recording)]
     if not all(clock.is_good for clock in clocks):
         return clocks
@@ -205,13 +196,13 @@ def _clock_offset(lag: float | None) -> Check:
 
 def _joint_checks(recording: Recording, lag: float, limits: Mapping[str, float]) -> Iterator[Check]:
     """The checks that are made joint by joint."""
-    motion = smoothed(recording.t_meas, recording.q)
-    command = held(recording, recording.t_meas - lag)
+    speed, acceleration = smoothed(recording.t_meas, recording.q)
+    command = recording.held(recording.t_meas - lag)
     for column, joint in enumerate(recording.joints):
         effort = None if recording.effort is None else recording.effort[:, column]
         yield _following(joint, command[:, column], recording.q[:, column])
         yield _saturation(joint, effort, limits[joint])
-        yield _excitation(joint, motion.speed[:, column], motion.acceleration[:, column])
+        yield _excitation(recording.robot.specs[joint], speed[:, column], acceleration[:, column])
 
 
 def _following(joint: str, command: np.ndarray, position: np.ndarray) -> Check:
@@ -237,12 +228,11 @@ def _saturation(joint: str, effort: np.ndarray | None, limit: float) -> Check:
     return Check(name="saturation", joint=joint, is_good=is_good, is_advice=True, detail=detail)
 
 
-def _excitation(joint: str, speed: np.ndarray, acceleration: np.ndarray) -> Check:
+def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> Check:
     """Whether the joint was moved fast, hard and often enough to tell damping, armature and friction.
 
     The acceleration must let the armature's torque exceed the simulated joint's dry friction (ours).
     """
-    spec = JOINT_SPECS[joint]
     least_speed, least_acceleration = MIN_SPEED_SHARE * spec.velocity_limit, spec.frictionloss / spec.armature
     reversals = num_reversals(speed)
     needs = {
@@ -255,7 +245,7 @@ def _excitation(joint: str, speed: np.ndarray, acceleration: np.ndarray) -> Chec
         f"{_range(speed, 2)} rad/s, {_range(acceleration, 1)} rad/s², {reversals} reversals"
         f"{f'; needs {lacking}' if lacking else ''}"
     )
-    return Check(name="excitation", joint=joint, is_good=not lacking, is_advice=True, detail=detail)
+    return Check(name="excitation", joint=spec.name, is_good=not lacking, is_advice=True, detail=detail)
 
 
 def _peak(values: np.ndarray) -> float:
@@ -270,3 +260,95 @@ def num_reversals(speed: np.ndarray) -> int:
     """Changes of direction, from a speed that counts to an opposite one that counts."""
     signs = np.sign(speed[np.abs(speed) > MOVING_SPEED])
     return int((np.diff(signs) != 0).sum())
+
+
+def time_step(time: np.ndarray) -> float:
+    """Median of the steps that are not zero [s]; 0 if there are none."""
+    steps = np.diff(time)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def smoothed(time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Speed [rad/s] and acceleration [rad/s²] of noisy positions, by a cubic around each sample."""
+    dt = time_step(time)
+    even = _resampled(np.arange(time[0], time[-1], dt), time, positions)
+    window = min(max(5, 2 * round(SMOOTHING / dt / 2) + 1), len(even) - 1 + len(even) % 2)
+    speed, acceleration = (
+        np.asarray(savgol_filter(even, window, polyorder=3, deriv=order, delta=dt, axis=0))
+        for order in (1, 2)
+    )
+    return speed, acceleration
+
+
+def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """How much more time the joints' motion took than the clock says, step by step.
+
+    In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|² [s].
+
+    Returns:
+        The excess [s] and the motion |q̇|·e that shows it [rad], each of shape (samples - 1,).
+    """
+    steps = np.diff(recording.t_meas)[:, None]
+    moved = np.diff(recording.q, axis=0)
+    speed = _step_speed(recording, moved, steps)
+    norm = np.maximum(np.linalg.norm(speed, axis=1), 1e-9)
+    surplus = ((moved - speed * steps) * speed).sum(1) / norm
+    return surplus / norm, surplus
+
+
+def progress(recording: Recording) -> float:
+    """Median of Δq·q̇ / (q̇²Δt) over the faster half of the steps.
+
+    It is 1 where the recorded speeds are those of the positions.
+    """
+    steps = np.diff(recording.t_meas)
+    norm = np.linalg.norm(_step_speed(recording, np.diff(recording.q, axis=0), steps[:, None]), axis=1)
+    is_moving = norm > np.quantile(norm, 0.5)
+    excess, _ = excess_time(recording)
+    return float(np.median(1 + (excess / steps)[is_moving])) if is_moving.any() else 1.0
+
+
+def command_lag(recording: Recording) -> float | None:
+    """By how much the measured motion follows the commanded one [s]; None if nothing moved or was commanded.
+
+    The peak of the cross-correlation of the speeds, all joints together, tells it roughly, whenever the
+    clocks were started; then the lag τ is the one for which q(t) - q_cmd(t - τ) varies least.
+    """
+    dt = time_step(recording.t_meas)
+    grid_cmd = np.arange(recording.t_cmd[0], recording.t_cmd[-1] + dt, dt)
+    grid_meas = np.arange(recording.t_meas[0], recording.t_meas[-1], dt)
+    commanded = np.diff(recording.held(grid_cmd), axis=0)
+    measured = np.diff(_resampled(grid_meas, recording.t_meas, recording.q), axis=0)
+    pairs = zip(measured.T, commanded.T, strict=True)
+    correlation = np.sum([correlate(meas, cmd, method="fft") for meas, cmd in pairs], axis=0)
+    peak = int(np.argmax(correlation))
+    if correlation[peak] <= 0:
+        return None
+    shift = dt * correlation_lags(len(measured), len(commanded))[peak]
+    return _refined_lag(recording, grid_meas, float(grid_meas[0] - grid_cmd[0] + shift))
+
+
+def _refined_lag(recording: Recording, grid: np.ndarray, lag: float) -> float:
+    """Move a rough lag to where the tracking error, but for an offset of each joint, is least."""
+    position = _resampled(grid, recording.t_meas, recording.q)
+    speed, _ = smoothed(recording.t_meas, recording.q)
+    for _ in range(REFINEMENTS):
+        sent = grid - lag
+        is_inside = (sent >= recording.t_cmd[0]) & (sent <= recording.t_cmd[-1])
+        if not is_inside.any():
+            break
+        error = position[is_inside] - recording.held(sent[is_inside])
+        slope = speed[is_inside] - speed[is_inside].mean(0)
+        lag -= float((error * slope).sum() / max((slope**2).sum(), 1e-12))
+    return lag
+
+
+def _step_speed(recording: Recording, moved: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Speed in each step [rad/s]: the mean of those recorded at its ends, or the median of its neighbours."""
+    if recording.qd is not None:
+        return (recording.qd[1:] + recording.qd[:-1]) / 2
+    return median_filter(moved / np.maximum(steps, 1e-9), size=(NEIGHBOURS, 1), mode="nearest")
+
+
+def _resampled(grid: np.ndarray, time: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(grid, time, column) for column in positions.T], axis=-1)

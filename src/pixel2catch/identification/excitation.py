@@ -3,32 +3,238 @@
 Rest in the start pose, a smooth move to the middle of the excitation, the kinds of motion one by one, a
 smooth move back, rest. What is drawn is simulated first; where it comes too near to a limit or an obstacle,
 the joints in question move less.
+
+The kinds of motion are offsets from the middle of the excitation. Each is zero at both ends and keeps to an
+`Envelope`: smooth ones to speed and acceleration, targets that ramp to the speed, steps to the largest jump.
 """
 
+import dataclasses
 import importlib.metadata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64
 from numpy.random import Generator
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.excitation_check import Assessment, assess
-from pixel2catch.identification.excitation_limits import Envelope
-from pixel2catch.identification.excitation_signals import (
-    RATE,
-    Offsets,
-    Signal,
-    approach,
-    multisine,
-    policy_targets,
-    slow_reversals,
-    steps,
-    turns,
-)
-from pixel2catch.identification.recording import ROBOTS
+from pixel2catch.identification.rehearsal import Assessment, assess
+from pixel2catch.identification.robot import ROBOT, Robot, largest_step
 from pixel2catch.identification.trajectory import REST, Trajectory
 from pixel2catch.robot.joint_dynamics import JointDynamics
+
+RATE = 125.0
+"""Targets in a second [Hz].
+
+Source: ours; every fourth cycle of a UR e-series controller (500 Hz), and four times a policy's 30 Hz.
+"""
+
+STILL = ("start", "pause", "end")  # parts of a trajectory that are no excitation
+PAUSE = 0.4  # rest in the middle after each kind of motion [s] (ours, three time constants of the arm)
+APPROACH = 1.5  # shortest time from the start pose to the middle of the excitation [s] (ours)
+MIN_MOTION = 12.0  # least time for all kinds of motion [s] (ours, half a second for each turn)
+
+MAX_SECONDS = 600.0
+"""Longest excitation [s] (ours; a fit takes as long as all recordings together, many times over)."""
+
+MAX_TRIES = 10  # tries until it is given up (ours)
+
+SPEED_SHARE = 0.8
+"""Share of the speed limit that commands use at full speed. Source: ours; joints pull at each other."""
+
+NUM_TONES = 9
+BAND = (0.25, 5.0)
+"""Number and lowest and highest frequency of the sines [Hz].
+
+Source: ours. Damping over stiffness of the joints corresponds to 1.2 Hz (arm) and 4.8 Hz (hand); the drives'
+inertia shows above.
+"""
+
+FADE = 0.4  # time in which sines fade in and out [s] (ours)
+
+DWELL = (0.25, 0.65)
+"""Shortest and longest time between a joint's steps [s]. Source: ours, 2 to 5 time constants of the arm."""
+
+POLICY_PERIOD = 0.05
+"""Time between two targets like those of a policy [s].
+
+Source: ours, 20 Hz: a little slower than our policies, so that the servos come nearer to the targets.
+"""
+
+SLOW_SPEED = 0.15  # top speed of slow reversals [rad/s] (ours; dry friction turns around within 0.1 rad/s)
+
+NUM_TURNS = 6
+"""Groups of joints that move in turns: each joint of the arm alone, and one joint of each finger."""
+
+Row = Float64[np.ndarray, " num_joints"]
+Offsets = Float64[np.ndarray, "num_times num_joints"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExcitationCfg:
+    """What to draw."""
+
+    robot: str = ROBOT.whole  # what moves: one of the robot's parts
+    seconds: float = 40.0  # duration, rest included [s]
+    seed: int = 0  # seed of everything that is drawn
+    speed: float = 1.0  # factor on speed, acceleration and jumps; 1 is full
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be drawn."""
+        if self.robot not in ROBOT.parts:
+            raise UnknownNameError("robot", self.robot, ROBOT.parts)
+        if not 0.0 < self.seconds <= MAX_SECONDS:
+            raise InvalidValueError(f"seconds is {self.seconds:g}; it must be up to {MAX_SECONDS:g}")
+        if not 0.0 < self.speed <= 1.0:
+            raise InvalidValueError(f"speed is {self.speed:g}; it must be above 0 and at most 1")
+        if self.seed < 0:
+            raise InvalidValueError(f"seed is {self.seed}; it must be 0 or more")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Envelope:
+    """What commands of some joints keep to; one entry per joint."""
+
+    joints: tuple[str, ...]  # their names
+    home: Row  # start pose [rad]
+    center: Row  # middle of the excitation [rad]: next to the start pose, with room for `swing` on both sides
+    swing: Row  # farthest from the middle [rad]
+    speed: Row  # largest speed of a command [rad/s]
+    acceleration: Row  # largest acceleration of a smooth command [rad/s²]
+    step: Row  # largest jump of a command [rad]
+
+    @classmethod
+    def of(
+        cls, joints: Sequence[str], speed: float, shrunk: Mapping[str, float], robot: Robot = ROBOT
+    ) -> "Envelope":
+        """The envelope of some joints, in joint order.
+
+        Args:
+            joints: Their names.
+            speed: Factor on speed, acceleration and jumps; 1 is full.
+            shrunk: Factors on everything, by joint; 1 where there is none.
+            robot: Whose joints.
+        """
+        specs, groups = [robot.specs[name] for name in joints], [robot.group_of[name] for name in joints]
+        share = np.array([shrunk.get(name, 1.0) for name in joints])
+        lower, upper, home = np.array([(spec.lower, spec.upper, spec.home) for spec in specs]).T
+        margin, swing, acceleration = np.array([(g.margin, g.swing, g.acceleration) for g in groups]).T
+        lower, upper = lower + margin, upper - margin
+        swing = share * np.minimum(swing, (upper - lower) / 2)
+        pace = speed * share
+        return cls(
+            joints=tuple(joints),
+            home=home,
+            center=np.clip(home, lower + swing, upper - swing),
+            swing=swing,
+            speed=pace * SPEED_SHARE * np.array([spec.velocity_limit for spec in specs]),
+            acceleration=pace * acceleration,
+            step=pace * np.array([largest_step(spec) for spec in specs]),
+        )
+
+    def only(self, is_moved: np.ndarray) -> "Envelope":
+        """The same with the other joints at rest."""
+        rows = {name: np.where(is_moved, getattr(self, name), 0.0) for name in ("swing", "step")}
+        return dataclasses.replace(self, **rows)
+
+
+Signal = Callable[[Generator, Envelope, int], Offsets]
+
+
+def multisine(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
+    """Sines of all joints at once, each joint with its own frequencies; all tones have about one speed."""
+    time = np.arange(num_times)[:, None, None] / RATE
+    shape = (NUM_TONES, len(envelope.joints))
+    frequency = np.geomspace(*BAND, NUM_TONES)[:, None] * rng.uniform(0.9, 1.1, shape)
+    phase = rng.uniform(0.0, 2 * np.pi, shape)
+    tones = np.sin(2 * np.pi * frequency * time + phase) / frequency
+    offsets = _faded(tones.sum(axis=1))
+    return offsets * _room(envelope, offsets)
+
+
+def slow_reversals(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
+    """Two or three slow turns there and back, for dry friction."""
+    duration = num_times / RATE
+    frequency = rng.integers(2, 4, len(envelope.joints)) / duration
+    amplitude = rng.choice((-1.0, 1.0), len(frequency)) * SLOW_SPEED / (2 * np.pi * frequency)
+    slow = _faded(amplitude * np.sin(2 * np.pi * frequency * np.arange(num_times)[:, None] / RATE))
+    return slow * np.minimum(1.0, _room(envelope, slow))
+
+
+def steps(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
+    """Jumps of every joint at its own times; they load the drives' inertia up to the servos' torque limit."""
+    bounds = np.minimum(envelope.swing, envelope.step)
+    sizes = np.minimum(2 * envelope.swing, envelope.step)
+    columns = [_steps(rng, bound, size, num_times) for bound, size in zip(bounds, sizes, strict=True)]
+    return np.stack(columns, axis=-1)
+
+
+def _steps(rng: Generator, bound: float, size: float, num_times: int) -> Float64[np.ndarray, " num_times"]:
+    """Levels of one joint within ± bound, each jump at most `size` and towards the other side."""
+    shortest = round(RATE * DWELL[0])
+    dwell = RATE * rng.uniform(*DWELL, num_times // shortest + 1)
+    latest = max(1, num_times - 2 * shortest)
+    starts = (rng.uniform(1.0, min(shortest, latest)) + np.cumsum(dwell) - dwell[0]).astype(int)
+    column, level = np.zeros(num_times), 0.0
+    for start in starts[starts <= latest]:
+        side = -np.sign(level) or rng.choice((-1.0, 1.0))
+        level = float(np.clip(level + side * size * rng.uniform(0.5, 1.0), -bound, bound))
+        column[start : num_times - shortest] = level
+    return column
+
+
+def policy_targets(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
+    """A random walk at 20 Hz with a ramp from target to target, as our environment sends a policy's."""
+    change = envelope.speed * POLICY_PERIOD
+    times = np.arange(num_times) / RATE
+    num_changes = int(times[-1] / POLICY_PERIOD)
+    targets = np.zeros((num_changes + 1, len(change)))
+    for k in range(1, num_changes):
+        walked = targets[k - 1] + change * rng.uniform(-1.0, 1.0, len(change))
+        bound = np.minimum(envelope.swing, (num_changes - k) * change)
+        targets[k] = np.clip(walked, -bound, bound)
+    knots = POLICY_PERIOD * np.arange(num_changes + 1)
+    return np.stack([np.interp(times, knots, column) for column in targets.T], axis=-1)
+
+
+def turns(rng: Generator, envelope: Envelope, num_times: int) -> Offsets:
+    """Steps of one group of joints after the other, so that no joint hides behind the pull of others."""
+    turn = np.arange(len(envelope.joints)) % NUM_TURNS
+    edges = np.linspace(0, num_times, NUM_TURNS + 1).astype(int)
+    parts = [steps(rng, envelope.only(turn == k), int(num)) for k, num in enumerate(np.diff(edges))]
+    return np.concatenate(parts)
+
+
+def approach(envelope: Envelope) -> Offsets:
+    """From the start pose to the middle: a quintic polynomial without jerk at its ends.
+
+    Its top speed is 15/8 of the mean one, its top acceleration 10/√3 of distance over time squared.
+    """
+    way = envelope.home - envelope.center
+    distance = np.abs(way)
+    duration = max(
+        APPROACH,
+        float(np.max(15 / 8 * distance / envelope.speed)),
+        float(np.max(np.sqrt(10 / np.sqrt(3) * distance / envelope.acceleration))),
+    )
+    share = np.linspace(0.0, 1.0, int(np.ceil(duration * RATE)) + 1)[:, None]
+    return way * (1.0 - share**3 * (10.0 - 15.0 * share + 6.0 * share**2))
+
+
+def _faded(offsets: Offsets) -> Offsets:
+    """Let a signal begin and end at zero, smoothly."""
+    time = np.minimum(np.arange(len(offsets)), np.arange(len(offsets))[::-1]) / RATE
+    return np.sin(np.pi / 2 * np.minimum(1.0, time / FADE))[:, None] ** 2 * offsets
+
+
+def _room(envelope: Envelope, offsets: Offsets) -> Row:
+    """By how much each joint's signal could be larger within swing, speed and acceleration."""
+    limits = (envelope.swing, envelope.speed, envelope.acceleration)
+    peaks = [np.abs(np.diff(offsets, n, axis=0)).max(axis=0) * RATE**n for n in range(3)]
+    return np.min(
+        [limit / np.maximum(peak, 1e-12) for limit, peak in zip(limits, peaks, strict=True)], axis=0
+    )
+
 
 SEGMENTS: tuple[tuple[Signal, float], ...] = (
     (multisine, 0.2),
@@ -39,62 +245,13 @@ SEGMENTS: tuple[tuple[Signal, float], ...] = (
 )
 """The kinds of motion in order, with their shares of the time. Source: ours."""
 
-STILL = ("start", "pause", "end")
-"""Parts of a trajectory that are no excitation."""
-
-PAUSE = 0.4
-"""Rest in the middle after each kind of motion [s] (ours, three time constants of the arm)."""
-
-MIN_MOTION = 12.0
-"""Least time for all kinds of motion [s]. Source: ours, half a second for each turn."""
-
-MAX_SECONDS = 600.0
-"""Longest excitation [s] (ours; a fit takes as long as all recordings together, many times over)."""
-
-MAX_TRIES = 10
-"""Tries until it is given up (ours)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExcitationCfg:
-    """What to draw.
-
-    Attributes:
-        robot: Whose joints move: a name in `ROBOTS`.
-        seconds: Duration, rest included [s].
-        seed: Seed of everything that is drawn.
-        speed: Factor on speed, acceleration and jumps; 1 is full.
-    """
-
-    robot: str = "ur5e_allegro"
-    seconds: float = 40.0
-    seed: int = 0
-    speed: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be drawn."""
-        if self.robot not in ROBOTS:
-            raise UnknownNameError("robot", self.robot, ROBOTS)
-        if not 0.0 < self.seconds <= MAX_SECONDS:
-            raise InvalidValueError(f"seconds is {self.seconds:g}; it must be up to {MAX_SECONDS:g}")
-        if not 0.0 < self.speed <= 1.0:
-            raise InvalidValueError(f"speed is {self.speed:g}; it must be above 0 and at most 1")
-        if self.seed < 0:
-            raise InvalidValueError(f"seed is {self.seed}; it must be 0 or more")
-
 
 def find_excitation(
-    cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None]
+    cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None], robot: Robot = ROBOT
 ) -> tuple[Trajectory, Assessment]:
-    """Draw a trajectory, and shrink it until a simulated robot follows it without a fault.
+    """Draw a trajectory, and shrink it until a robot of some dynamics, simulated, follows it without a fault.
 
-    Args:
-        cfg: What to draw.
-        dynamics: Of the robot's joints.
-        report: Gets a line for every try that was too much.
-
-    Returns:
-        The trajectory and what the simulated robot did.
+    Returns what that robot did, too; reports every try that was too much.
 
     Raises:
         InvalidValueError: If even small motion has faults.
@@ -102,7 +259,7 @@ def find_excitation(
     shrunk: dict[str, float] = {}
     reasons = ""
     for _ in range(MAX_TRIES):
-        trajectory = draw_excitation(cfg, shrunk)
+        trajectory = draw_excitation(cfg, shrunk, robot)
         assessment = assess(trajectory, dynamics)
         if not assessment.faults:
             return trajectory, assessment
@@ -114,20 +271,22 @@ def find_excitation(
     raise InvalidValueError(f"no safe excitation: at last, {reasons}. Try another seed or less speed.")
 
 
-def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajectory:
+def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float], robot: Robot = ROBOT) -> Trajectory:
     """Draw one trajectory; whether a robot can follow it is not known yet.
 
-    Args:
-        cfg: What to draw.
-        shrunk: Factors on the motion of single joints; 1 where there is none.
+    Joints may be shrunk: their motion gets a factor.
+
+    Raises:
+        InvalidValueError: If too little time is left for the kinds of motion.
     """
     rng = np.random.default_rng(cfg.seed)
-    envelope = Envelope.of(ROBOTS[cfg.robot], cfg.speed, shrunk)
+    envelope = Envelope.of(robot.parts[cfg.robot], cfg.speed, shrunk, robot)
     parts = _parts(rng, envelope, cfg.seconds)
     edges = np.cumsum([0, *(len(offsets) for _, offsets in parts)]) / RATE
     spans = {name: edges[i : i + 2].tolist() for i, (name, _) in enumerate(parts) if name not in STILL}
     positions = envelope.center + np.concatenate([offsets for _, offsets in parts])
     return Trajectory(
+        robot=robot,
         joints=envelope.joints,
         times=np.arange(len(positions)) / RATE,
         positions=positions,
@@ -144,11 +303,7 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajecto
 
 
 def _parts(rng: Generator, envelope: Envelope, seconds: float) -> list[tuple[str, Offsets]]:
-    """All parts in order: their names, and offsets from the middle of the excitation.
-
-    Raises:
-        InvalidValueError: If too little time is left for the kinds of motion.
-    """
+    """All parts in order: their names, and offsets from the middle of the excitation."""
     there = approach(envelope)
     rest = np.repeat(there[:1], round(REST * RATE) + 1, axis=0)
     pause = np.zeros((round(PAUSE * RATE), len(envelope.joints)))

@@ -1,5 +1,6 @@
-"""From recordings to dynamics: what is fitted, what is held out, and how well the result moves."""
+"""From recordings to a dynamics file: where a fit starts, what is held out, how well the result is known."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,62 +10,64 @@ from jaxtyping import Bool, Float
 
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
 from pixel2catch.identification.checks import Check, check_recording
-from pixel2catch.identification.fit import Fit, fit_dynamics
-from pixel2catch.identification.fit_problem import FitCfg
-from pixel2catch.identification.fit_simulation import SETTLING, RecordedMotion
-from pixel2catch.identification.fit_start import Start, identified
+from pixel2catch.identification.fit import Fit, FitCfg, fit_dynamics
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.signals import held
+from pixel2catch.identification.robot import ROBOT, Robot
+from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.mdp.randomization import TABLE_1_GAINS, GainRanges
+from pixel2catch.mdp.throws import Range
+from pixel2catch.robot.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 
-NO_HOLD_OUT = "none"
-"""What is held out if everything is to be fitted."""
+STIFF_FACTOR = 10.0
+"""Stiffness of the servo behind a command filter over the nominal one.
+
+Source: ours; the controller's feed-forward makes that servo look stiffer than positions can tell.
+"""
+
+STIFF_LAG = 0.003
+"""Damping over stiffness of the servo behind a command filter [s]. Source: real UR5, target to position."""
+
+NO_HOLD_OUT = "none"  # what is held out if everything is to be fitted
+CONFIDENCE = 1.96  # standard deviations in half a 95 % interval
+LAG = "damping / stiffness"  # name of the ratio that says how far a joint lags behind its command
+
+RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "rad"}
+"""The ratios that decide how a joint follows its command, with their units."""
+
+LEAST_HALF_WIDTH = 0.02
+"""Half-width that is always left, as a share. Source: ours; gains drift with temperature and load."""
 
 Positions = Float[np.ndarray, "num_settled num_joints"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckedRecording:
-    """A recording and what its checks found.
+class Start:
+    """What is known before a fit."""
 
-    Attributes:
-        recording: The motion.
-        checks: The answers.
-        is_held_out: Whether it is not fitted, so that it tells how good the fit is.
-    """
+    robot: str  # what is fitted: one of the robot's parts
+    file: DynamicsFile | None  # the dynamics file that was given, if any
+    before: JointDynamics  # the robot's joints in it; those that are not in it are nominal
+    first: JointDynamics  # the same, with a command filter in front where one is to be fitted
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckedRecording:
+    """A recording and what its checks found."""
 
     recording: Recording
     checks: tuple[Check, ...]
-    is_held_out: bool
-
-    def require_integrity(self) -> None:
-        """Refuse a recording of what did not happen.
-
-        Raises:
-            RecordingError: If a check forbids to fit it.
-        """
-        faults = [check for check in self.checks if check.forbids_fit]
-        if faults:
-            texts = [
-                f"- {' of '.join(filter(None, (fault.name, fault.joint)))}: {fault.detail}"
-                for fault in faults
-            ]
-            raise RecordingError("\n".join([f"{self.recording.name} cannot be used:", *texts]))
+    is_held_out: bool  # whether it is not fitted, so that it tells how good the fit is
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """A recording beside its simulation.
-
-    Attributes:
-        source: The recording.
-        before: Simulated positions under the dynamics before the fit, at the measurements compared [rad].
-        after: And under the fitted ones.
-    """
+    """A recording beside its simulation."""
 
     source: CheckedRecording
+    # simulated positions under the dynamics before the fit, at the measurements compared [rad]
     before: Positions
-    after: Positions
+    after: Positions  # and under the fitted ones
 
     @property
     def recording(self) -> Recording:
@@ -84,39 +87,60 @@ class Motion:
     @property
     def command(self) -> Positions:
         """The commands that held then [rad]."""
-        return held(self.recording, self.time)
+        return self.recording.held(self.time)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """A fit with what a reader needs to judge it.
+    """A fit with what a reader needs to judge it."""
 
-    Attributes:
-        start: What was known before.
-        fit: What was fitted, and how well it is known.
-        file: The result as training takes it, with the ranges in which it randomises the gains.
-        motions: The recordings.
-        physics_dt: Time step of the simulation [s].
-    """
-
-    start: Start
-    fit: Fit
-    file: DynamicsFile
+    start: Start  # what was known before
+    fit: Fit  # what was fitted, and how well it is known
+    file: DynamicsFile  # the result as training takes it, with the ranges in which it randomises the gains
     motions: tuple[Motion, ...]
-    physics_dt: float
+    physics_dt: float  # time step of the simulation [s]
 
     def of(self, is_held_out: bool) -> tuple[Motion, ...]:
         """The motions that were held out, or those that were fitted."""
         return tuple(motion for motion in self.motions if motion.source.is_held_out == is_held_out)
 
 
+def start_of_fit(part: str, path: Path | None, fits_filter: bool, robot: Robot = ROBOT) -> Start:
+    """Read what is known, from a dynamics file if there is one.
+
+    Without a file, the servo behind a filter that is to be fitted is taken to be stiff.
+
+    Raises:
+        InvalidValueError: If the file cannot be read, or the robot has joints without such a filter.
+    """
+    if fits_filter and part != robot.ur_part:
+        raise InvalidValueError(
+            f"--filter is the UR5e's and --robot is {part}; identify --robot ur5e with it, then --robot "
+            "allegro with the dynamics file of the first as --start: the result has both."
+        )
+    file = DynamicsFile.load(path) if path else None
+    nominal = JointDynamics.nominal()
+    before = (file.dynamics.over(nominal) if file else nominal).select(robot.parts[part])
+    first = before
+    if fits_filter:
+        servo = before if file else stiff(before)
+        gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
+        lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
+        first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
+    return Start(robot=part, file=file, before=before, first=first)
+
+
+def stiff(nominal: JointDynamics) -> JointDynamics:
+    """The servos of a controller whose feed-forward makes them look stiffer than positions can tell."""
+    stiffness = STIFF_FACTOR * nominal.stiffness
+    return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
+
+
 def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[CheckedRecording]:
     """Check recordings, and choose which one judges the fit.
 
-    Args:
-        recordings: All of them.
-        hold_out: File name of the one, with or without its folder and ending; or its number, from 1; or
-            `none`. If absent, it is the last of several.
+    It is that of a file name, with or without its folder and ending; or of a number, from 1; or `none`; if
+    nothing is said, the last of several.
 
     Raises:
         UnknownNameError: If there is no such recording.
@@ -126,17 +150,15 @@ def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[Check
     twice = sorted({str(path) for path in paths if paths.count(path) > 1})
     if twice:
         raise InvalidValueError(f"{', '.join(twice)} is given twice; give every recording once.")
-    is_held_out = _held_out(paths, hold_out)
     return [
         CheckedRecording(
             recording=recording, checks=tuple(check_recording(recording)), is_held_out=bool(is_out)
         )
-        for recording, is_out in zip(recordings, is_held_out, strict=True)
+        for recording, is_out in zip(recordings, _held_out(paths, hold_out), strict=True)
     ]
 
 
 def _held_out(paths: Sequence[Path], hold_out: str | None) -> Bool[np.ndarray, " num_recordings"]:
-    """Which of the recordings are held out."""
     numbers = np.arange(1, len(paths) + 1)
     if hold_out is None or hold_out == NO_HOLD_OUT:
         return (numbers == len(paths)) & (len(paths) > 1) & (hold_out is None)
@@ -160,52 +182,120 @@ def identify(
 ) -> Identification:
     """Fit the recordings that are not held out, and simulate all of them before and after.
 
-    Args:
-        sources: The recordings.
-        start: What is known before.
-        cfg: How to fit.
-        report: Told what is done, before it is.
-
     Raises:
         RecordingError: A recording is not sound, or too short.
         InvalidValueError: The start has no filter where one is to be fitted.
     """
     for source in sources:
-        source.require_integrity()
-    recordings = [source.recording for source in sources]
-    motion = RecordedMotion(recordings, cfg.physics_dt)
+        _require_integrity(source)
+    motion = RecordedMotion([source.recording for source in sources], cfg.physics_dt)
     report(f"fitting {', '.join(cfg.free)} of {len(start.first.joints)} joints")
     fitted = [source.recording for source in sources if not source.is_held_out]
     fit = fit_dynamics(fitted, start.first, cfg, report)
     report("simulating all recordings before and after")
-    lengths = [np.count_nonzero(each.t_meas - each.t_meas[0] > SETTLING) for each in recordings]
-    paths = [
-        np.split(path, np.cumsum(lengths)[:-1]) for path in motion.simulate([start.before, fit.dynamics])
-    ]
+    before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics]))
     return Identification(
         start=start,
         fit=fit,
         file=identified(fit, start),
         motions=tuple(
-            Motion(source=source, before=before, after=after)
-            for source, before, after in zip(sources, *paths, strict=True)
+            Motion(source=source, before=path_before, after=path_after)
+            for source, path_before, path_after in zip(sources, before, after, strict=True)
         ),
         physics_dt=cfg.physics_dt,
     )
 
 
+def _require_integrity(source: CheckedRecording) -> None:
+    """Refuse a recording of what did not happen."""
+    faults = [check for check in source.checks if check.forbids_fit]
+    if faults:
+        texts = [
+            f"- {' of '.join(filter(None, (fault.name, fault.joint)))}: {fault.detail}" for fault in faults
+        ]
+        raise RecordingError("\n".join([f"{source.recording.name} cannot be used:", *texts]))
+
+
 def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " num_joints"]]:
     """Root mean square of predicted minus measured positions of all motions together, per joint [rad].
 
-    Args:
-        motions: At least one.
-
-    Returns:
-        By prediction: the `command`, as if the joint were there at once, and the simulation `before` and
-        `after` the fit.
+    By prediction: the `command`, as if the joint were there at once, and the simulation `before` and `after`
+    the fit.
     """
     errors = {
         name: np.concatenate([getattr(motion, name) - motion.measured for motion in motions])
         for name in ("command", "before", "after")
     }
     return {name: np.sqrt(np.mean(error**2, axis=0)) for name, error in errors.items()}
+
+
+def half_widths(fit: Fit) -> Float[np.ndarray, "num_joints num_free"]:
+    """Half of each parameter's 95 % interval, in the coordinates of the fit.
+
+    That is of the logarithm, so that 0.1 is ±10 %, and for the latency of 10 ms. Where it is
+    `CONFIDENCE * fit.prior`, the recordings tell nothing. It is by how much noise may move the result; what
+    a robot does and no simulation of its joints is not in it.
+    """
+    return CONFIDENCE * np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratio:
+    """The ratio of two parameters, which is often known where they are not."""
+
+    name: str  # one of `RATIOS`
+    value: Float[np.ndarray, " num_joints"]  # of each joint
+    half_width: Float[np.ndarray, " num_joints"]  # half of the 95 % interval of its logarithm
+
+
+def ratios(fit: Fit) -> tuple[Ratio, ...]:
+    """The ratios of which both parameters were fitted."""
+    found = []
+    for name in RATIOS:
+        above, below = name.split(" / ")
+        if {above, below} <= set(fit.free):
+            difference = np.zeros(len(fit.free))
+            difference[fit.free.index(above)], difference[fit.free.index(below)] = 1.0, -1.0
+            variance = np.einsum("a,jab,b->j", difference, fit.covariance, difference)
+            value = getattr(fit.dynamics, above) / getattr(fit.dynamics, below)
+            found.append(Ratio(name=name, value=value, half_width=CONFIDENCE * np.sqrt(variance)))
+    return tuple(found)
+
+
+def identified(fit: Fit, start: Start) -> DynamicsFile:
+    """The result as training takes it; joints of the file before that were not fitted are carried over."""
+    old = start.file or DynamicsFile(dynamics=fit.dynamics)
+    return DynamicsFile(dynamics=fit.dynamics.over(old.dynamics), gains=gain_ranges(fit, old.gains))
+
+
+def gain_ranges(fit: Fit, before: GainRanges) -> GainRanges:
+    """How much a training has to randomise the gains: their 95 % intervals.
+
+    They are never wider than the paper's ranges and never a single point. Gains that were not fitted keep
+    their ranges: the paper's, or those of the dynamics file that the fit started from. Where the ratio of
+    damping and stiffness is better known than the damping, they are drawn with a common factor: a fit leaves
+    their scale open unless a torque limit or a known inertia fixes it, and a damping fitted at an assumed
+    stiffness is right for that one only.
+    """
+    unknown = np.full(len(fit.dynamics.joints), np.inf)
+    widths = dict(zip(fit.free, half_widths(fit).T, strict=True))
+    stiffness, damping = (widths.get(name, unknown) for name in ("stiffness", "damping"))
+    lag = next((ratio.half_width for ratio in ratios(fit) if ratio.name == LAG), unknown)
+    if "stiffness" not in widths:
+        lag, damping = damping, unknown
+    columns = {name: list(values) for name, values in dataclasses.asdict(before).items()}
+    for j, name in enumerate(fit.dynamics.joints):
+        row = list(ROBOT.specs).index(name)
+        if np.isfinite(stiffness[j]):
+            columns["stiffness_scale"][row] = _within(TABLE_1_GAINS[row], stiffness[j])
+        if np.isfinite(damping[j]) or np.isfinite(lag[j]):
+            columns["damping_scale"][row] = _within(TABLE_1_GAINS[row], min(damping[j], lag[j]))
+            columns["is_damping_relative"][row] = bool(lag[j] < damping[j])
+    return GainRanges(**{name: tuple(values) for name, values in columns.items()})
+
+
+def _within(widest: Range, half_width: float) -> Range:
+    """The factors of an interval, within the widest range."""
+    width = min(max(half_width, LEAST_HALF_WIDTH), 1.0)  # e is more than any range has
+    low, high = np.clip(np.exp((-width, width)), *widest)
+    return float(low), float(high)

@@ -1,11 +1,30 @@
-"""Reading a recording, whatever wrote it."""
+"""Reading a recording, whatever wrote it: our npz files, logs of RTDE, bags of ROS 2."""
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from pixel2catch.errors import RecordingError, UnknownNameError
-from pixel2catch.identification.names import Names
-from pixel2catch.identification.recording import ROBOTS, Recording
-from pixel2catch.identification.rtde import COMMAND_FILE, MEASURED_FILE, read_rtde
+import numpy as np
+
+from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
+from pixel2catch.identification.recording import REMEDY, Place, Recording, held, read_table, require_motion
+from pixel2catch.identification.robot import ROBOT, Robot
+from pixel2catch.identification.rosbag_messages import PARSERS, SPEED_AND_EFFORT, Fields, JointMessage, parser
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+MEASURED_TOPIC = "/joint_states"  # topic of the measurements. Source: ROS 2, `joint_state_broadcaster`.
+
+MEASURED_FILE = "rtde.csv"
+"""Measurements: `timestamp, actual_q_0` … `actual_q_5`, perhaps `actual_qd_*`. Source: the names of RTDE."""
+
+COMMAND_FILE = "commands.csv"
+"""Commands: `t, q_0` … `q_5`, written by whoever sent them. RTDE's `target_q` is what the controller made of
+them, with hardly any lag, and not the command."""
+
 
 FORMATS = (
     f"an .npz file in the canonical layout, a folder with {MEASURED_FILE} and {COMMAND_FILE}, "
@@ -14,29 +33,96 @@ FORMATS = (
 """What can be read, in words."""
 
 
-def read_recording(path: Path, robot: str = "ur5e_allegro", names: Names | None = None) -> Recording:
-    """Read the motion of a robot's joints, in joint order.
+@dataclass(frozen=True, kw_only=True)
+class CommandTopic:
+    """A topic on which commands were sent."""
 
-    Args:
-        path: A file or folder; what it is chooses the reader.
-        robot: Which joints are wanted: a name in `ROBOTS`.
-        names: What the recording calls topics and joints, if not as we do.
+    name: str  # its name
+    # our names of the joints in messages that name none, in their order; empty if they are the robot's
+    # joints, or if the messages name them
+    joints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Names:
+    """What a lab's recordings call our topics and joints."""
+
+    # topics of the commands of a bag; may be empty if only one can be it
+    command_topics: tuple[CommandTopic, ...] = ()
+    measured_topic: str = MEASURED_TOPIC  # topic of the measurements of a bag
+    # the recording's names of joints that have another name there, by ours
+    theirs: Mapping[str, str] = field(default_factory=dict)
+
+    def ours(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Our names of recorded joints; one that is not ours is kept, but is never mistaken for ours."""
+        renamed = {theirs: ours for ours, theirs in self.theirs.items()}
+        shadowed = {ours: f"recorded {ours}" for ours in self.theirs}
+        return tuple((shadowed | renamed).get(name, name) for name in names)
+
+    @classmethod
+    def parse(
+        cls, command_topics: Sequence[str], measured_topic: str, renames: Sequence[str], robot: Robot = ROBOT
+    ) -> "Names":
+        """Read the options of the command line.
+
+        Args:
+            command_topics: Each `TOPIC`, `TOPIC=ROBOT` or `TOPIC=JOINT,JOINT,…` with the recording's names.
+            measured_topic: As in `Names`.
+            renames: Each `OURS=THEIRS`.
+            robot: Whose joints are ours.
+
+        Raises:
+            UnknownNameError: If a joint that is renamed is none of ours.
+            InvalidValueError: If an option is of another form, or names something twice.
+        """
+        pairs: list[tuple[str, str]] = []
+        for rename in renames:
+            ours, _, theirs = rename.partition("=")
+            if not ours or not theirs:
+                raise InvalidValueError(
+                    f"--rename {rename}: not of the form OURS=THEIRS, such as index_joint_1=joint_1.0"
+                )
+            if ours not in robot.specs:
+                raise UnknownNameError("joint", ours, robot.specs)
+            pairs.append((ours, theirs))
+        _require_once("--rename", [ours for ours, _ in pairs])
+        _require_once("--rename", [theirs for _, theirs in pairs])
+        names = cls(measured_topic=measured_topic, theirs=dict(pairs))
+        topics = []
+        for text in command_topics:
+            name, _, joints = text.partition("=")
+            known = robot.parts.get(joints) or names.ours(joints.split(",")) if joints else ()
+            topics.append(CommandTopic(name=name, joints=known))
+        _require_once("--command-topic", [topic.name for topic in topics])
+        return replace(names, command_topics=tuple(topics))
+
+
+def _require_once(option: str, names: Sequence[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InvalidValueError(f"{option} names {', '.join(twice)} twice; name each once")
+
+
+def read_recording(
+    path: Path, part: str = ROBOT.whole, names: Names | None = None, robot: Robot = ROBOT
+) -> Recording:
+    """Read the motion of a robot's part, in joint order; what the file or folder is chooses the reader.
 
     Raises:
         RecordingError: If it is of no known format, lacks a joint, or says what cannot be.
         UnknownNameError: If there is no such robot.
     """
-    if robot not in ROBOTS:
-        raise UnknownNameError("robot", robot, ROBOTS)
-    names = names or Names()
+    if part not in robot.parts:
+        raise UnknownNameError("robot", part, robot.parts)
+    joints, names = robot.parts[part], names or Names()
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
     if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists():
-        return _read_rosbag(path, ROBOTS[robot], names)
+        return read_rosbag(path, joints, names, robot)
     if path.is_dir() and any((path / name).exists() for name in (MEASURED_FILE, COMMAND_FILE)):
-        return read_rtde(path).select(ROBOTS[robot])
+        return _read_rtde(path, robot).select(joints)
     if path.suffix == ".npz":
-        return Recording.load(path, names.ours).select(ROBOTS[robot])
+        return Recording.load(path, names.ours, robot).select(joints)
     if path.suffix == ".parquet":
         raise RecordingError(
             f"{path}: parquet is not read; save its columns with numpy.savez as an .npz file of the arrays "
@@ -45,12 +131,196 @@ def read_recording(path: Path, robot: str = "ur5e_allegro", names: Names | None 
     raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")
 
 
-def _read_rosbag(path: Path, joints: tuple[str, ...], names: Names) -> Recording:
-    """Read a bag; only here the optional library is needed."""
+def _read_rtde(folder: Path, robot: Robot) -> Recording:
+    """A folder of two logs. RTDE's currents are in ampere, its moments are targets: there is no effort."""
+    joints = robot.parts[robot.ur_part]
+    command, measured = read_table(folder / COMMAND_FILE), read_table(folder / MEASURED_FILE)
+    q_cmd_names, q_names, qd_names = (
+        [f"{prefix}_{i}" for i in range(len(joints))] for prefix in ("q", "actual_q", "actual_qd")
+    )
+    t_cmd, q_cmd = command.column("t"), command.columns(q_cmd_names)
+    require_motion(command.place, joints, t_cmd, q_cmd, robot=robot)
+    t_meas, q = measured.column("timestamp"), measured.columns(q_names)
+    has_speed = any(name.startswith("actual_qd_") for name in measured.names)
+    qd = measured.columns(qd_names) if has_speed else None
+    require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]), robot=robot)
+    arrays = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
+    return Recording(name=str(folder), robot=robot, joints=joints, **arrays)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stream:
+    """The motion on one topic."""
+
+    joints: tuple[str, ...]  # those of the wanted joints that it has, the columns
+    recorded: tuple[str, ...]  # all joints that it has, for messages
+    times: np.ndarray  # when each message was sent [ns]
+    fields: Fields  # `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Bag:
+    """An open bag, and what is looked for in it."""
+
+    path: Path
+    reader: "AnyReader"
+    robot: Robot
+    joints: tuple[str, ...]
+    names: Names
+
+
+def read_rosbag(path: Path, joints: tuple[str, ...], names: Names, robot: Robot = ROBOT) -> Recording:
+    """Read the motion of some joints from a rosbag2 (MCAP or SQLite), its folder or file.
+
+    A topic's times are its header stamps, or the bag's receive times if any header has none. All are counted
+    from the earliest. Several topics of commands become one stream, with a row whenever one of them changes.
+    A message without names has the joints in this order, unless `names` tells.
+
+    Raises:
+        RecordingError: If a topic or joint is missing, or a message says what cannot be.
+    """
+    with _opened(path) as reader:
+        bag = _Bag(path=path, reader=reader, robot=robot, joints=joints, names=names)
+        topics = names.command_topics or (CommandTopic(name=_only_command_topic(bag)),)
+        command_ns, q_cmd = _merged(bag, topics)
+        measured = _read_topic(bag, CommandTopic(name=names.measured_topic))
+    _require_all(f"{path}, topic {names.measured_topic}", joints, [measured])
+    start = min(command_ns[0], measured.times[0])
+    return Recording(
+        name=str(path),
+        robot=robot,
+        joints=joints,
+        t_cmd=_seconds(command_ns - start),
+        q_cmd=q_cmd,
+        t_meas=_seconds(measured.times - start),
+        q=measured.fields["position"],
+        qd=measured.fields.get("velocity"),
+        effort=measured.fields.get("effort"),
+    )
+
+
+def _seconds(nanoseconds: np.ndarray) -> np.ndarray:
+    return nanoseconds.astype(np.float64) / 1e9
+
+
+@contextmanager
+def _opened(path: Path) -> "Iterator[AnyReader]":
+    """The bag, closed afterwards; whatever a damaged one makes the library raise becomes one error."""
     try:
-        from pixel2catch.identification.rosbag import read_rosbag
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
         raise RecordingError(
             f"{path}: reading bags needs {error.name}; pip install 'pixel2catch[identification]'."
         ) from None
-    return read_rosbag(path, joints, names)
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            yield reader
+    except Pixel2CatchError:
+        raise
+    except Exception as error:
+        raise RecordingError(f"{path}: not a readable rosbag2 ({error}); try 'ros2 bag reindex'.") from error
+
+
+def _only_command_topic(bag: _Bag) -> str:
+    """The one topic that can carry commands."""
+    types = {connection.topic: connection.msgtype for connection in bag.reader.connections}
+    measured = bag.names.measured_topic
+    found = sorted(topic for topic, kind in types.items() if kind in PARSERS and topic != measured)
+    if len(found) != 1:
+        raise RecordingError(
+            f"{bag.path}: {len(found)} topics could carry the commands ({', '.join(found) or 'none'}); "
+            f"record one of type {', '.join(PARSERS)}, or name those that do with --command-topic."
+        )
+    return found[0]
+
+
+def _merged(bag: _Bag, topics: Sequence[CommandTopic]) -> tuple[np.ndarray, np.ndarray]:
+    """Times [ns] and positions [rad] of the commands on all topics together.
+
+    There is a row for each time at which a command was sent; what was not sent then holds.
+    """
+    streams = [_read_topic(bag, topic) for topic in topics]
+    source = f"{bag.path}, topic {', '.join(topic.name for topic in topics)}"
+    _require_all(source, bag.joints, streams)
+    times = streams[0].times
+    for stream in streams[1:]:
+        times = np.sort(np.concatenate((times, stream.times[~np.isin(stream.times, times)])))
+    columns = {}
+    for stream in streams:
+        row = held(stream.times, stream.fields["position"], times)
+        columns |= dict(zip(stream.joints, row.T, strict=True))
+    return times, np.stack([columns[joint] for joint in bag.joints], axis=-1)
+
+
+def _require_all(source: str, joints: tuple[str, ...], streams: Sequence[_Stream]) -> None:
+    """Refuse streams that lack a joint, or that have one twice."""
+    found = [joint for stream in streams for joint in stream.joints]
+    missing = [joint for joint in joints if joint not in found]
+    if missing:
+        recorded = ", ".join(name for stream in streams for name in stream.recorded)
+        raise RecordingError(f"{source}: no joint {', '.join(missing)}; it has {recorded}. {REMEDY}")
+    twice = sorted({joint for joint in found if found.count(joint) > 1})
+    if twice:
+        raise RecordingError(
+            f"{source}: {', '.join(twice)} on more than one topic; give every joint one --command-topic, "
+            "TOPIC=JOINT,JOINT where the messages name none."
+        )
+
+
+def _read_topic(bag: _Bag, topic: CommandTopic) -> _Stream:
+    """The motion of those of the joints that a topic has."""
+    place = Place(source=f"{bag.path}, topic {topic.name}", row="message")
+    everything = _messages(bag, place, topic.name)
+    concerned = [pair for pair in everything if not pair[1].joints or {*pair[1].joints} & {*bag.joints}]
+    if 0 < len(concerned) < len(everything):
+        everything, place = concerned, replace(place, row="message of these joints")
+    received, messages = zip(*everything, strict=True)
+    if messages[0].joints and topic.joints:
+        raise RecordingError(
+            f"{place.source}: its messages name the joints {', '.join(messages[0].joints)}; "
+            f"leave out '=...' behind --command-topic {topic.name}."
+        )
+    recorded = messages[0].joints or topic.joints or bag.joints
+    joints = tuple(joint for joint in bag.joints if joint in recorded)
+    for i, message in enumerate(messages):
+        _require_same_order(place.at(i), message, messages[0], len(recorded))
+    order = [recorded.index(joint) for joint in joints]
+    names = ["position", *(n for n in SPEED_AND_EFFORT if all(n in message.fields for message in messages))]
+    fields = {name: np.stack([message.fields[name] for message in messages])[:, order] for name in names}
+    stamps = [message.stamp for message in messages]
+    times = np.array(stamps if all(stamps) else received, dtype=np.int64)
+    require_motion(place, joints, _seconds(times - times[0]), *fields.values(), robot=bag.robot)
+    return _Stream(joints=joints, recorded=recorded, times=times, fields=fields)
+
+
+def _messages(bag: _Bag, place: Place, topic: str) -> list[tuple[int, JointMessage]]:
+    """Receive time [ns] and content of every message on a topic, with our names of the joints."""
+    connections = [connection for connection in bag.reader.connections if connection.topic == topic]
+    if not connections:
+        names = ", ".join(sorted({connection.topic for connection in bag.reader.connections}))
+        raise RecordingError(
+            f"{bag.path}: no topic {topic}; recorded are: {names or 'none'}. Record it, too."
+        )
+    messages = []
+    for connection, time, data in bag.reader.messages(connections):
+        where = place.at(len(messages))
+        message = parser(where, connection.msgtype)(where, bag.reader.deserialize(data, connection.msgtype))
+        messages.append((time, replace(message, joints=bag.names.ours(message.joints))))
+    if not messages:
+        raise RecordingError(f"{place.source}: empty, there is no message; record again.")
+    return messages
+
+
+def _require_same_order(where: str, message: JointMessage, first: JointMessage, num_joints: int) -> None:
+    if message.joints != first.joints:
+        raise RecordingError(
+            f"{where}: joints {', '.join(message.joints)}, but the first message has "
+            f"{', '.join(first.joints)}; two publishers share the topic: record them on topics of their own."
+        )
+    for name, values in message.fields.items():
+        if len(values) != num_joints:
+            raise RecordingError(
+                f"{where}: {len(values)} numbers in {name} for {num_joints} joints; publish one number a "
+                "joint, choose the --robot that has so many, or say which: --command-topic TOPIC=JOINT,..."
+            )

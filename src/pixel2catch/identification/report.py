@@ -1,41 +1,36 @@
-"""What an identification leaves: the dynamics file, the report for people, and its numbers for programs."""
+"""What an identification leaves: the dynamics file, the report for people, and its numbers for programs.
 
+The report is one HTML file that needs nothing but itself.
+"""
+
+import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pixel2catch.files import require_free_folder, write_atomically
-from pixel2catch.identification.identify import Identification, Motion, tracking_errors
-from pixel2catch.identification.report_figures import joint_picture
-from pixel2catch.identification.report_numbers import Content, numbers
-from pixel2catch.identification.report_page import (
-    box,
-    code,
-    color_key,
-    heading,
-    listing,
-    page,
-    paragraph,
-    pictures,
-    table,
-)
+from pixel2catch.identification.figures import COLORS, joint_picture
+from pixel2catch.identification.fit import LATENCY_UNIT
+from pixel2catch.identification.identify import Identification, half_widths, ratios, tracking_errors
 from pixel2catch.identification.report_tables import (
+    Grid,
     errors_grid,
     joint_checks_grid,
     open_questions,
     parameters_grid,
     ranges_grid,
     ratios_grid,
-    short,
     whole_checks_grid,
-    worst,
 )
+from pixel2catch.identification.robot import short
+from pixel2catch.robot.joint_dynamics import PARAMETERS
 
-DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"
-"""Names of the files."""
+DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files
 
 NOTHING_HELD_OUT = (
     "Nothing was held out: the errors are those of motion that was fitted, and do not tell how well other "
@@ -50,17 +45,61 @@ COMMAND_IS_BETTER = (
 )
 """What the error of the command says."""
 
+TRACKING = (
+    "Predicted minus measured positions. 'command' predicts that the joint is where it is told to be at "
+    "once. The first half second of a recording is not compared."
+)
+"""What the errors are."""
+
+RANDOMISATION = (
+    "Intervals where they are narrower than the paper's ranges, else the paper's. The dynamics file "
+    "has them; 'pixel2catch train --dynamics' draws from them."
+)
+"""What a training makes of the result."""
+
+STYLE = """
+body { font: 14px/1.45 system-ui, sans-serif; color: #1c1c1c; margin: 2rem auto; padding: 0 1rem;
+  max-width: 72rem }
+h1 { font-size: 1.7rem; margin-bottom: .2rem }
+h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem }
+h3 { font-size: 1rem; margin: 1.2rem 0 .3rem }
+p { margin: .4rem 0; max-width: 60rem }
+ul { margin: .3rem 0; padding-left: 1.2rem }
+.scroll { overflow-x: auto }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums }
+th { text-align: left; vertical-align: bottom; border-bottom: 1.5px solid #1c1c1c }
+td { vertical-align: top; border-bottom: 1px solid #e4e4e4 }
+th, td { padding: .25rem 1.1rem .25rem 0 }
+td:first-child { white-space: nowrap }
+small { display: block; color: #6a6a6a; font-weight: 400 }
+.good { color: #17703f } .weak { color: #9a5b00 } .unknown { color: #6a6a6a }
+.BAD { color: #b3261e; font-weight: 600 }
+.box { border-left: 4px solid; padding: .5rem .9rem; margin: .7rem 0; background: #f6f6f6 }
+.box p { color: #1c1c1c }
+.key span { display: inline-block; width: 1.6rem; height: 3px; margin: 0 .4rem .25rem 1.1rem }
+figure { margin: .8rem 0; break-inside: avoid }
+figcaption { font-weight: 600 }
+img { width: 100%; display: block }
+code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere }
+@page { size: A4; margin: 14mm }
+@media print {
+  body { margin: 0; max-width: none; font-size: 10px; print-color-adjust: exact }
+  tr, .box { break-inside: avoid }
+  h2, h3 { break-after: avoid }
+  .scroll { overflow: visible }
+  th, td { padding-right: .5rem }
+}
+"""
+"""Look of the page, on a screen and on paper."""
+
+Content = dict[str, Any]
+
 
 def write_report(folder: Path, result: Identification, circumstances: Mapping[str, Any]) -> Content:
-    """Write everything; the dynamics file is the last, so that where it is, the others are.
+    """Write everything to a new or empty folder, and return the numbers for programs.
 
-    Args:
-        folder: A new or empty folder.
-        result: What was found.
-        circumstances: When, how and with which versions this was done.
-
-    Returns:
-        The numbers for programs.
+    The dynamics file is the last, so that where it is, the others are. The circumstances say when, how and
+    with which versions this was done.
 
     Raises:
         InvalidValueError: If the folder is not free.
@@ -79,32 +118,43 @@ def write_report(folder: Path, result: Identification, circumstances: Mapping[st
 
 
 def report_page(result: Identification, circumstances: Mapping[str, Any]) -> str:
-    """The report as a page.
-
-    Args:
-        result: What was found.
-        circumstances: When, how and with which versions this was done.
-    """
+    """The report as a page."""
     title = f"System identification: {result.start.robot}"
-    sections = (_summary, _tracking, _parameter_part, _pictures, _checks)
-    parts = [part for section in sections for part in section(result)]
-    return page(title, [heading(title, 1), *parts, *_circumstances(result, circumstances)])
+    errors, parameters = errors_grid(result), parameters_grid(result)
+    ratio, ranges = ratios_grid(result.fit), ranges_grid(result)
+    each_joint = [joint_checks_grid(motion) for motion in result.motions]
+    parts = [
+        _element("h1", title),
+        *_summary(result),
+        *(_element("h2", errors.title), _element("p", TRACKING), _table(errors)),
+        *(_element("h2", parameters.title), _table(parameters)),
+        *([_element("h2", ratio.title), _table(ratio)] if ratio.rows else []),
+        _element("h2", "What is not identified"),
+        _listing(open_questions(result.fit)) or _element("p", "Every direction is identified."),
+        *(_element("h2", ranges.title), _element("p", RANDOMISATION), _table(ranges)),
+        *_pictures(result),
+        *(_element("h2", "Data checks"), _table(whole_checks_grid(result.motions))),
+        *(part for grid in each_joint for part in (_element("h3", grid.title), _table(grid))),
+        *_circumstances(result, circumstances),
+    ]
+    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style>'
+    body = "\n".join(parts)
+    return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n'
 
 
-def _summary(result: Identification) -> list[str]:
-    """What a reader must know first."""
+def _summary(result: Identification) -> Iterable[str]:
+    """What a reader must know first, in the colours of verdicts."""
     joints, held_out = result.fit.dynamics.joints, result.of(is_held_out=True)
     errors = tracking_errors(held_out or result.motions)
     before, after = (1e3 * float(np.median(errors[name])) for name in ("before", "after"))
     kind = "motion that was held out" if held_out else "the fitted motion"
-    texts = {
+    worst = int(np.argmax(errors["after"]))
+    texts = {} if held_out else {NOTHING_HELD_OUT: "BAD"}
+    texts[
         f"On {kind}, the median joint's tracking error was {before:.2f} mrad before the fit and is "
-        f"{after:.2f} mrad after it; the worst is {worst(errors['after'], joints)}.": "good"
-        if held_out
-        else "unknown"
-    }
-    if not held_out:
-        texts = {NOTHING_HELD_OUT: "BAD"} | texts
+        f"{after:.2f} mrad after it; the worst is {short(joints[worst])} with "
+        f"{1e3 * errors['after'][worst]:.2f} mrad."
+    ] = "good" if held_out else "unknown"
     if (errors["after"] > errors["command"]).any():
         texts[COMMAND_IS_BETTER] = "weak"
     if open_questions(result.fit):
@@ -112,77 +162,120 @@ def _summary(result: Identification) -> list[str]:
     failed = {c.joint for m in result.motions for c in m.source.checks if c.is_good is False}
     if names := ", ".join(short(joint) for joint in joints if joint in failed):
         texts[f"The motion of {names} is weaker than the data checks ask for."] = "weak"
-    return [box(verdict, text) for text, verdict in texts.items()]
-
-
-def _tracking(result: Identification) -> list[str]:
-    """The errors."""
-    grid = errors_grid(result)
-    text = (
-        "Predicted minus measured positions. 'command' predicts that the joint is where it is told to be at "
-        "once. The first half second of a recording is not compared."
-    )
-    return [heading(grid.title), paragraph(text), table(grid)]
+    return [f'<div class="box {verdict}">{_element("p", text)}</div>' for text, verdict in texts.items()]
 
 
 def _pictures(result: Identification) -> list[str]:
     """The motion that was held out, or the last if none was, joint by joint."""
     shown = (result.of(is_held_out=True) or result.motions)[-1]
     kind = "held out" if shown.source.is_held_out else "fitted"
-    images = {_caption(shown, j): joint_picture(shown, j) for j in range(len(shown.recording.joints))}
-    return [heading(f"Motion: {shown.recording.name} ({kind})"), color_key(), pictures(images)]
-
-
-def _caption(motion: Motion, j: int) -> str:
-    errors = tracking_errors([motion])
-    before, after = (1e3 * errors[name][j] for name in ("before", "after"))
-    return f"{short(motion.recording.joints[j])}: {before:.2f} mrad before, {after:.2f} mrad after"
-
-
-def _parameter_part(result: Identification) -> list[str]:
-    """Parameters, ratios, what is not known, and what a training makes of it."""
-    parameters, ratio, ranges = parameters_grid(result), ratios_grid(result.fit), ranges_grid(result)
-    questions = open_questions(result.fit)
-    return [
-        heading(parameters.title),
-        table(parameters),
-        *([heading(ratio.title), table(ratio)] if ratio.rows else []),
-        heading("What is not identified"),
-        listing(questions) or paragraph("Every direction is identified."),
-        heading(ranges.title),
-        paragraph(
-            "Intervals where they are narrower than the paper's ranges, else the paper's. The dynamics file "
-            "has them; 'pixel2catch train --dynamics' draws from them."
-        ),
-        table(ranges),
-    ]
-
-
-def _checks(result: Identification) -> list[str]:
-    """The checks of all recordings."""
-    whole = whole_checks_grid(result.motions)
-    grids = [joint_checks_grid(motion) for motion in result.motions]
-    parts = [part for grid in grids for part in (heading(grid.title, 3), table(grid))]
-    return [heading("Data checks"), table(whole), *parts]
+    key = "".join(f'<span style="background: {color}"></span>{name}' for name, color in COLORS.items())
+    errors = tracking_errors([shown])
+    figures = []
+    for j, joint in enumerate(shown.recording.joints):
+        before, after = (1e3 * errors[name][j] for name in ("before", "after"))
+        caption = escape(f"{short(joint)}: {before:.2f} mrad before, {after:.2f} mrad after")
+        image = base64.b64encode(joint_picture(shown, j)).decode()
+        figures.append(
+            f'<figure><figcaption>{caption}</figcaption><img alt="{caption}" '
+            f'src="data:image/png;base64,{image}"></figure>'
+        )
+    title = _element("h2", f"Motion: {shown.recording.name} ({kind})")
+    return [title, f'<p class="key">{key}</p>', *figures]
 
 
 def _circumstances(result: Identification, circumstances: Mapping[str, Any]) -> list[str]:
     """How this was done."""
     versions = ", ".join(f"{name} {version or '?'}" for name, version in circumstances["versions"].items())
     where = f"{circumstances['platform']}, {circumstances['cpu_cores']} CPU cores"
-    roles = [
-        f"{motion.recording.name}: {'held out' if motion.source.is_held_out else 'fitted'}"
-        for motion in result.motions
-    ]
-    return [
-        heading("What was run"),
-        code(circumstances["command"]),
-        listing(
-            [
-                f"{circumstances['started']}; revision {circumstances['git_revision'] or 'unknown'}; {where}",
-                f"Python {circumstances['python']}, {versions}",
-                f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
-                *roles,
-            ]
+    lines = [
+        f"{circumstances['started']}; revision {circumstances['git_revision'] or 'unknown'}; {where}",
+        f"Python {circumstances['python']}, {versions}",
+        f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
+        *(
+            f"{motion.recording.name}: {'held out' if motion.source.is_held_out else 'fitted'}"
+            for motion in result.motions
         ),
     ]
+    command = f"<p>{_element('code', circumstances['command'])}</p>"
+    return [_element("h2", "What was run"), command, _listing(lines)]
+
+
+def _element(tag: str, text: str) -> str:
+    return f"<{tag}>{escape(text)}</{tag}>"
+
+
+def _listing(texts: Sequence[str]) -> str:
+    """A list, if there is anything to list."""
+    return f"<ul>{''.join(_element('li', text) for text in texts)}</ul>" if texts else ""
+
+
+def _table(grid: Grid) -> str:
+    """A table, without its title."""
+    head = "".join(_element("th", column) for column in grid.columns)
+    rows = ""
+    for row in grid.rows:
+        cells = ""
+        for cell in row:
+            kind = f' class="{cell.verdict}"' if cell.verdict else ""
+            note = _element("small", cell.note) if cell.note else ""
+            cells += f"<td{kind}>{escape(cell.text)}{note}</td>"
+        rows += f"<tr>{cells}</tr>\n"
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n<tbody>{rows}</tbody></table></div>'
+
+
+def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:
+    """All numbers of the report, in SI units, by joint."""
+    fit, joints = result.fit, result.fit.dynamics.joints
+    groups = {"held_out": result.of(is_held_out=True), "fitted": result.of(is_held_out=False)}
+    errors = {group: tracking_errors(motions) if motions else {} for group, motions in groups.items()}
+    return {
+        "robot": result.start.robot,
+        "free": list(fit.free),
+        "physics_dt": result.physics_dt,
+        "tracking_error": {
+            group: {name: dict(zip(joints, values.tolist(), strict=True)) for name, values in found.items()}
+            for group, found in errors.items()
+        },
+        "parameters": {joint: _parameters(result, j) for j, joint in enumerate(joints)},
+        "ratios": {
+            ratio.name: {
+                joint: _interval(ratio.value[j], ratio.half_width[j]) for j, joint in enumerate(joints)
+            }
+            for ratio in ratios(fit)
+        },
+        "not_identified": open_questions(fit),
+        "recordings": [
+            {
+                "name": motion.recording.name,
+                "is_held_out": motion.source.is_held_out,
+                "checks": [asdict(check) for check in motion.source.checks],
+            }
+            for motion in result.motions
+        ],
+        "circumstances": dict(circumstances),
+    }
+
+
+def _parameters(result: Identification, j: int) -> Content:
+    """Value before and after of every parameter of a joint, and its 95 % interval if it was fitted."""
+    fit = result.fit
+    widths = dict(zip(fit.free, half_widths(fit)[j], strict=True))
+    found: Content = {}
+    for name in PARAMETERS:
+        value, before = float(getattr(fit.dynamics, name)[j]), float(getattr(result.start.before, name)[j])
+        content: Content = {"value": value}
+        if name == "latency" and name in widths:
+            width = LATENCY_UNIT * widths[name]
+            content["interval"] = [max(0.0, value - width), value + width]
+        elif name in widths:
+            content = _interval(value, widths[name])
+        finite = {key: each if np.all(np.isfinite(each)) else None for key, each in content.items()}
+        found[name] = finite | {"before": before if np.isfinite(before) else None}
+    return found
+
+
+def _interval(value: float, half_width: float) -> Content:
+    """A value whose logarithm has an interval."""
+    factor = float(np.exp(half_width))
+    return {"value": float(value), "interval": [float(value) / factor, float(value) * factor]}

@@ -1,44 +1,68 @@
-"""The tables of a report as values: the terminal and the page show the same."""
+"""The tables of a report as values, for the terminal and the page alike; and what is not identified."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from rich.table import Table
+from rich.text import Text
 
-from pixel2catch.identification.check_report import verdict
-from pixel2catch.identification.checks import Check
-from pixel2catch.identification.fit import Fit
-from pixel2catch.identification.fit_problem import LATENCY_UNIT
-from pixel2catch.identification.identifiability import (
+from pixel2catch.identification.checks import Check, num_reversals, smoothed
+from pixel2catch.identification.fit import LATENCY_UNIT, SCALE, Fit
+from pixel2catch.identification.identify import (
     CONFIDENCE,
-    UNITS,
-    WELL_KNOWN,
-    WeakDirection,
+    RATIOS,
+    Identification,
+    Motion,
     half_widths,
     ratios,
-    weak_directions,
+    tracking_errors,
 )
-from pixel2catch.identification.identify import Identification, Motion, tracking_errors
+from pixel2catch.identification.rehearsal import Assessment
+from pixel2catch.identification.robot import ROBOT, short
 from pixel2catch.mdp.randomization import GainRanges
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.joint_dynamics import PARAMETERS
 
-FILTER = ("filter_gain", "filter_lookahead")
-"""Parameters that a joint without a filter does not have."""
+WELL_KNOWN = 0.1
+"""Half-width of an interval up to which a parameter counts as identified: 10 %, or 1 ms. Source: ours."""
 
-UNKNOWN_SHARE = 0.9
-"""An interval of this share of the prior's tells nothing that was not assumed. Source: ours."""
+NOTABLE = 0.3  # share of a weak direction's largest component from which a parameter is named (ours)
+UNKNOWN_SHARE = 0.9  # an interval of this share of the prior's tells nothing that was not assumed (ours)
+WIDE = 0.3  # half-width from which an interval is told as a factor, not in percent (ours)
+
+UNITS = {
+    "stiffness": "N·m/rad",
+    "damping": "N·m·s/rad",
+    "frictionloss": "N·m",
+    "armature": "kg·m²",
+    "latency": "ms",
+    "filter_gain": "1/s²",
+    "filter_lookahead": "s",
+}
+"""Units in which parameters are told."""
+
+EXCITATION = {
+    "stiffness": "add motion that reaches the torque limit, or a known payload",
+    "damping": "add faster motion",
+    "frictionloss": "add slow reversals",
+    "armature": "add steps and faster changes of speed",
+    "latency": "add steps",
+    "filter_gain": "add steps",
+    "filter_lookahead": "add 20 Hz targets of changing speed",
+}
+"""What shows a parameter in positions."""
+
+FILTER = ("filter_gain", "filter_lookahead")  # parameters that a joint without a filter does not have
+
+STYLES = {"good": "green", "BAD": "bold red", "weak": "yellow", "unknown": "dim"}
+"""Colour of each verdict; the word tells without colour, too."""
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
 
-WIDE = 0.3
-"""Half-width from which an interval is told as a factor, not in percent. Source: ours."""
-
 
 class Cell(NamedTuple):
-    """One entry: its text, a verdict (`good`, `weak`, `BAD`, `unknown`) that colours it, and a small note."""
+    """One entry: its text, a verdict (one of `STYLES`) that colours it, and a small note."""
 
     text: str
     verdict: str = ""
@@ -47,22 +71,63 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """A table.
-
-    Attributes:
-        title: What it shows.
-        columns: Heads of the columns.
-        rows: As many cells each.
-    """
+    """A table: its title, the heads of its columns, and rows of as many cells each."""
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
 
+    def for_terminal(self) -> Table:
+        """The table without the notes."""
+        table = Table(title=Text(self.title))
+        for column in self.columns:
+            table.add_column(Text(column), overflow="fold")
+        for row in self.rows:
+            table.add_row(*(Text(cell.text, style=STYLES.get(cell.verdict, "")) for cell in row))
+        return table
 
-def short(joint: str) -> str:
-    """The name of a joint for people."""
-    return joint.removesuffix("_joint").replace("_joint_", " ").replace("_", " ")
+
+def check_grid(name: str, checks: Sequence[Check]) -> Grid:
+    """One line a check that failed or is of the whole recording, one for all joints that passed one."""
+    num_bad = sum(check.is_good is False for check in checks)
+    groups: dict[tuple[str, str, str | None], list[Check]] = {}
+    for check in checks:
+        alone = check.joint if check.is_good is False else None
+        groups.setdefault((check.name, check.verdict, alone), []).append(check)
+    rows = []
+    for (title, verdict, _), group in groups.items():
+        joint = group[0].joint or "" if len(group) == 1 else f"{len(group)} joints"
+        detail = group[0].detail if len({check.detail for check in group}) == 1 else ""
+        rows.append((Cell(title), Cell(joint), Cell(verdict, verdict), Cell(detail)))
+    title = f"{name}: {num_bad} of {len(checks)} checks failed"
+    return Grid(title=title, columns=("check", "joint", "", "found"), rows=tuple(rows))
+
+
+def whole_checks_grid(motions: Sequence[Motion]) -> Grid:
+    """The checks that are about whole recordings."""
+    rows = [
+        (Cell(motion.recording.name), Cell(check.name), _verdict(check), Cell(check.detail))
+        for motion in motions
+        for check in motion.source.checks
+        if check.joint is None
+    ]
+    columns = ("recording", "check", "verdict", "found")
+    return Grid(title="Clocks and samples", columns=columns, rows=tuple(rows))
+
+
+def joint_checks_grid(motion: Motion) -> Grid:
+    """The checks of every joint of a recording."""
+    names = list(dict.fromkeys(check.name for check in motion.source.checks if check.joint))
+    by_joint = {(check.joint, check.name): check for check in motion.source.checks}
+    rows = []
+    for joint in motion.recording.joints:
+        found = (by_joint[joint, name] for name in names)
+        rows.append((Cell(short(joint)), *(_verdict(check, check.detail) for check in found)))
+    return Grid(title=motion.recording.name, columns=("joint", *names), rows=tuple(rows))
+
+
+def _verdict(check: Check, note: str = "") -> Cell:
+    return Cell(check.verdict, check.verdict, note)
 
 
 def errors_grid(result: Identification) -> Grid:
@@ -73,14 +138,11 @@ def errors_grid(result: Identification) -> Grid:
         for name, errors in tracking_errors(motions).items() if motions else ():
             columns.append(f"{group}: {name}")
             values.append([*errors, np.sqrt(np.mean(errors**2))])
-    names = [*map(short, result.fit.dynamics.joints), "all joints"]
-    rows = [
-        (
-            Cell(name),
-            *(Cell(f"{1e3 * value:.2f}", _improvement(columns, row, i)) for i, value in enumerate(row)),
-        )
-        for name, *row in zip(names, *values, strict=True)
-    ]
+    rows = []
+    for name, *row in zip([*map(short, result.fit.dynamics.joints), "all joints"], *values, strict=True):
+        verdicts = [_improvement(columns, row, i) for i in range(len(row))]
+        texts = [f"{1e3 * value:.2f}" for value in row]
+        rows.append((Cell(name), *map(Cell, texts, verdicts)))
     return Grid(title="Tracking error, RMS [mrad]", columns=("joint", *columns), rows=tuple(rows))
 
 
@@ -99,25 +161,17 @@ def parameters_grid(result: Identification) -> Grid:
     names = [name for name in PARAMETERS if name not in FILTER or fit.dynamics.has_filter.any()]
     rows = []
     for j, joint in enumerate(fit.dynamics.joints):
-        cells = []
+        cells = [Cell(short(joint))]
         for name in names:
             value, old = getattr(fit.dynamics, name)[j], getattr(before, name)[j]
             width = widths[name][j] if name in widths else None
             cells.append(_parameter(name, value, old, width, fit.prior))
-        rows.append((Cell(short(joint)), *cells))
-    return Grid(
-        title="Parameters with 95 % intervals",
-        columns=("joint", *(f"{name} [{_unit(name)}]" for name in names)),
-        rows=tuple(rows),
-    )
-
-
-def _unit(name: str) -> str:
-    return "ms" if name == "latency" else UNITS[name]
+        rows.append(tuple(cells))
+    columns = ("joint", *(f"{name} [{UNITS[name]}]" for name in names))
+    return Grid(title="Parameters with 95 % intervals", columns=columns, rows=tuple(rows))
 
 
 def _parameter(name: str, value: float, old: float, width: float | None, prior: float) -> Cell:
-    """A cell of the parameters."""
     scale = 1e3 if name == "latency" else 1.0
     note = f"before {_number(scale * old)}" if np.isfinite(old) else "no filter before"
     if width is None:
@@ -125,14 +179,14 @@ def _parameter(name: str, value: float, old: float, width: float | None, prior: 
         return Cell(text, "unknown", "not fitted" if value == old else f"assumed; {note}")
     if width > UNKNOWN_SHARE * CONFIDENCE * prior:
         return Cell(f"{_number(scale * value)}, unknown", "BAD", note)
-    return Cell(_interval(name, value, width), "good" if width <= WELL_KNOWN else "weak", note)
+    return _interval(name, value, width, note)
 
 
 def _number(value: float) -> str:
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
-def _interval(name: str, value: float, width: float) -> str:
+def _interval(name: str, value: float, width: float, note: str = "") -> Cell:
     """A value with half of its interval, which is of its logarithm but for the latency."""
     if name == "latency":
         text = f"{1e3 * value:.2f} ± {1e3 * LATENCY_UNIT * width:.2f}"
@@ -140,82 +194,89 @@ def _interval(name: str, value: float, width: float) -> str:
         text = f"{_number(value)} ± {100 * width:.1f} %"
     else:
         text = f"{_number(value)} to a factor of {np.exp(width):.2g}"
-    return text.replace(" ", NO_BREAK)
+    return Cell(text.replace(" ", NO_BREAK), "good" if width <= WELL_KNOWN else "weak", note)
 
 
 def ratios_grid(fit: Fit) -> Grid:
-    """Ratios of parameters with their 95 % intervals."""
+    """Ratios of parameters with their 95 % intervals; no rows if there are none."""
     found = ratios(fit)
-    rows = [
-        (
-            Cell(short(joint)),
-            *(
-                Cell(
-                    _interval(ratio.name, ratio.value[j], ratio.half_width[j]),
-                    "good" if ratio.half_width[j] <= WELL_KNOWN else "weak",
-                )
-                for ratio in found
-            ),
-        )
-        for j, joint in enumerate(fit.dynamics.joints)
-    ]
-    columns = ("joint", *(f"{ratio.name} [{ratio.unit}]" for ratio in found))
-    return Grid(title="Ratios with 95 % intervals", columns=columns, rows=tuple(rows) if found else ())
+    rows = []
+    for j, joint in enumerate(fit.dynamics.joints if found else ()):
+        cells = (_interval(ratio.name, ratio.value[j], ratio.half_width[j]) for ratio in found)
+        rows.append((Cell(short(joint)), *cells))
+    columns = ("joint", *(f"{ratio.name} [{RATIOS[ratio.name]}]" for ratio in found))
+    return Grid(title="Ratios with 95 % intervals", columns=columns, rows=tuple(rows))
 
 
 def ranges_grid(result: Identification) -> Grid:
     """Ranges of the factors on the gains in a training."""
-    paper, ranges, names = GainRanges(), result.file.gains, [joint.name for joint in JOINTS]
+    paper, ranges = GainRanges(), result.file.gains
     rows = []
     for joint in result.fit.dynamics.joints:
-        i = names.index(joint)
-        relative = ranges.is_damping_relative[i]
-        rows.append(
-            (
-                Cell(short(joint)),
-                _range(ranges.stiffness_scale[i], paper.stiffness_scale[i]),
-                _range(ranges.damping_scale[i], paper.damping_scale[i]),
-                Cell("drawn about the stiffness" if relative else "drawn apart"),
-            )
-        )
+        i = list(ROBOT.specs).index(joint)
+        is_relative = ranges.is_damping_relative[i]
+        cells = [Cell(short(joint))]
+        for name in ("stiffness_scale", "damping_scale"):
+            (low, high), of_paper = getattr(ranges, name)[i], getattr(paper, name)[i]
+            note = "as in the paper" if (low, high) == of_paper else ""
+            cells.append(Cell(f"{low:.3f} to {high:.3f}", note=note))
+        cells.append(Cell("drawn about the stiffness" if is_relative else "drawn apart"))
+        rows.append(tuple(cells))
     columns = ("joint", "factor on stiffness", "factor on damping", "damping is")
     return Grid(title="Randomisation in training", columns=columns, rows=tuple(rows))
 
 
-def _range(found: tuple[float, float], paper: tuple[float, float]) -> Cell:
-    return Cell(f"{found[0]:.3f} to {found[1]:.3f}", note="as in the paper" if found == paper else "")
+@dataclass(frozen=True, kw_only=True)
+class WeakDirection:
+    """Parameters of a joint that can change together with hardly a change of its motion."""
+
+    joint: str  # name of the joint
+    parameters: tuple[str, ...]  # names of the parameters, the one that changes most first
+    half_width: float  # half of the 95 % interval along the direction, in the coordinates of the fit
+    is_scale: bool  # whether all of them grow together, so that their ratios are known
+
+    @property
+    def meaning(self) -> str:
+        """The direction in a sentence."""
+        names = " and ".join(self.parameters)
+        if len(self.parameters) == 1:
+            is_latency = self.parameters == ("latency",)
+            width = self.half_width * LATENCY_UNIT if is_latency else np.exp(min(self.half_width, 9.0))
+            known = f"to {1e3 * width:.1f} ms" if is_latency else f"to a factor of {width:.3g}"
+            return f"{names} of {self.joint} is known {known} only"
+        if self.is_scale:
+            return f"{names} of {self.joint} share one scale: only their ratios are known"
+        return f"{names} of {self.joint} stand in for each other"
+
+    @property
+    def proposal(self) -> str:
+        """What to do about it."""
+        fixed = "stiffness" if self.is_scale and "stiffness" in self.parameters else self.parameters[0]
+        return f"fix {fixed} (leave it out of what is free), or {EXCITATION[fixed]}"
 
 
-def whole_checks_grid(motions: Sequence[Motion]) -> Grid:
-    """The checks that are about whole recordings."""
-    rows = [
-        (
-            Cell(motion.recording.name),
-            Cell(check.name),
-            Cell(verdict(check), verdict(check)),
-            Cell(check.detail),
-        )
-        for motion in motions
-        for check in motion.source.checks
-        if check.joint is None
-    ]
-    columns = ("recording", "check", "verdict", "found")
-    return Grid(title="Clocks and samples", columns=columns, rows=tuple(rows))
+def weak_directions(fit: Fit, limit: float = WELL_KNOWN) -> tuple[WeakDirection, ...]:
+    """The directions in which a joint's parameters are less known than a half-width, widest first."""
+    found = []
+    for joint, covariance in zip(fit.dynamics.joints, fit.covariance, strict=True):
+        variances, directions = np.linalg.eigh(covariance)
+        for variance, direction in zip(variances, directions.T, strict=True):
+            if CONFIDENCE * np.sqrt(variance) > limit:
+                found.append(_named(joint, fit.free, direction, CONFIDENCE * float(np.sqrt(variance))))
+    return tuple(sorted(found, key=lambda weak: -weak.half_width))
 
 
-def joint_checks_grid(motion: Motion) -> Grid:
-    """The checks of every joint of a recording."""
-    names = list(dict.fromkeys(check.name for check in motion.source.checks if check.joint))
-    by_joint = {(check.joint, check.name): check for check in motion.source.checks}
-    rows = [
-        (Cell(short(joint)), *(_checked(by_joint[joint, name]) for name in names))
-        for joint in motion.recording.joints
-    ]
-    return Grid(title=motion.recording.name, columns=("joint", *names), rows=tuple(rows))
-
-
-def _checked(check: Check) -> Cell:
-    return Cell(verdict(check), verdict(check), check.detail)
+def _named(joint: str, free: Sequence[str], direction: np.ndarray, half_width: float) -> WeakDirection:
+    """Name the parameters that take part in a direction."""
+    order = [int(i) for i in np.argsort(-np.abs(direction))]
+    part = [i for i in order if abs(direction[i]) > NOTABLE * abs(direction[order[0]])]
+    is_scale = all(free[i] in SCALE and direction[i] * direction[part[0]] > 0 for i in part)
+    return WeakDirection(
+        joint=joint,
+        parameters=tuple(free[i] for i in part),
+        half_width=half_width,
+        is_scale=is_scale and len(part) > 1,
+    )
 
 
 def open_questions(fit: Fit) -> list[str]:
@@ -223,17 +284,36 @@ def open_questions(fit: Fit) -> list[str]:
     groups: dict[tuple[frozenset[str], bool], list[WeakDirection]] = {}
     for weak in weak_directions(fit):
         groups.setdefault((frozenset(weak.parameters), weak.is_scale), []).append(weak)
-    return [f"{weak.meaning}: {weak.proposal}." for weak in map(_together, groups.values())]
+    return [
+        f"{weak.meaning}: {weak.proposal}."
+        for weak in (_together(group, fit.dynamics.joints) for group in groups.values())
+    ]
 
 
-def _together(group: Iterable[WeakDirection]) -> WeakDirection:
+def _together(group: Iterable[WeakDirection], joints: Sequence[str]) -> WeakDirection:
     """The widest of some directions, in the name of all their joints."""
     widest, *_ = ordered = sorted(group, key=lambda weak: -weak.half_width)
-    names = [joint for joint in (spec.name for spec in JOINTS) if joint in {weak.joint for weak in ordered}]
+    names = [joint for joint in joints if joint in {weak.joint for weak in ordered}]
     return replace(widest, joint=", ".join(map(short, names)))
 
 
-def worst(errors: Float[np.ndarray, " num_joints"], joints: Sequence[str]) -> str:
-    """The joint with the largest error, and the error [mrad]."""
-    j = int(np.argmax(errors))
-    return f"{short(joints[j])} with {1e3 * errors[j]:.2f} mrad"
+def motion_table(title: str, assessment: Assessment) -> Table:
+    """One line a joint: range, top speed and acceleration, reversals, and torque as a share of its limit."""
+    numbers = ("from [rad]", "to [rad]", "[rad/s]", "[rad/s²]", "reversals", "torque [%]")
+    table = Table(title=title)
+    for i, column in enumerate(("joint", "verdict", *numbers)):
+        table.add_column(Text(column), justify="left" if i < 2 else "right", no_wrap=i == 0)
+    q = assessment.recording.q
+    speed, acceleration = smoothed(assessment.recording.t_meas, q)
+    for j, check in enumerate(assessment.checks):
+        table.add_row(
+            check.joint,
+            Text(check.verdict, style=STYLES[check.verdict]),
+            f"{q[:, j].min():.2f}",
+            f"{q[:, j].max():.2f}",
+            f"{assessment.speed[j]:.2f}",
+            f"{np.abs(acceleration[:, j]).max():.1f}",
+            str(num_reversals(speed[:, j])),
+            f"{100 * assessment.torque_share[j]:.0f}",
+        )
+    return table

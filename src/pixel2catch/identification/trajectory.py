@@ -15,12 +15,10 @@ from zipfile import BadZipFile
 import numpy as np
 from jaxtyping import Float64
 
-from pixel2catch.envs.servo import SPEED_MARGIN
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.files import write_atomically
-from pixel2catch.identification.recording import JOINT_SPECS
-from pixel2catch.identification.rules import Place, require_motion
-from pixel2catch.robot.constants import JointSpec
+from pixel2catch.identification.recording import Place, held, require_motion
+from pixel2catch.identification.robot import ROBOT, Robot, largest_step
 
 FORMAT_VERSION = 1
 
@@ -42,28 +40,12 @@ UNREADABLE = (
 )
 """What reading a file that is no trajectory, or none to follow, can raise."""
 
-TOLERANCE = 1e-9
-"""Excess of a limit that is rounding [rad, s]."""
-
-
-def largest_step(joint: JointSpec) -> float:
-    """Largest change from a target to the next [rad]: at rest, it makes the servo move at its speed limit.
-
-    A servo whose damping dominates moves at stiffness / damping times the distance of its target, see
-    `envs/servo.py`.
-    """
-    return SPEED_MARGIN * joint.velocity_limit * joint.damping / joint.stiffness
+TOLERANCE = 1e-9  # excess of a limit that is rounding [rad, s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
     """Targets of some joints that a robot can be let loose on; it begins and ends at rest in the same pose.
-
-    Attributes:
-        joints: Names of the joints, the columns, in joint order; the others hold the start pose.
-        times: When each target is due [s], from 0.
-        positions: The targets [rad].
-        header: Where they come from: anything that JSON can hold.
 
     Raises:
         InvalidValueError: If a robot should not follow it; the message says where.
@@ -71,21 +53,22 @@ class Trajectory:
         UnknownNameError: If the robot has no such joint.
     """
 
+    robot: Robot = ROBOT  # whose joints they are
+    # names of the joints, the columns, in joint order; the others hold the start pose
     joints: tuple[str, ...]
-    times: Float64[np.ndarray, " num_targets"]
-    positions: Float64[np.ndarray, "num_targets num_joints"]
-    header: dict[str, Any] = field(default_factory=dict)
+    times: Float64[np.ndarray, " num_targets"]  # when each target is due [s], from 0
+    positions: Float64[np.ndarray, "num_targets num_joints"]  # the targets [rad]
+    header: dict[str, Any] = field(default_factory=dict)  # where they come from: anything that JSON can hold
 
     def __post_init__(self) -> None:
         """Refuse what no robot should be sent."""
+        known = list(self.robot.specs)
         for joint in self.joints:
-            if joint not in JOINT_SPECS:
-                raise UnknownNameError("joint", joint, JOINT_SPECS)
-        if not self.joints or list(self.joints) != [name for name in JOINT_SPECS if name in self.joints]:
-            raise InvalidValueError(
-                f"joints are {list(self.joints)}; name each once, in the order {list(JOINT_SPECS)}"
-            )
-        require_motion(Place(source="targets"), self.joints, self.times, self.positions)
+            if joint not in known:
+                raise UnknownNameError("joint", joint, known)
+        if not self.joints or list(self.joints) != [name for name in known if name in self.joints]:
+            raise InvalidValueError(f"joints are {list(self.joints)}; name each once, in the order {known}")
+        require_motion(Place(source="targets"), self.joints, self.times, self.positions, robot=self.robot)
         self._require_clock()
         self._require_limits()
         self._require_rest()
@@ -97,8 +80,7 @@ class Trajectory:
 
     def at(self, time: Float64[np.ndarray, " num_times"]) -> Float64[np.ndarray, "num_times num_joints"]:
         """The targets that are due at some times [s]; before the first and after the last they hold."""
-        index = np.searchsorted(self.times, time, side="right") - 1
-        return self.positions[np.maximum(index, 0)]
+        return held(self.times, self.positions, time)
 
     def save(self, path: Path) -> None:
         """Write the file.
@@ -147,7 +129,7 @@ class Trajectory:
             )
 
     def _require_limits(self) -> None:
-        specs = [JOINT_SPECS[name] for name in self.joints]
+        specs = [self.robot.specs[name] for name in self.joints]
         lower, upper = np.array([(spec.lower, spec.upper) for spec in specs]).T
         excess = np.maximum(lower - self.positions, self.positions - upper)
         self._refuse(excess > TOLERANCE, "is beyond the joint's limits")

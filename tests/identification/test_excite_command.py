@@ -11,7 +11,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.identification.checks import check_recording
 from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
 from pixel2catch.identification.importers import read_recording
-from pixel2catch.identification.recording import ROBOTS
+from pixel2catch.identification.robot import ROBOTS
 from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robot.joint_dynamics import JointDynamics

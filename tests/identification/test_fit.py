@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from known_truth import NOISE, perturbed, record
+from known_truth import NOISE, perturbed, record, tracking_error
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.identification.fit import fit_dynamics, tracking_error
-from pixel2catch.identification.fit_problem import FILTER_PARAMETERS, FitCfg
-from pixel2catch.identification.fit_squares import correlation_time
-from pixel2catch.identification.identifiability import half_widths, ratios
+from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg, correlation_time, fit_dynamics
+from pixel2catch.identification.identify import half_widths, ratios
 from pixel2catch.robot.joint_dynamics import JointDynamics
 
 DT = 1.0 / 240.0

@@ -1,14 +1,21 @@
-"""The forward model of the fit: it is the simulator that a policy trains in."""
+"""The forward model of the fit: it is the simulator that a policy trains in, with commands on their way."""
 
 import mujoco
 import numpy as np
 import pytest
+import torch
 
-from pixel2catch.envs.servo import FRICTION_SPEED
+from pixel2catch.envs.servo import FRICTION_SPEED, Servos
 from pixel2catch.errors import RecordingError
-from pixel2catch.identification.fit_simulation import FIT_DT, RecordedMotion
-from pixel2catch.identification.recording import JOINT_SPECS, ROBOTS, Recording
-from pixel2catch.identification.signals import held
+from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
+from pixel2catch.identification.simulation import (
+    FIT_DT,
+    RecordedMotion,
+    friction_torque,
+    mean_commands,
+    step_commands,
+)
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.scene import SceneCfg, build_model
 
@@ -46,7 +53,7 @@ def test_without_latency_and_filter_it_is_the_scene():
     data.qpos[:19] = HOME
     path = [HOME]
     for _ in range(fine * (len(recording.t_meas) - 1)):
-        data.ctrl[:] = held(recording, np.array([data.time]))[0]
+        data.ctrl[:] = recording.held(np.array([data.time]))[0]
         data.qfrc_applied[:19] = -loss * np.tanh(data.qvel[:19] / FRICTION_SPEED)
         mujoco.mj_step(model, data)
         path.append(data.qpos[:19].copy())
@@ -110,3 +117,32 @@ def test_useless_recordings_are_refused():
         RecordedMotion([held_steps(("elbow_joint",), 0.5)])
     with pytest.raises(RecordingError, match="same joints"):
         RecordedMotion([elbow, wrist])
+
+
+def test_delayed_command_counts_by_its_share_of_a_step():
+    """A command 0 → 1 at 0.1 s arrives at 0.112 s: it holds for 8 of the 10 ms from 0.11 s."""
+    edges = np.array((0.09, 0.10, 0.11, 0.12, 0.13))
+    t_cmd, q_cmd = np.array((0.0, 0.1)), np.array(((0.0, 5.0), (1.0, 5.0)))
+    mean = mean_commands(t_cmd, q_cmd, edges, np.array((0.012, 0.3)))
+    np.testing.assert_allclose(mean[:, 0], (0.0, 0.0, 0.8, 1.0), atol=1e-9)
+    np.testing.assert_allclose(mean[:, 1], 5.0)
+
+
+def test_a_step_knows_what_arrives_before_and_after_a_jump():
+    """As above; three commands in one step, 0, 1 and 5 for 2, 4 and 4 ms, keep their mean."""
+    edges, latency = np.array((0.10, 0.11, 0.12, 0.13)), np.array((0.012,))
+    t_cmd, q_cmd = np.array((0.0, 0.1)), np.array(((0.0,), (1.0,)))
+    first, jump, last = step_commands(t_cmd, q_cmd, edges, latency)[..., 0]
+    np.testing.assert_allclose(jump, (0.8, -0.8, 0.2, 0.2), atol=1e-9)
+    np.testing.assert_allclose((first[:3], last[:3]), ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), atol=1e-9)
+    t_cmd, q_cmd = np.array((0.0, 0.1, 0.104)), np.array(((0.0,), (1.0,), (5.0,)))
+    crowded = step_commands(t_cmd, q_cmd, edges, latency)[1, :, 0]
+    np.testing.assert_allclose(crowded[0], 0.2 * 0.0 + 0.4 * 1.0 + 0.4 * 5.0)
+
+
+def test_dry_friction_is_that_of_training():
+    """The law is written for PyTorch in `envs/servo.py`, and for NumPy here."""
+    nominal, speeds = JointDynamics.nominal(), np.linspace(-1.0, 1.0, 19)[None]
+    servos = Servos.on(torch.device("cpu"), torch.float64, nominal, np.ones(19).tolist())
+    expected = servos.friction(torch.from_numpy(speeds)).numpy()
+    np.testing.assert_allclose(friction_torque(nominal.frictionloss, speeds), expected, rtol=1e-12)

@@ -1,0 +1,329 @@
+"""Simulates recorded motions under many candidate dynamics at once: the forward model of the fit.
+
+Torque limit, dry friction and command path are those of `envs`, in the limit of short time steps: a real
+robot has none, so that what is identified must not depend on them. Joints that were not recorded are welded,
+nothing touches anything.
+
+NumPy does in a few microseconds what takes PyTorch tens, and a fit is many steps of few copies. Arrays of the
+servos are of shape (num_copies, num_joints); in every step their shapes are left unchecked.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from pixel2catch.envs.command_path import filtered
+from pixel2catch.envs.servo import EFFORT_MARGIN, FRICTION_SPEED
+from pixel2catch.errors import RecordingError
+from pixel2catch.identification.recording import Recording, held
+from pixel2catch.robot.joint_dynamics import JointDynamics, command_lag, filter_transition
+from pixel2catch.sim.batch import BatchSimulation
+
+FIT_DT = 1.0 / 480.0
+"""Physics time step of a fit [s].
+
+Source: ours; in excitation up to the torque limits, positions of the arm are within 0.03 mrad of those at
+6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone they would be off by up to 1.8.
+"""
+
+START_WINDOW = 0.1
+"""Measurements whose parabola begins a motion [s]. Source: ours; a tenth of a servo's settling."""
+
+SETTLING = 0.5
+"""Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over
+stiffness of the slowest joint."""
+
+MAX_COPIES = 96  # copies simulated at once, for the memory
+THREADED_COPIES = 24  # copies from which on several threads are faster than one (ours, measured with the arm)
+
+
+PerJoint = Float[np.ndarray, " num_joints"]
+Settled = Float[np.ndarray, "num_settled num_joints"]
+
+
+def mean_commands(
+    t_cmd: Float[np.ndarray, " num_commands"],
+    q_cmd: Float[np.ndarray, "num_commands num_joints"],
+    edges: Float[np.ndarray, " num_edges"],
+    latency: PerJoint,
+) -> Float[np.ndarray, "num_steps num_joints"]:
+    """Mean of the held, delayed commands over every time step: it depends smoothly on the latency.
+
+    Times [s], commands [rad] and latency [s] are as in a recording and a `JointDynamics`; the edges are the
+    starts of the steps, and the end of the last [s].
+    """
+    end = max(float(edges[-1]), float(t_cmd[-1])) + 1.0
+    start = min(float(edges[0]) - float(latency.max()), float(t_cmd[0])) - 1.0
+    knots = np.concatenate(([start], t_cmd, [end]))
+    values = np.concatenate((q_cmd[:1], q_cmd))
+    area = np.cumsum(np.diff(knots)[:, None] * values, axis=0)
+    area = np.concatenate((np.zeros((1, values.shape[1])), area))
+    areas = [np.interp(edges - delay, knots, area[:, j]) for j, delay in enumerate(latency)]
+    return np.diff(np.stack(areas, axis=-1), axis=0) / np.diff(edges)[:, None]
+
+
+def step_commands(
+    t_cmd: Float[np.ndarray, " num_commands"],
+    q_cmd: Float[np.ndarray, "num_commands num_joints"],
+    edges: Float[np.ndarray, " num_edges"],
+    latency: PerJoint,
+) -> Float[np.ndarray, "num_steps 4 num_joints"]:
+    """What arrives in every time step: a command, and from some moment on the next one.
+
+    A servo at its torque limit does not answer to their mean, so that the moment must be known. Where several
+    commands of a step are no such pair, there is their mean only. Arguments as of `mean_commands`.
+
+    Returns:
+        Their mean [rad]; by how much the first and the last are beyond it [rad]; the share of the first.
+    """
+    mean = mean_commands(t_cmd, q_cmd, edges, latency)
+    sent = [held(t_cmd, q_cmd[:, j : j + 1], edges - delay) for j, delay in enumerate(latency)]
+    arrived = np.concatenate(sent, axis=1)
+    first, last = arrived[:-1] - mean, arrived[1:] - mean
+    jump = first - last
+    share = np.divide(-last, jump, out=np.full_like(mean, -1.0), where=jump != 0.0)
+    is_pair = (share >= 0.0) & (share <= 1.0)
+    columns = (mean, is_pair * first, is_pair * last, np.where(is_pair, share, 0.5))
+    return np.stack(columns, axis=1)
+
+
+def friction_torque(frictionloss: np.ndarray, joint_vel: np.ndarray) -> np.ndarray:
+    """Torque of dry friction [N·m] at some speeds [rad/s]: that of `envs/servo.py`, of NumPy arrays."""
+    return -frictionloss * np.tanh(joint_vel / FRICTION_SPEED)
+
+
+class Servos:
+    """The servos of all copies: those of `envs/servo.py` in the limit of short time steps.
+
+    MuJoCo's implicit damping acts on the speed at the end of a step, as if the armature were larger by
+    damping · dt / 2, which for the arm is as much as the armature itself. So half of it is implicit here,
+    which is the trapezoidal rule, and a servo that stays at its torque limit is a torque alone. What
+    is identified then hardly depends on the time step.
+    """
+
+    def __init__(
+        self,
+        simulation: BatchSimulation,
+        dynamics: Sequence[JointDynamics],
+        efforts: PerJoint,
+        link_inertia: PerJoint,
+        dt: float,
+    ) -> None:
+        """Give every copy of the simulation its dynamics.
+
+        Args:
+            simulation: The copies.
+            dynamics: Of each.
+            efforts: Largest torques [N·m].
+            link_inertia: What a joint moves beside its armature [kg·m²].
+            dt: Time step [s].
+        """
+        self._stiffness, self._damping, self._friction, armature = (
+            np.stack([getattr(each, name) for each in dynamics])
+            for name in ("stiffness", "damping", "frictionloss", "armature")
+        )
+        self._dt, self._half, self._inertia = dt, self._damping / 2, armature + link_inertia
+        self._limit = EFFORT_MARGIN * efforts
+        simulation.expand("dof_armature").numpy()[:] = armature
+        simulation.expand("actuator_gainprm").numpy()[:, :, 0] = self._stiffness
+        bias = simulation.expand("actuator_biasprm").numpy()
+        bias[:, :, 1] = -self._stiffness
+        self._bias = bias[:, :, 2]
+        self._ctrl, self._applied, self._qpos, self._qvel = (
+            simulation.bind(name).numpy() for name in ("ctrl", "qfrc_applied", "qpos", "qvel")
+        )
+
+    def drive(self, first: np.ndarray, last: np.ndarray, share: np.ndarray) -> None:
+        """Set what drives the joints in the next step, of which the first target [rad] holds in a share."""
+        resting = self._stiffness * self._qpos + self._damping * self._qvel
+        (before, time_before), (after, time_after) = (
+            self._limited(self._stiffness * target - resting) for target in (first, last)
+        )
+        is_at_limit = (np.minimum(time_before, time_after) >= self._dt) & (before * after > 0.0)
+        torque = np.where(is_at_limit, np.copysign(self._limit, after), after + share * (before - after))
+        implicit = np.where(is_at_limit, 0.0, self._half)
+        self._bias[:] = -implicit
+        self._ctrl[:] = self._qpos + (torque + implicit * self._qvel) / self._stiffness
+        self._applied[:] = friction_torque(self._friction, self._qvel)
+
+    def _limited(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean torque of a step in which an unlimited servo would begin with one, and the time at the limit.
+
+        There the joint accelerates at the limit until damping has brought the servo below it, and follows the
+        trapezoidal rule from then on. The result gives the same speed at the end of the step.
+        """
+        excess = np.maximum(np.abs(torque) - self._limit, 0.0)
+        at_limit = np.minimum(excess / (self._limit * self._damping) * self._inertia, self._dt)
+        rest = self._dt - at_limit
+        gain = at_limit / self._inertia + rest / (self._inertia + self._half * rest)
+        mean = self._limit * gain * (self._inertia / self._dt + self._half)
+        return np.where(excess > 0.0, np.copysign(mean, torque), torque), at_limit
+
+
+class Filters:
+    """The command filters of all copies; nothing where no joint has one."""
+
+    def __init__(
+        self,
+        dt: float,
+        start: Float[np.ndarray, "2 num_copies num_joints"],
+        dynamics: Sequence[JointDynamics],
+    ) -> None:
+        """Begin with positions and speeds of the joints."""
+        self._transition = torch.from_numpy(np.stack([filter_transition(each, dt) for each in dynamics]))
+        self._state = torch.from_numpy(np.moveaxis(start, 0, -1).copy())
+        self._is_there = any(each.has_filter.any() for each in dynamics)
+
+    def advance(self, command: np.ndarray) -> np.ndarray:
+        """What the servos aim at in a step with a command [rad]."""
+        if not self._is_there:
+            return command
+        self._state = filtered(self._transition, self._state, torch.from_numpy(command))
+        return self._state[..., 0].numpy()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Motion:
+    """A recording on the grid of physics steps."""
+
+    recording: Recording  # what was recorded
+    edges: Float[np.ndarray, " num_edges"]  # starts of the steps and the end of the last [s]
+    # position [rad] and speed [rad/s] of each joint at the first measurement
+    start: Float[np.ndarray, "2 num_joints"]
+    index: Int[np.ndarray, " num_settled"]  # for each measurement that is compared, the edge before it
+    weight: Float[np.ndarray, " num_settled"]  # and the share of the step after that edge
+
+    @classmethod
+    def of(cls, recording: Recording, dt: float) -> "_Motion":
+        """Put a recording on the grid.
+
+        Raises:
+            RecordingError: It is too short to compare anything.
+        """
+        time = recording.t_meas - recording.t_meas[0]
+        settled = time[is_settled(recording)]
+        if len(settled) < 10:
+            raise RecordingError(
+                f"{recording.name}: {time[-1]:.2f} s of measurements are too short; the first {SETTLING} s "
+                "are not compared: record at least 10 samples more."
+            )
+        edges = recording.t_meas[0] + dt * np.arange(int(np.ceil(time[-1] / dt)) + 1)
+        index = np.minimum((settled / dt).astype(int), len(edges) - 2)
+        start, is_first = np.stack((recording.q[0], np.zeros_like(recording.q[0]))), time <= START_WINDOW
+        if np.count_nonzero(is_first) >= 5:
+            start = np.polynomial.polynomial.polyfit(time[is_first], recording.q[is_first], 2)[:2]
+        weight = settled / dt - index
+        return cls(recording=recording, edges=edges, start=start, index=index, weight=weight)
+
+    def sample(self, path: Float[np.ndarray, "num_edges num_joints"]) -> Settled:
+        """Simulated positions at the measurement times."""
+        before, after = path[self.index], path[self.index + 1]
+        return before + self.weight[:, None] * (after - before)
+
+
+def is_settled(recording: Recording) -> Bool[np.ndarray, " num_samples"]:
+    """Which measurements are compared: all but those while errors of the start fade."""
+    return recording.t_meas - recording.t_meas[0] > SETTLING
+
+
+class RecordedMotion:
+    """Some recordings of the same joints, ready to be simulated under any dynamics."""
+
+    def __init__(self, recordings: Sequence[Recording], physics_dt: float = FIT_DT) -> None:
+        """Build the model of the recorded joints, which are the same in all, with a time step [s].
+
+        Raises:
+            RecordingError: There is none, one is too short, or they are of different joints.
+        """
+        if not recordings:
+            raise RecordingError("there is no recording to simulate; give at least one.")
+        self.robot, self.joints = recordings[0].robot, recordings[0].joints
+        for recording in recordings:
+            if recording.joints != self.joints:
+                raise RecordingError(
+                    f"{recording.name}: joints {recording.joints}, but {recordings[0].name} has "
+                    f"{self.joints}; give recordings of the same joints."
+                )
+        self._dt = physics_dt
+        self._efforts = np.array([self.robot.specs[name].effort_limit for name in self.joints])
+        self._motions = [_Motion.of(recording, physics_dt) for recording in recordings]
+        self._model = self.robot.recorded_model(self.joints, physics_dt)
+        data, inertia = mujoco.MjData(self._model), np.zeros((self._model.nv, self._model.nv))
+        data.qpos[:] = self._motions[0].start[0]
+        mujoco.mj_forward(self._model, data)
+        mujoco.mj_fullM(self._model, data, inertia)
+        self._link_inertia = np.diagonal(inertia) - self._model.dof_armature
+
+    @property
+    def measured(self) -> Settled:
+        """Measured positions that are compared, recording after recording [rad]."""
+        recordings = [motion.recording for motion in self._motions]
+        return np.concatenate([recording.q[is_settled(recording)] for recording in recordings])
+
+    def split(self, positions: Settled) -> list[np.ndarray]:
+        """Simulated positions, recording by recording."""
+        return np.split(positions, np.cumsum([len(motion.index) for motion in self._motions])[:-1])
+
+    def simulate(
+        self, candidates: Sequence[JointDynamics]
+    ) -> Float[np.ndarray, "num_candidates num_settled num_joints"]:
+        """Positions at the measurement times under each candidate [rad]."""
+        chunk = max(1, MAX_COPIES // len(self._motions))
+        parts = [self._simulate(candidates[i : i + chunk]) for i in range(0, len(candidates), chunk)]
+        return np.concatenate(parts)
+
+    def _simulate(self, candidates: Sequence[JointDynamics]) -> np.ndarray:
+        """One batch: a copy for every recording under every candidate, candidate after candidate."""
+        copies = [(candidate, motion) for candidate in candidates for motion in self._motions]
+        paths = self._roll_out(copies)
+        sampled = [motion.sample(paths[: len(motion.edges), i]) for i, (_, motion) in enumerate(copies)]
+        num = len(self._motions)
+        return np.stack([np.concatenate(sampled[i : i + num]) for i in range(0, len(sampled), num)])
+
+    def _roll_out(
+        self, copies: Sequence[tuple[JointDynamics, _Motion]]
+    ) -> Float[np.ndarray, "num_edges num_copies num_joints"]:
+        """Positions at every edge [rad]."""
+        num_threads = 0 if len(copies) >= THREADED_COPIES else 1
+        simulation = BatchSimulation(self._model, len(copies), num_threads)
+        candidates = [dynamics for dynamics, _ in copies]
+        servos = Servos(simulation, candidates, self._efforts, self._link_inertia, self._dt)
+        qpos, qvel = (simulation.bind(name).numpy() for name in ("qpos", "qvel"))
+        start = np.stack([motion.start for _, motion in copies], axis=1)
+        qpos[:], qvel[:] = start
+        path = Filters(self._dt, start, candidates)
+        commands, index = _commands(copies, self._dt)
+        paths = np.empty((len(commands) + 1, *qpos.shape))
+        paths[0] = qpos
+        for k, arriving in enumerate(commands):
+            mean, first, last, share = arriving.take(index, axis=1)
+            target = path.advance(mean)
+            servos.drive(target + first, target + last, share)
+            simulation.step()
+            paths[k + 1] = qpos
+        return paths
+
+
+def _commands(copies: Sequence[tuple[JointDynamics, _Motion]], dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Delayed commands, as `step_commands` has them; a short recording holds its last.
+
+    Returns:
+        The different ones, (num_steps, 4, num_different, num_joints), and which of them is each copy's.
+    """
+    known: dict[tuple[int, bytes, bytes], np.ndarray] = {}
+    keys = []
+    num_steps = max(len(motion.edges) for _, motion in copies) - 1
+    for dynamics, motion in copies:
+        lag = command_lag(dynamics, dt)
+        keys.append((id(motion), lag.tobytes(), dynamics.has_filter.tobytes()))
+        if keys[-1] not in known:
+            recording = motion.recording
+            values = step_commands(recording.t_cmd, recording.q_cmd, motion.edges, lag)
+            values[:, 1:3, dynamics.has_filter] = 0.0  # a filter turns jumps into slopes
+            known[keys[-1]] = np.pad(values, ((0, num_steps - len(values)), (0, 0), (0, 0)), mode="edge")
+    order = list(known)
+    return np.stack(list(known.values()), axis=2), np.array([order.index(key) for key in keys])
