@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pixel2catch.perception.appearance import Appearance
+from pixel2catch.perception.color import Appearance
 
 RED, GREY, DARK = (200, 40, 40), (120, 120, 120), (20, 20, 20)
 

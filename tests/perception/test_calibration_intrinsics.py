@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.calibration_intrinsics import (
+from pixel2catch.perception.calibration.intrinsics import (
     Intrinsics,
     intrinsics_of_images,
     intrinsics_of_views,
     read_intrinsics,
 )
-from pixel2catch.perception.calibration_target import Chessboard, HandBoard, View, read_image
+from pixel2catch.perception.calibration.target import Chessboard, HandBoard, View, read_image
 from pixel2catch.robot.constants import RGB_CAMERA
 
 YAML = """image_width: 640

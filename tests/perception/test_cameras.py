@@ -10,7 +10,7 @@ import pytest
 from filmed import HEIGHT, WIDTH, save_video, throw
 
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.cameras import CameraReader, is_camera, live_ticks, measure_camera, open_camera
+from pixel2catch.perception.sources import CameraReader, is_camera, live_ticks, measure_camera, open_camera
 from pixel2catch.robot.constants import CONTROL_DT
 
 
@@ -59,7 +59,7 @@ def test_steps_that_are_late_are_left_out(capture: cv2.VideoCapture):
 
 
 def test_a_camera_without_any_image_is_refused(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("pixel2catch.perception.cameras.FIRST_IMAGE_TIMEOUT", 0.05)
+    monkeypatch.setattr("pixel2catch.perception.sources.FIRST_IMAGE_TIMEOUT", 0.05)
     nothing = cv2.VideoCapture()
     with pytest.raises(PerceptionError, match=r"open but gave no image in 0\.05 s: plug it in again"):
         next(live_ticks(nothing, []))

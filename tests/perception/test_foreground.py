@@ -4,7 +4,7 @@ import numpy as np
 import painted
 from painted import NUM_EMPTY, Disc
 
-from pixel2catch.perception.foreground import Foreground, ForegroundCfg
+from pixel2catch.perception.background import Foreground, ForegroundCfg
 from pixel2catch.perception.segmenter import Mask
 
 ROBOT_COLOR = (20, 20, 20)

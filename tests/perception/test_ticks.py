@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pixel2catch.perception.finder import CameraFrame
-from pixel2catch.perception.ticks import LONGEST_PAUSE, on_control_clock
+from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.perception.sources import LONGEST_PAUSE, on_control_clock
 from pixel2catch.robot.constants import CONTROL_DT
 
 IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)

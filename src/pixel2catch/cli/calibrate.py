@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from pixel2catch.perception.calibration import Calibration, HandView
-    from pixel2catch.perception.calibration_comparison import Comparison
-    from pixel2catch.perception.calibration_intrinsics import Intrinsics
+    from pixel2catch.perception.calibration.comparison import Comparison
+    from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
+    from pixel2catch.perception.calibration.intrinsics import Intrinsics
 
 IMAGE_COLUMN = "image"
 """Column with the names of the images, relative to the folder of the table."""
@@ -68,7 +68,7 @@ class Calibrate:
         from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("perception"):
-            import pixel2catch.perception.calibration  # noqa: F401
+            import pixel2catch.perception.calibration.extrinsics  # noqa: F401
         if self.print_marker is not None:
             _print_board(self.print_marker)
         else:
@@ -79,8 +79,8 @@ class Calibrate:
         from pixel2catch.evaluation.study.throw_figure import sample_paths
         from pixel2catch.files import require_free_file
         from pixel2catch.mdp.throws import ThrowCfg
-        from pixel2catch.perception.calibration import calibrate, pose_matrix
-        from pixel2catch.perception.calibration_comparison import compare
+        from pixel2catch.perception.calibration.comparison import compare
+        from pixel2catch.perception.calibration.extrinsics import calibrate, pose_matrix
         from pixel2catch.robot.constants import RGB_CAMERA
 
         require_free_file(self.out)
@@ -101,8 +101,8 @@ class Calibrate:
             InvalidValueError: If it is not given, or is of images of another size than the policies'.
         """
         from pixel2catch.errors import InvalidValueError
-        from pixel2catch.perception.calibration_intrinsics import read_intrinsics
-        from pixel2catch.perception.calibration_target import Chessboard, HandBoard
+        from pixel2catch.perception.calibration.intrinsics import read_intrinsics
+        from pixel2catch.perception.calibration.target import Chessboard, HandBoard
         from pixel2catch.robot.constants import RGB_CAMERA
 
         if self.intrinsics is None or self.views is None:
@@ -122,22 +122,27 @@ class Calibrate:
 
     def _hand_views(self, intrinsics: "Intrinsics") -> "list[HandView]":
         """The corners in every image that shows the board."""
+        import torch
+
         from pixel2catch.cli.console import say
-        from pixel2catch.perception.calibration import HandView
-        from pixel2catch.perception.calibration_target import HandBoard, read_image
+        from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
+        from pixel2catch.perception.calibration.target import HandBoard, read_image
         from pixel2catch.perception.segmenter import check_image
+        from pixel2catch.robot.kinematics import palm_pose
 
         assert self.views is not None
         names, joint_pos = _read_views(self.views)
+        pos, quat = palm_pose(torch.from_numpy(joint_pos))
+        palms = [pose_matrix(*each) for each in zip(pos.tolist(), quat.tolist(), strict=True)]
         board, views, blank = HandBoard(self.square), [], []
-        for name, positions in zip(names, joint_pos, strict=True):
+        for name, palm in zip(names, palms, strict=True):
             image = read_image(self.views.parent / name)
             check_image(image, *intrinsics.size)
             view = board.find(image)
             if view is None:
                 blank.append(name)
             else:
-                views.append(HandView(name=name, view=view, joint_pos=positions))
+                views.append(HandView(name=name, view=view, palm=palm))
         if blank:
             say(f"no board found in {len(blank)} of {len(names)} images: {', '.join(blank)}")
         return views
@@ -150,7 +155,7 @@ def _print_board(path: Path) -> None:
     from pixel2catch.cli.console import say
     from pixel2catch.errors import InvalidValueError
     from pixel2catch.files import require_free_file, write_atomically
-    from pixel2catch.perception.calibration_target import sheet
+    from pixel2catch.perception.calibration.target import sheet
 
     kind = path.suffix.lower().lstrip(".")
     if kind not in ("png", "pdf"):
@@ -220,7 +225,7 @@ def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Com
     """The result in words."""
     from math import degrees
 
-    from pixel2catch.perception.calibration_comparison import advice
+    from pixel2catch.perception.calibration.comparison import advice
 
     x, y, z = result.file.camera.pos
     dx, dy, dz = (100 * std for std in result.file.pos_std)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.cli.sight import Sight
+from pixel2catch.perception.factory import JOINT_NAMES, PerceptionArgs, make_robot_mask
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -43,7 +43,7 @@ class Track:
         topic: Topic of the images in a rosbag. Default: the only one.
         joint_states: Topic of the joint states in a rosbag, for --mask-robot.
         mask_robot: Ignore motion where the robot is; the rosbag must have the states of all joints.
-        sight: What looks for the object.
+        perception: What looks for the object.
         json: Print the summary as one JSON object.
     """
 
@@ -54,7 +54,7 @@ class Track:
     topic: str | None = None
     joint_states: str = "/joint_states"
     mask_robot: bool = False
-    sight: Sight = field(default_factory=Sight)
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
     json: bool = False
 
     def run(self) -> None:
@@ -67,7 +67,7 @@ class Track:
         from pixel2catch.files import require_free_folder
 
         require_free_folder(self.out)
-        self.sight.prepare()
+        self.perception.prepare()
         notes: list[str] = []
         tally = Tally()
         self._record(tally, notes)
@@ -78,7 +78,7 @@ class Track:
             )
         summary = {
             "source": self.source,
-            "segmenter": self.sight.segmenter,
+            "segmenter": self.perception.segmenter,
             **tally.summary(),
             "notes": notes,
         }
@@ -95,9 +95,11 @@ class Track:
         from pixel2catch.perception.sources import SourceCfg, ticks_of
         from pixel2catch.perception.tracking import follow
 
-        camera = self.sight.camera_spec(notes)
+        camera = self.perception.camera_spec(notes)
         extractor = self._extractor(camera)
-        source = SourceCfg(name=self.source, topic=self.topic, joint_states=self.joint_states)
+        source = SourceCfg(
+            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=JOINT_NAMES
+        )
         with closing(ticks_of(source, notes)) as ticks:
             sightings = follow(ticks, extractor, self.at)
             first = next(sightings, None)
@@ -148,12 +150,11 @@ class Track:
     def _extractor(self, camera: "CameraSpec") -> "PixelFeatureExtractor":
         """What finds the object and makes features of it."""
         from pixel2catch.perception.extractor import PixelFeatureExtractor
-        from pixel2catch.perception.robot_mask import RobotMask
-        from pixel2catch.perception.tracking import LaterPrompter
+        from pixel2catch.perception.prompt import LaterPrompter
 
-        prompter = LaterPrompter(self.sight.make_prompter(camera))
-        robot = RobotMask(camera) if self.mask_robot else None
-        return PixelFeatureExtractor(self.sight.make_segmenter(), prompter, robot=robot, camera=camera)
+        prompter = LaterPrompter(self.perception.make_prompter(camera))
+        robot = make_robot_mask(camera) if self.mask_robot else None
+        return PixelFeatureExtractor(self.perception.make_segmenter(), prompter, robot=robot, camera=camera)
 
 
 def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> None:

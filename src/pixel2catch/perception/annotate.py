@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 
 from pixel2catch.camera.features import PIXEL_FEATURES
 from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.perception.tracking import Sighting
 from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec

@@ -7,13 +7,16 @@ from itertools import product
 import cv2
 import numpy as np
 
-from pixel2catch.perception.blobs import Blob, FollowCfg, find_blobs, is_plausible
+from pixel2catch.perception.background import Foreground, ForegroundCfg
 from pixel2catch.perception.color import ColorRange
-from pixel2catch.perception.foreground import GAP, Foreground, ForegroundCfg
+from pixel2catch.perception.image_track import GAP, Blob, FollowCfg, find_blobs, is_plausible
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt
 
 Region = tuple[float, float, float, float]
 """xmin, ymin, xmax, ymax [px]."""
+
+LARGEST_GROWTH = 2.5
+"""How many times larger a flying thing may be in one of three images than in another. Source: ours."""
 
 
 class Prompter(ABC):
@@ -72,6 +75,24 @@ class FirstPrompter(Prompter):
             prompter.reset()
 
 
+class LaterPrompter(Prompter):
+    """Another one, that says nothing before the first throw begins with a reset; it may learn until then."""
+
+    def __init__(self, prompter: Prompter) -> None:
+        """Silence this one."""
+        self._prompter, self._has_begun = prompter, False
+
+    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
+        """See `Prompter.look`."""
+        prompt = self._prompter.look(image, ignored)
+        return prompt if self._has_begun else None
+
+    def reset(self) -> None:
+        """See `Prompter.reset`."""
+        self._prompter.reset()
+        self._has_begun = True
+
+
 class ColorPrompter(Prompter):
     """The largest thing of a colour, in a region of interest."""
 
@@ -118,10 +139,6 @@ class FlightCfg:
         continued = (2 * before.center[0] - oldest.center[0], 2 * before.center[1] - oldest.center[1])
         areas = (now.area, before.area, oldest.area)
         return now.distance(continued) <= self.largest_change and max(areas) <= LARGEST_GROWTH * min(areas)
-
-
-LARGEST_GROWTH = 2.5
-"""How many times larger a flying thing may be in one of three images than in another. Source: ours."""
 
 
 class MotionPrompter(Prompter):

@@ -1,27 +1,37 @@
-"""Where the camera stands: from images of a board in the hand at several joint positions.
+"""Where the camera stands: from images of a board in the hand at several poses of the palm.
 
-With the palm's pose A from the arm's joints, a corner c of the board is at A Y c in the world, Y being the
+With the palm's pose A from the robot's joints, a corner c of the board is at A Y c in the world, Y being the
 board's pose in the hand, and the camera with the pose X sees it at X⁻¹ A Y c. X and Y are chosen for the
 smallest distances between seen and computed pixels, of all corners in all images at once. The camera stands
-where the policies look for it: in the world frame, as the arm's kinematics has it.
+where the policies look for it: in the world frame, as the robot's kinematics has it.
+
+The first guess is in closed form (A X = Z B of robotics): with B the board in the camera, A Y = X B in every
+image. Some wrong images do not disturb it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
-import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.calibration_intrinsics import Intrinsics
-from pixel2catch.perception.calibration_start import find_start, image_points
-from pixel2catch.perception.calibration_target import View
+from pixel2catch.perception.calibration.intrinsics import Intrinsics
+from pixel2catch.perception.calibration.target import View
 from pixel2catch.robot.constants import CameraSpec
-from pixel2catch.robot.kinematics import palm_pose
+
+Pose = Float[np.ndarray, "4 4"]
+"""A homogeneous matrix [m]."""
+
+NUM_DRAWS = 40
+"""First guesses from a few images each: where a third of the images is wrong, 12 are from right ones only."""
+
+LEAST_DEPTH = 1e-3
+"""A point nearer to the camera's plane, or behind it, is taken to be there [m]."""
 
 MIN_VIEWS = 6
 """Images that a pose takes. Source: ours; three would do without errors."""
@@ -54,12 +64,12 @@ class HandView:
     Attributes:
         name: Name of the image, for messages.
         view: The corners in it.
-        joint_pos: Positions of the arm's joints [rad].
+        palm: Pose of the hand's frame at the palm in the world, by the robot's joints.
     """
 
     name: str
     view: View
-    joint_pos: Float[np.ndarray, "6"]
+    palm: Pose
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,51 +93,53 @@ class Calibration:
 
     Attributes:
         file: The camera, and how well it is known.
-        board: Pose of the board in the hand's frame at the palm, as a homogeneous matrix [m].
+        board: Pose of the board in the hand's frame at the palm.
         views: The error of each image.
         rms: Root mean square distance of seen and computed corners in the images used [px].
     """
 
     file: CameraFile
-    board: Float[np.ndarray, "4 4"]
+    board: Pose
     views: tuple[ViewError, ...]
     rms: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Corners:
-    """All corners of some images in one array.
+    """The corners of some images in one array.
 
     Attributes:
         points: In the frame of the board [m].
-        palms: Pose of the palm in the world, of each corner's image.
         pixels: Where a pinhole would see them [px].
-        matrix: Focal lengths and optical axis [px].
         owner: Number of each corner's image.
+        palms: Pose of the palm in the world in every image.
+        matrix: Focal lengths and optical axis [px].
     """
 
     points: Float[np.ndarray, "num_points 3"]
-    palms: Float[np.ndarray, "num_points 4 4"]
     pixels: Float[np.ndarray, "num_points 2"]
+    owner: Int[np.ndarray, " num_points"]
+    palms: Float[np.ndarray, "num_views 4 4"]
     matrix: Float[np.ndarray, "3 3"]
-    owner: np.ndarray
 
     def of(self, is_meant: np.ndarray) -> "_Corners":
         """The corners of some of the images."""
         rows = is_meant[self.owner]
-        return _Corners(
-            points=self.points[rows],
-            palms=self.palms[rows],
-            pixels=self.pixels[rows],
-            matrix=self.matrix,
-            owner=self.owner[rows],
-        )
+        return replace(self, points=self.points[rows], pixels=self.pixels[rows], owner=self.owner[rows])
 
-    def errors(self, camera: np.ndarray, board: np.ndarray) -> Float[np.ndarray, "num_points 2"]:
+    def errors(self, camera: Pose, board: Pose) -> Float[np.ndarray, "num_points 2"]:
         """Computed minus seen pixels [px]."""
+        palms = self.palms[self.owner]
         in_hand = self.points @ board[:3, :3].T + board[:3, 3]
-        in_world = np.einsum("nij,nj->ni", self.palms[:, :3, :3], in_hand) + self.palms[:, :3, 3]
-        return image_points(camera, self.matrix, in_world) - self.pixels
+        in_world = np.einsum("nij,nj->ni", palms[:, :3, :3], in_hand) + palms[:, :3, 3]
+        seen = (in_world - camera[:3, 3]) @ camera[:3, :3]
+        rays = seen[:, :2] / np.maximum(seen[:, 2:], LEAST_DEPTH)
+        return rays * self.matrix.diagonal()[:2] + self.matrix[:2, 2] - self.pixels
+
+    def rms(self, camera: Pose, board: Pose) -> Float[np.ndarray, " num_views"]:
+        """Root mean square distance of seen and computed corners in each image [px]."""
+        squares = np.bincount(self.owner, (self.errors(camera, board) ** 2).sum(-1))
+        return np.sqrt(squares / np.bincount(self.owner))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,41 +153,40 @@ class _Fit:
         jacobian: Their derivatives by position and turn of the camera, and then of the board if it was free.
     """
 
-    camera: np.ndarray
-    board: np.ndarray
+    camera: Pose
+    board: Pose
     errors: Float[np.ndarray, "num_points 2"]
     jacobian: Float[np.ndarray, "rows parameters"]
 
 
-def calibrate(
-    views: Sequence[HandView], intrinsics: Intrinsics, board: Float[np.ndarray, "4 4"] | None = None
-) -> Calibration:
+def calibrate(views: Sequence[HandView], intrinsics: Intrinsics, board: Pose | None = None) -> Calibration:
     """Find the camera.
 
     Args:
         views: Images of the board in the hand.
         intrinsics: The lens.
-        board: Pose of the board in the hand's frame at the palm [m], if it is known.
+        board: Pose of the board in the hand's frame at the palm, if it is known.
 
     Raises:
         PerceptionError: If images are too few, contradict each other, or do not tell the pose.
     """
     _require_enough(len(views), "images show the board in the hand")
-    corners = _gathered(views, intrinsics)
-    palms = [corners.palms[corners.owner == i][0] for i in range(len(views))]
-    seen = [
-        (corners.points[corners.owner == i], corners.pixels[corners.owner == i]) for i in range(len(views))
-    ]
-    camera, start = find_start(palms, seen, intrinsics.matrix, board)
-    rough = _fit(corners, camera, start, is_board_free=board is None, loss="cauchy")
-    is_used = _is_plausible(_view_rms(rough.errors, corners.owner, len(views)))
+    corners = _Corners(
+        points=np.concatenate([view.view.points for view in views]),
+        pixels=intrinsics.undistorted(np.concatenate([view.view.pixels for view in views])),
+        owner=np.repeat(np.arange(len(views)), [len(view.view.points) for view in views]),
+        palms=np.stack([view.palm for view in views]),
+        matrix=intrinsics.matrix,
+    )
+    rough = _fit(corners, *_first_guess(corners, board), is_board_free=board is None, loss="cauchy")
+    rms = corners.rms(rough.camera, rough.board)
+    is_used = rms <= np.clip(OUTLIER_FACTOR * np.median(rms), ERRORS_USED, ERRORS_WRONG)
     _require_enough(
         int(is_used.sum()), "images agree with each other (are the rows of the table those of the images?)"
     )
     used = corners.of(is_used)
     fit = _fit(used, rough.camera, rough.board, is_board_free=board is None, loss="linear")
-    rms = _view_rms(corners.errors(fit.camera, fit.board), corners.owner, len(views))
-    errors = zip(views, rms, is_used, strict=True)
+    errors = zip(views, corners.rms(fit.camera, fit.board), is_used, strict=True)
     return Calibration(
         file=_camera_file(fit.camera, _covariance(fit, used.owner), intrinsics),
         board=fit.board,
@@ -184,12 +195,20 @@ def calibrate(
     )
 
 
-def pose_matrix(pos: Sequence[float], quat: Sequence[float]) -> Float[np.ndarray, "4 4"]:
-    """Homogeneous matrix of a position [m] and an orientation (w, x, y, z), a unit quaternion."""
+def pose_matrix(pos: Sequence[float], quat: Sequence[float]) -> Pose:
+    """Homogeneous matrix of a position [m] and an orientation (w, x, y, z), a unit quaternion.
+
+    Raises:
+        InvalidValueError: If it is none.
+    """
     if abs(np.linalg.norm(quat) - 1.0) > 1e-3:
         raise InvalidValueError(f"{tuple(quat)} is no unit quaternion (w, x, y, z); divide it by its norm.")
+    return _pose(Rotation.from_quat(quat, scalar_first=True).as_matrix(), np.array(pos))
+
+
+def _pose(rotation: np.ndarray, pos: np.ndarray) -> Pose:
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = Rotation.from_quat(quat, scalar_first=True).as_matrix(), pos
+    pose[:3, :3], pose[:3, 3] = rotation, pos
     return pose
 
 
@@ -201,23 +220,64 @@ def _require_enough(number: int, what: str) -> None:
         )
 
 
-def _gathered(views: Sequence[HandView], intrinsics: Intrinsics) -> _Corners:
-    """All corners, seen without the lens's distortion."""
-    pos, quat = palm_pose(torch.from_numpy(np.stack([view.joint_pos for view in views])).double())
-    palms = np.tile(np.eye(4), (len(views), 1, 1))
-    palms[:, :3, :3] = Rotation.from_quat(quat.numpy(), scalar_first=True).as_matrix()
-    palms[:, :3, 3] = pos.numpy()
-    owner = np.repeat(np.arange(len(views)), [len(view.view.points) for view in views])
-    return _Corners(
-        points=np.concatenate([view.view.points for view in views]),
-        palms=palms[owner],
-        pixels=intrinsics.undistorted(np.concatenate([view.view.pixels for view in views])),
-        matrix=intrinsics.matrix,
-        owner=owner,
-    )
+def _first_guess(corners: _Corners, board: Pose | None) -> tuple[Pose, Pose]:
+    """Poses of the camera in the world and of the board in the hand.
+
+    Of guesses from three images each, or from one if the board's pose is known, the one with the smallest
+    median error over all images.
+    """
+    boards: dict[int, Pose] = {}
+    for i in range(len(corners.palms)):
+        rows = corners.owner == i
+        pose = _board_in_camera(corners.points[rows], corners.pixels[rows], corners.matrix)
+        if pose is not None:
+            boards[i] = pose
+    num_drawn = 3 if board is None else 1
+    if len(boards) < num_drawn:
+        raise PerceptionError("no image tells where the board is: take images nearer and sharper.")
+    rng = np.random.default_rng(0)
+    guesses = []
+    for _ in range(NUM_DRAWS):
+        few = rng.choice(list(boards), num_drawn, replace=False)
+        guess = _solve([corners.palms[i] for i in few], [boards[i] for i in few], board)
+        guesses.append((float(np.median(corners.rms(*guess))), guess))
+    return min(guesses, key=lambda guess: guess[0])[1]
 
 
-def _fit(corners: _Corners, camera: np.ndarray, board: np.ndarray, *, is_board_free: bool, loss: str) -> _Fit:
+def _board_in_camera(points: np.ndarray, pixels: np.ndarray, matrix: np.ndarray) -> Pose | None:
+    """Pose of a plane from its corners, None if they do not tell it."""
+    is_found, turn, pos = cv2.solvePnP(points, pixels[:, None], matrix, np.zeros(4), flags=cv2.SOLVEPNP_IPPE)
+    return _pose(cv2.Rodrigues(turn)[0], pos.ravel()) if is_found else None
+
+
+def _solve(palms: Sequence[Pose], boards: Sequence[Pose], board: Pose | None) -> tuple[Pose, Pose]:
+    """Camera X and board Y from some images: A Y = X B, first the rotations, then the positions.
+
+    The rotations are the singular vector of the smallest singular value of (1 ⊗ A) vec Y - (Bᵀ ⊗ 1) vec X,
+    which is zero for exact ones. OpenCV 5.0 has no binding of its `calibrateRobotWorldHandEye`.
+    """
+    if board is not None:
+        return palms[0] @ board @ np.linalg.inv(boards[0]), board
+    one = np.eye(3)
+    rows = [
+        np.hstack((np.kron(one, palm[:3, :3]), -np.kron(seen[:3, :3].T, one)))
+        for palm, seen in zip(palms, boards, strict=True)
+    ]
+    vector = np.linalg.svd(np.vstack(rows))[2][-1]
+    in_hand, camera = (_rotation(half.reshape(3, 3, order="F")) for half in np.split(vector, 2))
+    sides = [np.hstack((one, -palm[:3, :3])) for palm in palms]
+    values = [palm[:3, 3] - camera @ seen[:3, 3] for palm, seen in zip(palms, boards, strict=True)]
+    places = np.linalg.lstsq(np.vstack(sides), np.concatenate(values))[0]
+    return _pose(camera, places[:3]), _pose(in_hand, places[3:])
+
+
+def _rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a multiple of a matrix."""
+    left, _, right = np.linalg.svd(np.sign(np.linalg.det(matrix)) * matrix)
+    return left @ right
+
+
+def _fit(corners: _Corners, camera: Pose, board: Pose, *, is_board_free: bool, loss: str) -> _Fit:
     """Minimise the errors, from poses that are about right."""
 
     def errors(step: np.ndarray) -> np.ndarray:
@@ -233,25 +293,11 @@ def _fit(corners: _Corners, camera: np.ndarray, board: np.ndarray, *, is_board_f
     )
 
 
-def _moved(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
+def _moved(pose: Pose, step: np.ndarray) -> Pose:
     """A pose moved [m] and turned about its own origin [rad], along the axes it is given in; none stays."""
     if not len(step):
         return pose
-    moved = np.eye(4)
-    moved[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ pose[:3, :3]
-    moved[:3, 3] = pose[:3, 3] + step[:3]
-    return moved
-
-
-def _view_rms(errors: np.ndarray, owner: np.ndarray, num_views: int) -> np.ndarray:
-    """Root mean square distance in each image [px]."""
-    squares = np.bincount(owner, (errors**2).sum(-1), minlength=num_views)
-    return np.sqrt(squares / np.bincount(owner, minlength=num_views))
-
-
-def _is_plausible(rms: np.ndarray) -> np.ndarray:
-    """Which images to use."""
-    return rms <= np.clip(OUTLIER_FACTOR * np.median(rms), ERRORS_USED, ERRORS_WRONG)
+    return _pose(Rotation.from_rotvec(step[3:]).as_matrix() @ pose[:3, :3], pose[:3, 3] + step[:3])
 
 
 def _covariance(fit: _Fit, owner: np.ndarray) -> np.ndarray:

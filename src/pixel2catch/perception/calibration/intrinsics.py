@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.calibration_target import Board, View, read_image
+from pixel2catch.perception.calibration.target import Board, View, read_image
+from pixel2catch.perception.rosbag_images import first_camera_info
 from pixel2catch.robot.constants import PIXEL_CENTER
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
@@ -189,13 +190,7 @@ def _yaml_numbers(path: Path) -> _Numbers:
 
 
 def _bag_numbers(path: Path, topic: str | None) -> _Numbers:
-    """Read the first CameraInfo of a bag; only here the optional library is needed."""
-    try:
-        from pixel2catch.perception.calibration_rosbag import first_camera_info
-    except ModuleNotFoundError as error:
-        raise PerceptionError(
-            f"{path}: reading bags needs {error.name}; pip install 'pixel2catch[perception]'."
-        ) from None
+    """Read the first CameraInfo of a bag."""
     message = first_camera_info(path, topic)
     return _Numbers(
         size=(int(message.width), int(message.height)),

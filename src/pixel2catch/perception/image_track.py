@@ -1,4 +1,4 @@
-"""Connected regions of a mask, and the choice of the one that continues a motion."""
+"""Connected regions of a mask, and the track that says which of them continues the object's motion."""
 
 from dataclasses import dataclass, replace
 from math import hypot
@@ -11,6 +11,12 @@ from pixel2catch.perception.segmenter import NOT_FOUND, Mask, Segmentation
 
 NUM_NEIGHBORS = 8
 """Pixels that touch at a corner belong together."""
+
+SPECK = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+"""What is smaller than this cross is noise [px]."""
+
+GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+"""Pieces of one thing that are no further apart than this belong together [px]."""
 
 LONGEST_STEP = 20.0
 """How far another thing moves between two images, at most, to be known again [px]. Source: ours."""
@@ -109,8 +115,13 @@ class FollowCfg:
     largest_side: int = 100
 
 
+def is_plausible(blob: Blob, cfg: FollowCfg) -> bool:
+    """Return whether a region has the size of an object."""
+    return blob.area >= cfg.least_area and max(blob.width, blob.height) <= cfg.largest_side
+
+
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class ImageTrack:
     """Where the object was last, and how it moved: constant velocity in the image.
 
     Attributes:
@@ -131,15 +142,28 @@ class Course:
         steps = min(self.num_missed + 1, LONGEST_COAST)
         return self.center[0] + steps * self.velocity[0], self.center[1] + steps * self.velocity[1]
 
-    def missed(self) -> "Course":
-        """The course after an image without the object."""
+    def missed(self) -> "ImageTrack":
+        """The track after an image without the object."""
         return replace(self, num_missed=self.num_missed + 1)
 
-    def seen(self, center: tuple[float, float]) -> "Course":
-        """The course after an image with the object [px]."""
+    def seen(self, center: tuple[float, float]) -> "ImageTrack":
+        """The track after an image with the object [px]."""
         steps = self.num_missed + 1
         velocity = (center[0] - self.center[0]) / steps, (center[1] - self.center[1]) / steps
-        return Course(center=center, velocity=velocity)
+        return ImageTrack(center=center, velocity=velocity)
+
+    def advanced(self, found: Blobs, blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
+        """The track after the next image, in which the object is this region of those found, and its mask.
+
+        The score is the region's share of its box.
+        """
+        others = tuple(each.center for each in found.blobs if each is not blob)
+        if blob is None:
+            return replace(self.missed(), others=others), NOT_FOUND
+        score = blob.area / (blob.width * blob.height)
+        return replace(self.seen(blob.center), others=others), Segmentation(
+            mask=found.mask(blob), score=score
+        )
 
     def reach(self, cfg: FollowCfg) -> float:
         """How far from the way to there it may be [px]."""
@@ -163,18 +187,6 @@ class Course:
         share = min(max((du * (point[0] - u) + dv * (point[1] - v)) / length, 0.0), 1.0)
         return hypot(point[0] - u - share * du, point[1] - v - share * dv)
 
-    def advanced(self, found: Blobs, blob: Blob | None) -> tuple["Course", Segmentation]:
-        """The course after the next image, in which the object is this region of those found, and its mask.
-
-        The score is the region's share of its box.
-        """
-        others = tuple(each.center for each in found.blobs if each is not blob)
-        if blob is None:
-            return replace(self.missed(), others=others), NOT_FOUND
-        score = blob.area / (blob.width * blob.height)
-        segmentation = Segmentation(mask=found.mask(blob), score=score)
-        return replace(self.seen(blob.center), others=others), segmentation
-
     def _is_other(self, blob: Blob) -> bool:
         """Whether a region continues another thing rather than the object, which is expected elsewhere."""
         away = blob.distance(self.expected)
@@ -182,8 +194,3 @@ class Course:
         if abs(u - end_u) <= 0.5 * blob.width and abs(v - end_v) <= 0.5 * blob.height:
             return False
         return any(blob.distance(other) < min(away, LONGEST_STEP) for other in self.others)
-
-
-def is_plausible(blob: Blob, cfg: FollowCfg) -> bool:
-    """Return whether a region has the size of an object."""
-    return blob.area >= cfg.least_area and max(blob.width, blob.height) <= cfg.largest_side
