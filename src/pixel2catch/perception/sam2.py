@@ -9,18 +9,19 @@ download. The network is never used.
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812
 from jaxtyping import Bool, Float
 from safetensors import SafetensorError
-from torch import Tensor
+from torch import Tensor, nn
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.sam2_graphs import SpeedCfg, accelerate
+from pixel2catch.perception.sam2_graphs import CapturedFunction
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     Image,
@@ -42,11 +43,13 @@ STRIDES = (4, 8, 16)
 SIZE_STEP = 32
 """The side of the model's image is a multiple of this [px]. Source: cells of its coarsest feature map."""
 
-MEAN = (0.485, 0.456, 0.406)
-"""Mean of red, green, blue over ImageNet, of 1. Source: the model's training."""
+Module = Literal["vision_encoder", "memory_attention", "mask_decoder", "memory_encoder"]
+"""A part of the model that takes tensors and returns tensors, and never asks for a value on the host."""
 
-DEVIATION = (0.229, 0.224, 0.225)
-"""Standard deviation of red, green, blue over ImageNet, of 1. Source: the model's training."""
+MODULES: tuple[Module, ...] = ("vision_encoder", "memory_attention", "mask_decoder", "memory_encoder")
+
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Mean and standard deviation of red, green, blue over ImageNet, of 1. Source: the model's training."""
 
 WARM_UP_FRAMES = 24
 """Images tracked before the first of a camera on CUDA. The memory grows for 16, and each size is a recording.
@@ -59,23 +62,18 @@ BOX_LABELS, POINT_LABELS = (2, 3), (1,)
 """What the points of a prompt are: two corners; a point on the object. Source: the model's prompt encoder."""
 
 
-def _import_advice(error: Exception) -> str:
-    """Say what is wrong with the installation."""
+def _import_advice(error: BaseException) -> str:
     if isinstance(error, ModuleNotFoundError) and error.name in ("huggingface_hub", "transformers"):
         return (
             "SAM 2 needs the package transformers, which is not installed: pip install 'pixel2catch[sam2]'."
         )
+    while cause := error.__cause__ or error.__context__:  # transformers wraps it
+        error = cause
     return (
-        f"SAM 2 cannot be imported from transformers: {_root_cause(error)}. If that is about torchvision, "
-        f"it does not match PyTorch {torch.__version__}; it is not needed: pip uninstall torchvision, or "
+        f"SAM 2 cannot be imported from transformers: {error}. If that is about torchvision, it "
+        f"does not match PyTorch {torch.__version__}; it is not needed: pip uninstall torchvision, or "
         "install the version made for this PyTorch. If not: pip install --upgrade 'pixel2catch[sam2]'."
     )
-
-
-def _root_cause(error: BaseException) -> BaseException:
-    """Return what the error began with; transformers wraps it."""
-    cause = error.__cause__ or error.__context__
-    return error if cause is None else _root_cause(cause)
 
 
 try:
@@ -94,7 +92,11 @@ class Sam2Segmenter(Segmenter):
     """
 
     def __init__(
-        self, folder: Path, device: str, image_size: int | None = None, speed: SpeedCfg | None = None
+        self,
+        folder: Path,
+        device: str,
+        image_size: int | None = None,
+        captured: Sequence[Module] = MODULES,
     ) -> None:
         """Load a checkpoint; on a CUDA device also track blank images, so that the first real one is fast.
 
@@ -103,7 +105,7 @@ class Sam2Segmenter(Segmenter):
             device: "cpu" (float32), "cuda" or "cuda:N" (bfloat16).
             image_size: Side of the square that the model sees [px], a multiple of 32; None for the
                 checkpoint's 1024. Half of it is a quarter of the work, and masks are half as fine.
-            speed: What to make faster on a CUDA device; None for the default.
+            captured: What runs as CUDA graphs on a CUDA device.
 
         Raises:
             DeviceUnavailableError: If CUDA is asked for and absent.
@@ -123,7 +125,7 @@ class Sam2Segmenter(Segmenter):
         self._session: Sam2VideoInferenceSession | None = None
         self._frame_idx = 0
         if is_cuda:
-            accelerate(self._model, speed or SpeedCfg())
+            capture(self._model, captured)
             self._warm_up()
 
     @property
@@ -197,7 +199,6 @@ class Sam2Segmenter(Segmenter):
                 del kind[self._frame_idx]["high_res_masks"], kind[self._frame_idx]["pred_masks"]
 
     def _check(self, image: Image) -> None:
-        """Refuse images that are none, or of another size than the first."""
         is_first = self._upload.numel() == 0
         height, width = (image if is_first else self._upload).shape[:2]
         check_image(image, width, height)
@@ -217,6 +218,22 @@ class Sam2Segmenter(Segmenter):
         self._upload = torch.empty((0, 0, 3), dtype=torch.uint8)
 
 
+def capture(model: nn.Module, modules: Sequence[Module]) -> None:
+    """Let parts of the model run as CUDA graphs, which compute the same.
+
+    The model runs a thousand small kernels for an image; on a data-centre GPU the time goes into launching
+    them.
+
+    Args:
+        model: SAM 2 on a CUDA device, in evaluation mode.
+        modules: Which parts.
+    """
+    pool = torch.cuda.graph_pool_handle()
+    for name in modules:
+        module = getattr(model, name)
+        module.forward = CapturedFunction(module.forward, pool)
+
+
 def mask_of_logits(
     logits: Float[Tensor, "1 1 rows columns"], height: int, width: int
 ) -> Bool[Tensor, "height width"]:
@@ -225,7 +242,7 @@ def mask_of_logits(
 
 
 def _points(prompt: Prompt) -> tuple[Float[Tensor, "1 1 num_points 2"], Tensor]:
-    """Return a prompt's points [px] and what they are."""
+    """A prompt's points [px] and what they are."""
     if isinstance(prompt, BoxPrompt):
         points, labels = (prompt.box[:2], prompt.box[2:]), BOX_LABELS
     else:
@@ -275,7 +292,6 @@ def load_sam2(
 
 
 def _require_files(folder: Path) -> None:
-    """Raise if this is no folder with a SAM 2 video model."""
     config = folder / "config.json"
     if not config.is_file():
         raise PerceptionError(f"there is no SAM 2 checkpoint in {folder}. {_download_advice(folder)}")
@@ -293,7 +309,6 @@ def _require_files(folder: Path) -> None:
 
 
 def _download_advice(folder: Path) -> str:
-    """Say how to get the checkpoint."""
     return f"On a machine with a network: hf download {MODEL_ID} --local-dir {folder}"
 
 
