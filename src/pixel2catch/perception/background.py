@@ -1,13 +1,12 @@
 """The object by its motion and its colours: what differs from a learned background where it should be."""
 
-from dataclasses import dataclass
 from math import inf, isinf
 
 import cv2
 import numpy as np
 
 from pixel2catch.perception.color import Appearance
-from pixel2catch.perception.image_track import GAP, SPECK, Blob, Blobs, FollowCfg, ImageTrack, find_blobs
+from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack, find_blobs
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
@@ -20,6 +19,16 @@ from pixel2catch.perception.segmenter import (
 
 FOREGROUND = 255
 """What OpenCV calls the foreground; shadows are 127."""
+
+MEMORY = 300
+"""Images that the background is made of. Source: ours: 10 s at 30 Hz."""
+
+THRESHOLD = 16.0
+"""Squared distance of a pixel from the background, in variances, from which it differs. Source: OpenCV."""
+
+LEARNING_IMAGES = 30
+"""Images that a pixel must have been seen in without the robot before its changes mean anything: a tenth of
+the memory, after which OpenCV takes something new for background."""
 
 INNER = 0.8
 """Share of the width and height of a prompted box in which the object's colours are learned. Source: ours."""
@@ -38,23 +47,6 @@ THINNING = 2
 """Of what is ignored, every second pixel of every second row is learned."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ForegroundCfg:
-    """How the background is learned.
-
-    Attributes:
-        memory: Images that the background is made of. Source: ours: 10 s at 30 Hz.
-        threshold: Squared distance of a pixel from the background, in variances, from which it differs.
-            Source: OpenCV, its default.
-        learning_images: Images that a pixel must have been seen in without the robot before its changes mean
-            anything: a tenth of the memory, after which OpenCV takes something new for background.
-    """
-
-    memory: int = 300
-    threshold: float = 16.0
-    learning_images: int = 30
-
-
 class Foreground:
     """Which pixels differ from the background, in a stream of images.
 
@@ -62,19 +54,15 @@ class Foreground:
     background, and neither is what it uncovers taken for an object.
     """
 
-    def __init__(self, cfg: ForegroundCfg) -> None:
-        """Know no background."""
-        self._cfg = cfg
-        self._model = cv2.createBackgroundSubtractorMOG2(cfg.memory, cfg.threshold, detectShadows=True)
+    def __init__(self, learning_images: int = LEARNING_IMAGES) -> None:
+        """Know no background, and say nothing of a pixel before so many images of it."""
+        self._learning_images = learning_images
+        self._model = cv2.createBackgroundSubtractorMOG2(MEMORY, THRESHOLD, detectShadows=True)
         self._scene = np.empty((0, 0, 3), dtype=np.uint8)
         self._num_seen = np.empty((0, 0), dtype=np.uint8)
 
     def step(self, image: Image, ignored: Mask | None) -> tuple[Mask, Mask]:
-        """Learn an image.
-
-        Args:
-            image: The next image.
-            ignored: Pixels of it that do not belong to the scene; None for no such pixel.
+        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel.
 
         Returns:
             Which pixels differ from the background; and in which that cannot be told.
@@ -87,7 +75,7 @@ class Foreground:
         cv2.add(self._num_seen, counted, self._num_seen)
         pixels = (self._model.apply(self._scene) == FOREGROUND).view(np.uint8)
         pixels = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, SPECK)
-        unknown = (counted == 0) | (self._num_seen < self._cfg.learning_images)
+        unknown = (counted == 0) | (self._num_seen < self._learning_images)
         return (pixels > 0) & ~unknown, unknown
 
 
@@ -99,15 +87,9 @@ class BackgroundSubtraction(Segmenter):
     and while it is held still. An object without colours of its own is followed by its motion alone.
     """
 
-    def __init__(self, *, background: ForegroundCfg | None = None, follow: FollowCfg | None = None) -> None:
-        """Know neither background nor object.
-
-        Args:
-            background: How the background is learned.
-            follow: Which of several regions is taken.
-        """
-        self._foreground = Foreground(background or ForegroundCfg())
-        self._follow = follow or FollowCfg()
+    def __init__(self) -> None:
+        """Know neither background nor object."""
+        self._foreground = Foreground()
         self._track: ImageTrack | None = None
         self._appearance, self._area = Appearance(), inf
 
@@ -124,12 +106,13 @@ class BackgroundSubtraction(Segmenter):
         moving, unknown = self._foreground.step(image, ignored)
         if self._track is None:
             return NOT_FOUND
-        found, blob = self._object(image, moving, unknown, self._track)
-        if blob is not None and not _overlap(found.mask(blob), unknown):
+        blobs, blob = self._object(image, moving, unknown, self._track)
+        self._track, segmentation = self._track.advanced(blobs, blob)
+        mask = segmentation.mask
+        if blob is not None and mask is not None and not _overlap(mask, unknown):
             is_first = isinf(self._area)
             self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
-            self._learn(image, found.mask(blob), _grown(found.mask(blob), GAP), ignored)
-        self._track, segmentation = self._track.advanced(found, blob)
+            self._learn(image, mask, _grown(mask, GAP), ignored)
         return segmentation
 
     def reset(self) -> None:
@@ -138,7 +121,7 @@ class BackgroundSubtraction(Segmenter):
 
     def _object(
         self, image: Image, moving: Mask, unknown: Mask, track: ImageTrack
-    ) -> tuple[Blobs, Blob | None]:
+    ) -> tuple[list[Blob], Blob | None]:
         """The region of the object's colours with its new sides, else of less, else whatever moves.
 
         Returns:
@@ -146,22 +129,22 @@ class BackgroundSubtraction(Segmenter):
         """
         alike, whole = self._resembling(image, moving, track)
         for mask in (whole, alike, alike & (moving | unknown), moving):
-            found, blob = self._next(mask, track)
-            if blob is not None and self._fits(blob, found.mask(blob), unknown):
-                return found, blob
+            blobs, blob = self._next(mask, track)
+            if blob is not None and self._fits(blob, unknown):
+                return blobs, blob
         return self._next(alike, track)[0], None
 
-    def _next(self, mask: Mask, track: ImageTrack) -> tuple[Blobs, Blob | None]:
+    def _next(self, mask: Mask, track: ImageTrack) -> tuple[list[Blob], Blob | None]:
         """The regions of a mask, with small gaps closed, and the one that continues the track."""
-        found = find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
-        return found, track.next_blob(found, self._follow)
+        blobs = find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
+        return blobs, track.next_blob(blobs)
 
-    def _fits(self, blob: Blob, mask: Mask, unknown: Mask) -> bool:
+    def _fits(self, blob: Blob, unknown: Mask) -> bool:
         """Whether a region has the object's size, or less where the robot may hide a part of it."""
         if isinf(self._area):
             return True
         is_large = blob.area >= LEAST_SHARE * self._area
-        return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(mask, unknown))
+        return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(blob.mask(), unknown))
 
     def _resembling(self, image: Image, moving: Mask, track: ImageTrack) -> tuple[Mask, Mask]:
         """Pixels with the object's colours, and these with what moves along with them in a new colour.
@@ -170,7 +153,7 @@ class BackgroundSubtraction(Segmenter):
         in the next image, and is known for another thing then.
         """
         alike, whole = (np.zeros(image.shape[:2], dtype=bool) for _ in range(2))
-        reach = track.reach(self._follow) + self._follow.reach
+        reach = track.reach + REACH
         window = _window((track.center, track.expected), reach, image)
         alike[window] = self._appearance.resembles(image[window])
         new = self._appearance.is_new(image[window]) & moving[window]
@@ -183,7 +166,7 @@ class BackgroundSubtraction(Segmenter):
         if not len(rows):
             return
         center = (float(columns.mean()), float(rows.mean()))
-        window = _window((center,), self._follow.reach, image)
+        window = _window((center,), REACH, image)
         others = [image[window][~maybe[window]]]
         if ignored is not None:
             others.append(image[::THINNING, ::THINNING][ignored[::THINNING, ::THINNING]])

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Int, UInt8
 
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.image_track import SPECK, FollowCfg, ImageTrack, find_blobs
+from pixel2catch.perception.image_track import SPECK, ImageTrack, find_blobs
 from pixel2catch.perception.segmenter import NOT_FOUND, Image, Mask, Prompt, Segmentation, Segmenter
 
 Colors = UInt8[np.ndarray, "_ 3"]
@@ -55,16 +55,12 @@ class ColorRange:
         """Which pixels have such a colour, without single specks."""
         hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
         pixels = np.zeros(image.shape[:2], dtype=bool)
-        for first, last in self._hue_intervals():
+        start, end = self.hue
+        for first, last in [(start, end)] if start <= end else [(start, 360.0), (0.0, end)]:
             lower = np.array((first / 2, 255 * self.saturation[0], 255 * self.value[0]))
             upper = np.array((last / 2, 255 * self.saturation[1], 255 * self.value[1]))
             pixels |= cv2.inRange(hsv, lower, upper) > 0
         return cv2.morphologyEx(pixels.view(np.uint8), cv2.MORPH_OPEN, SPECK) > 0
-
-    def _hue_intervals(self) -> tuple[tuple[float, float], ...]:
-        """The hues as intervals that do not cross red [degrees]."""
-        first, last = self.hue
-        return ((first, last),) if first <= last else ((first, 360.0), (0.0, last))
 
 
 class ColorThreshold(Segmenter):
@@ -74,14 +70,9 @@ class ColorThreshold(Segmenter):
     hand, too.
     """
 
-    def __init__(self, colors: ColorRange, follow: FollowCfg | None = None) -> None:
-        """Follow a colour.
-
-        Args:
-            colors: The object's colours.
-            follow: Which of several regions is taken.
-        """
-        self._colors, self._follow = colors, follow or FollowCfg()
+    def __init__(self, colors: ColorRange) -> None:
+        """Follow these colours."""
+        self._colors = colors
         self._track: ImageTrack | None = None
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
@@ -93,9 +84,8 @@ class ColorThreshold(Segmenter):
         """See `Segmenter.track`; colour needs no motion, so nothing is ignored."""
         if self._track is None:
             return NOT_FOUND
-        found = find_blobs(self._colors.mask(image))
-        blob = self._track.next_blob(found, self._follow)
-        self._track, segmentation = self._track.advanced(found, blob)
+        blobs = find_blobs(self._colors.mask(image))
+        self._track, segmentation = self._track.advanced(blobs, self._track.next_blob(blobs))
         return segmentation
 
     def reset(self) -> None:
@@ -116,12 +106,7 @@ class Appearance:
         self._other = np.zeros(LEVELS**3, dtype=np.float32)
 
     def learn(self, pixels: Colors, others: Colors) -> None:
-        """Learn from an image in which the object is known.
-
-        Args:
-            pixels: Colours of the object.
-            others: Colours that are surely not the object's.
-        """
+        """Learn the object's pixels in an image, and others that are surely not the object's."""
         self._object = _faded(self._object, pixels)
         self._other = _faded(self._other, others)
 
@@ -142,7 +127,6 @@ def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]
 
 
 def _faded(histogram: Histogram, colors: Colors) -> Histogram:
-    """The histogram after more pixels."""
     counts = np.bincount(_codes(colors), minlength=len(histogram)).astype(np.float32)
     return FADE * histogram + (1.0 - FADE) * counts
 

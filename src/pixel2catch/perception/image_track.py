@@ -18,6 +18,15 @@ SPECK = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 """Pieces of one thing that are no further apart than this belong together [px]."""
 
+LEAST_AREA, LARGEST_SIDE = 6, 100
+"""Smallest region, and longest side of a region, that is taken for the object [px]. Source: ours, twice the
+side in rendered catches (49 px)."""
+
+REACH, REACH_GROWTH, LARGEST_REACH = 45.0, 30.0, 150.0
+"""Largest distance of the object from the way between where it was and where it is expected, how much more it
+may be for every image without it, and in the end [px]. Source: ours; the release of a throw makes up to 30 px
+in an image interval out of nothing."""
+
 LONGEST_STEP = 20.0
 """How far another thing moves between two images, at most, to be known again [px]. Source: ours."""
 
@@ -25,99 +34,66 @@ LONGEST_COAST = 3
 """Image intervals that an unseen object is taken to go on as before. Source: ours."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Blob:
     """A connected region of a mask.
 
     Attributes:
-        label: Its number among the regions of the mask.
         area: Number of pixels.
         width: Of its box [px].
         height: Of its box [px].
         center: Middle of its box [px].
+        label: Its number among the regions of the mask.
+        labels: Number of the region that each pixel is in, in the part of the mask that holds all of them.
+        window: That part: rows and columns.
+        shape: Height and width of the mask.
     """
 
-    label: int
     area: int
     width: int
     height: int
     center: tuple[float, float]
+    label: int
+    labels: Int32[np.ndarray, "rows columns"]
+    window: tuple[slice, slice]
+    shape: tuple[int, int]
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether it has the size of an object."""
+        return self.area >= LEAST_AREA and max(self.width, self.height) <= LARGEST_SIDE
+
+    def mask(self) -> Mask:
+        """The pixels of the region."""
+        mask = np.zeros(self.shape, dtype=bool)
+        mask[self.window] = self.labels == self.label
+        return mask
 
     def distance(self, point: tuple[float, float]) -> float:
         """From the middle of the box to a point [px]."""
         return hypot(self.center[0] - point[0], self.center[1] - point[1])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Blobs:
-    """The connected regions of a mask.
-
-    Attributes:
-        shape: Height and width of the mask.
-        window: The part of the mask that holds all of them.
-        labels: Number of the region that each pixel of this part is in; 0 is none.
-        blobs: The regions, largest first.
-    """
-
-    shape: tuple[int, int]
-    window: tuple[slice, slice]
-    labels: Int32[np.ndarray, "rows columns"]
-    blobs: tuple[Blob, ...]
-
-    def mask(self, blob: Blob) -> Mask:
-        """The pixels of one region."""
-        mask = np.zeros(self.shape, dtype=bool)
-        mask[self.window] = self.labels == blob.label
-        return mask
-
-
-def find_blobs(mask: Mask) -> Blobs:
-    """Return the connected regions of a mask."""
+def find_blobs(mask: Mask) -> list[Blob]:
+    """Return the connected regions of a mask, largest first."""
     pixels = mask.view(np.uint8)
     left, top, width, height = cv2.boundingRect(pixels)
-    window = slice(top, top + height), slice(left, left + width)
     if not width:
-        return Blobs(shape=mask.shape, window=window, labels=np.zeros((0, 0), dtype=np.int32), blobs=())
+        return []
+    window = slice(top, top + height), slice(left, left + width)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels[window], connectivity=NUM_NEIGHBORS)
-    blobs = [
-        Blob(label=label, area=area, width=w, height=h, center=(left + x + 0.5 * w, top + y + 0.5 * h))
-        for label, (x, y, w, h, area) in enumerate(stats.tolist())
-        if label > 0
-    ]
-    blobs.sort(key=lambda blob: -blob.area)
-    return Blobs(shape=mask.shape, window=window, labels=labels, blobs=tuple(blobs))
+    common = {"labels": labels, "window": window, "shape": mask.shape}
+    blobs = []
+    for label, (x, y, w, h, area) in enumerate(stats.tolist()[1:], start=1):
+        center = (left + x + 0.5 * w, top + y + 0.5 * h)
+        blobs.append(Blob(label=label, area=area, width=w, height=h, center=center, **common))
+    return sorted(blobs, key=lambda blob: -blob.area)
 
 
 def largest_component(mask: Mask) -> Mask:
     """Return the largest connected region of a mask; the mask itself if it has one or none."""
-    found = find_blobs(mask)
-    return found.mask(found.blobs[0]) if len(found.blobs) > 1 else mask
-
-
-@dataclass(frozen=True, kw_only=True)
-class FollowCfg:
-    """Which region continues the object's motion.
-
-    Attributes:
-        reach: Largest distance of the object from the way between where it was and where it is expected [px].
-            Source: ours; the release of a throw makes up to 30 px in an image interval out of nothing.
-        reach_growth: How much further it may be for every image without it [px].
-        largest_reach: How far it may be in the end [px].
-        least_area: Smallest region that is taken for the object [px].
-        largest_side: Longest side of a region that is taken for the object [px]. Source: ours, twice that of
-            rendered catches (49 px).
-    """
-
-    reach: float = 45.0
-    reach_growth: float = 30.0
-    largest_reach: float = 150.0
-    least_area: int = 6
-    largest_side: int = 100
-
-
-def is_plausible(blob: Blob, cfg: FollowCfg) -> bool:
-    """Return whether a region has the size of an object."""
-    return blob.area >= cfg.least_area and max(blob.width, blob.height) <= cfg.largest_side
+    blobs = find_blobs(mask)
+    return blobs[0].mask() if len(blobs) > 1 else mask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,31 +128,30 @@ class ImageTrack:
         velocity = (center[0] - self.center[0]) / steps, (center[1] - self.center[1]) / steps
         return ImageTrack(center=center, velocity=velocity)
 
-    def advanced(self, found: Blobs, blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
-        """The track after the next image, in which the object is this region of those found, and its mask.
+    def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
+        """The track after the next image, in which the object is this one of the regions, and its mask.
 
         The score is the region's share of its box.
         """
-        others = tuple(each.center for each in found.blobs if each is not blob)
+        others = tuple(each.center for each in blobs if each is not blob)
         if blob is None:
             return replace(self.missed(), others=others), NOT_FOUND
         score = blob.area / (blob.width * blob.height)
-        return replace(self.seen(blob.center), others=others), Segmentation(
-            mask=found.mask(blob), score=score
-        )
+        return replace(self.seen(blob.center), others=others), Segmentation(mask=blob.mask(), score=score)
 
-    def reach(self, cfg: FollowCfg) -> float:
+    @property
+    def reach(self) -> float:
         """How far from the way to there it may be [px]."""
-        return min(cfg.reach + cfg.reach_growth * self.num_missed, cfg.largest_reach)
+        return min(REACH + REACH_GROWTH * self.num_missed, LARGEST_REACH)
 
-    def next_blob(self, found: Blobs, cfg: FollowCfg) -> Blob | None:
+    def next_blob(self, blobs: list[Blob]) -> Blob | None:
         """The region of the right size that is nearest to where the object should be, if any is in reach.
 
         In reach is what is near to the way from its last place to there: a hand may have stopped it. What was
         another thing in the last image is not the object in this one.
         """
-        plausible = (blob for blob in found.blobs if is_plausible(blob, cfg) and not self._is_other(blob))
-        near = [blob for blob in plausible if self._distance(blob.center) <= self.reach(cfg)]
+        plausible = (blob for blob in blobs if blob.is_plausible and not self._is_other(blob))
+        near = [blob for blob in plausible if self._distance(blob.center) <= self.reach]
         return min(near, key=lambda blob: blob.distance(self.expected), default=None)
 
     def _distance(self, point: tuple[float, float]) -> float:
