@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
-from pixel2catch.perception.calibration.target import SQUARE, SQUARES, HandBoard, View
+from pixel2catch.perception.calibration.target import SQUARE, SQUARES, CharucoBoard, View
 from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.kinematics import palm_pose
 
@@ -93,7 +93,7 @@ def hand_views(
 @cache
 def texture() -> tuple[np.ndarray, float]:
     """The printed board with its white edge, and its pixels a metre."""
-    board = HandBoard().picture()
+    board = CharucoBoard().picture()
     scale = board.shape[1] / (COLUMNS * SQUARE)
     edge = round(MARGIN * scale)
     return cv2.copyMakeBorder(board, edge, edge, edge, edge, cv2.BORDER_CONSTANT, value=255), scale

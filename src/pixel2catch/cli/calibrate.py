@@ -106,10 +106,10 @@ class Calibrate:
         """
         from pixel2catch.errors import InvalidValueError
         from pixel2catch.perception.calibration.intrinsics import read_intrinsics
-        from pixel2catch.perception.calibration.target import Chessboard, HandBoard
+        from pixel2catch.perception.calibration.target import CharucoBoard, Chessboard
         from pixel2catch.robot.constants import RGB_CAMERA
 
-        board = Chessboard(self.chessboard) if self.chessboard else HandBoard(self.square)
+        board = Chessboard(self.chessboard) if self.chessboard else CharucoBoard(self.square)
         lens = read_intrinsics(path, board, self.topic, is_rectified=self.rectified)
         wanted = (RGB_CAMERA.width, RGB_CAMERA.height)
         if lens.size != wanted:
@@ -134,7 +134,7 @@ class Calibrate:
         from pixel2catch.identification.rules import require_motion
         from pixel2catch.identification.tables import read_table
         from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
-        from pixel2catch.perception.calibration.target import HandBoard, read_image
+        from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
         from pixel2catch.robot.constants import ARM_JOINTS
         from pixel2catch.robot.kinematics import palm_pose
@@ -146,7 +146,7 @@ class Calibrate:
         joint_pos = table.columns(joints)
         require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
         names = [row[table.names.index(IMAGE_COLUMN)] for row in table.rows]
-        board, views, blank = HandBoard(self.square), [], []
+        board, views, blank = CharucoBoard(self.square), [], []
         pos, quat = (each.tolist() for each in palm_pose(torch.from_numpy(joint_pos)))
         for name, *palm in zip(names, pos, quat, strict=True):
             image = read_image(path.parent / name)
