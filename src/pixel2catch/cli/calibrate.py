@@ -7,6 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.extras import needs_extra
+from pixel2catch.errors import InvalidValueError, RecordingError
+from pixel2catch.files import require_free_file, write_atomically
+from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -63,8 +68,6 @@ class Calibrate:
 
     def run(self) -> None:
         """Print the board, or find the camera and write it."""
-        from pixel2catch.cli.extras import needs_extra
-
         with needs_extra("perception"):
             import pixel2catch.perception.calibration.extrinsics  # noqa: F401
         if self.print_marker is not None:
@@ -74,13 +77,10 @@ class Calibrate:
 
     def _calibrate(self) -> None:
         from pixel2catch.cli.console import say
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.study.throw_figure import sample_paths
-        from pixel2catch.files import require_free_file
         from pixel2catch.mdp.throws import ThrowCfg
         from pixel2catch.perception.calibration.comparison import compare
         from pixel2catch.perception.calibration.extrinsics import calibrate, pose_matrix
-        from pixel2catch.robot.constants import RGB_CAMERA
 
         require_free_file(self.out)
         if self.intrinsics is None or self.views is None:
@@ -104,10 +104,8 @@ class Calibrate:
         Raises:
             InvalidValueError: If it is of images of another size than the policies'.
         """
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.perception.calibration.intrinsics import read_intrinsics
         from pixel2catch.perception.calibration.target import CharucoBoard, Chessboard
-        from pixel2catch.robot.constants import RGB_CAMERA
 
         board = Chessboard(self.chessboard) if self.chessboard else CharucoBoard(self.square)
         lens = read_intrinsics(path, board, self.topic, is_rectified=self.rectified)
@@ -130,13 +128,11 @@ class Calibrate:
         import torch
 
         from pixel2catch.cli.console import say
-        from pixel2catch.errors import RecordingError
         from pixel2catch.identification.rules import require_motion
         from pixel2catch.identification.tables import read_table
         from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
-        from pixel2catch.robot.constants import ARM_JOINTS
         from pixel2catch.robot.kinematics import palm_pose
 
         table = read_table(path)
@@ -164,8 +160,6 @@ def _print_board(path: Path) -> None:
     import io
 
     from pixel2catch.cli.console import say
-    from pixel2catch.errors import InvalidValueError
-    from pixel2catch.files import require_free_file, write_atomically
     from pixel2catch.perception.calibration.target import sheet
 
     kind = path.suffix.lower().lstrip(".")

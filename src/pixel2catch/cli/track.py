@@ -12,6 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.circumstances import circumstances
+from pixel2catch.cli.extras import needs_extra
+from pixel2catch.errors import PerceptionError
+from pixel2catch.files import plain, require_free_folder, write_atomically
+from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import JOINT_NAMES, PerceptionArgs, make_robot_mask
 
 if TYPE_CHECKING:
@@ -56,10 +61,7 @@ class Track:
 
     def run(self) -> None:
         """Follow the object, write what is seen, and print how long it took."""
-        from pixel2catch.circumstances import circumstances
         from pixel2catch.cli.console import say
-        from pixel2catch.cli.extras import needs_extra
-        from pixel2catch.files import plain, require_free_folder, write_atomically
 
         with needs_extra("perception"):
             from pixel2catch.perception.tracking import Tally
@@ -84,8 +86,6 @@ class Track:
         """Follow the object and write video and table until the end, or until Ctrl-C."""
         from contextlib import closing
 
-        from pixel2catch.errors import PerceptionError
-        from pixel2catch.interruption import StopRequest
         from pixel2catch.perception.extractor import PixelFeatureExtractor
         from pixel2catch.perception.prompt import LaterPrompter
         from pixel2catch.perception.sources import SourceCfg, ticks_of
