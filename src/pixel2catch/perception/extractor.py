@@ -43,12 +43,7 @@ class CameraFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class ExtractorCfg:
-    """When a box counts, and when the object is lost.
-
-    Attributes:
-        plausibility: Limits of the plausible.
-        patience: Images without an accepted box after which the prompter is asked again. Source: ours.
-    """
+    """When a box counts, and after how many images without one the prompter is asked again. Source: ours."""
 
     plausibility: PlausibilityCfg = field(default_factory=PlausibilityCfg)
     patience: int = 5

@@ -62,11 +62,7 @@ class PerceptionArgs:
             torch.set_num_threads(1)
 
     def camera_spec(self, notes: list[str]) -> CameraSpec:
-        """The camera that takes the images.
-
-        Args:
-            notes: Gets what a user should know of it.
-        """
+        """The camera that takes the images; notes get what a user should know of it."""
         from pixel2catch.camera.camera_file import CameraFile
 
         if self.camera is None:
@@ -105,9 +101,6 @@ class PerceptionArgs:
     def make_prompter(self, camera: CameraSpec = RGB_CAMERA) -> "Prompter":
         """What points the object out: what a person gave, and after a loss its colour, then its flight.
 
-        Args:
-            camera: The camera, for the size of the image.
-
         Raises:
             InvalidValueError: If box and point are given, or one of them or the region is not on the image.
         """
@@ -134,12 +127,7 @@ class PerceptionArgs:
 
 
 def make_robot_mask(camera: CameraSpec = RGB_CAMERA, handedness: "Handedness" = "left") -> "RobotMask":
-    """The robot's pixels in a camera's images.
-
-    Args:
-        camera: The camera.
-        handedness: Which hand the robot has.
-    """
+    """What tells the robot's pixels in a camera's images."""
     from pixel2catch.perception.robot_mask import RobotMask
     from pixel2catch.robot.scene import SceneCfg, build_model
 

@@ -50,7 +50,7 @@ def judge(
     before: Float[Tensor, "1 4"] | None = None,
     steps: float = 1.0,
 ) -> Verdict:
-    """Return whether a box can be the object's, or why not.
+    """Return whether a box [px] around so many pixels can be the object's, or why not.
 
     Args:
         cfg: The limits.

@@ -48,10 +48,7 @@ class RobotMask:
         self._owner = np.repeat(geoms, [len(points) for points in corners])
 
     def at(self, joint_pos: Float[np.ndarray, " num_joints"]) -> Mask:
-        """Return the pixels of the robot.
-
-        Args:
-            joint_pos: Positions of its joints in joint order [rad].
+        """Return the pixels of the robot at these positions of its joints, in joint order [rad].
 
         Raises:
             PerceptionError: If they are not finite.

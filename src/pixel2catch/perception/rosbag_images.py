@@ -29,10 +29,7 @@ NUM_STATES = 1000
 
 @contextmanager
 def opened_bag(path: Path) -> "Iterator[AnyReader]":
-    """The bag, closed afterwards; whatever a damaged one makes the library raise becomes one error.
-
-    Args:
-        path: The bag's folder, or its .mcap or .db3 file.
+    """A bag, by its folder or .mcap or .db3 file; whatever a damaged one raises becomes one error.
 
     Raises:
         PerceptionError: If it cannot be read, or the library is missing.
@@ -54,11 +51,7 @@ def opened_bag(path: Path) -> "Iterator[AnyReader]":
 
 
 def first_camera_info(path: Path, topic: str | None) -> Any:
-    """Return the first CameraInfo of a topic.
-
-    Args:
-        path: The bag's folder, or its .mcap or .db3 file.
-        topic: The topic; None for the only one.
+    """Return the first CameraInfo of a topic; None for the only topic.
 
     Raises:
         PerceptionError: If the bag cannot be read, or has no such topic.

@@ -219,14 +219,9 @@ class Sam2Segmenter(Segmenter):
 
 
 def capture(model: nn.Module, modules: Sequence[Module]) -> None:
-    """Let parts of the model run as CUDA graphs, which compute the same.
+    """Let parts of a model on a CUDA device run as CUDA graphs, which compute the same.
 
-    The model runs a thousand small kernels for an image; on a data-centre GPU the time goes into launching
-    them.
-
-    Args:
-        model: SAM 2 on a CUDA device, in evaluation mode.
-        modules: Which parts.
+    It runs a thousand small kernels for an image; on a data-centre GPU the time goes into launching them.
     """
     pool = torch.cuda.graph_pool_handle()
     for name in modules:
@@ -253,13 +248,7 @@ def _points(prompt: Prompt) -> tuple[Float[Tensor, "1 1 num_points 2"], Tensor]:
 def load_sam2(
     folder: Path, device: torch.device, dtype: torch.dtype, image_size: int | None = None
 ) -> Sam2VideoModel:
-    """Load the video model from a folder in the format of transformers.
-
-    Args:
-        folder: Holds config.json and model.safetensors.
-        device: Where the model will run.
-        dtype: Of its weights and activations.
-        image_size: Side of the square that the model sees [px]; None for the checkpoint's own, 1024.
+    """Load the video model from a folder in the format of transformers: config.json, model.safetensors.
 
     Raises:
         PerceptionError: If the folder, or a file or weight in it, is missing or damaged.

@@ -40,7 +40,7 @@ class CapturedFunction:
 
 
 def _signature(leaf: Any) -> Any:
-    """Return what a recording depends on: layout of a tensor, value of anything else."""
+    """What a recording depends on: layout of a tensor, value of anything else."""
     return (leaf.shape, leaf.dtype, leaf.device) if isinstance(leaf, Tensor) else leaf
 
 
@@ -76,5 +76,4 @@ class _Capture:
 
 
 def _cloned(leaves: Sequence[Any]) -> list[Any]:
-    """Copy tensors; leave the rest."""
     return [leaf.clone() if isinstance(leaf, Tensor) else leaf for leaf in leaves]

@@ -44,12 +44,7 @@ DEVICES = Path("/dev")
 
 @dataclass(frozen=True, kw_only=True)
 class Tick:
-    """One control step.
-
-    Attributes:
-        frame: The newest image; in the step before it may have been the same.
-        now: The time [s], of the clock of the stamps.
-    """
+    """One control step: the newest image, be it the same as before, and the time by the stamps' clock [s]."""
 
     frame: CameraFrame
     now: float
@@ -73,11 +68,7 @@ class SourceCfg:
 
 
 def ticks_of(cfg: SourceCfg, notes: list[str]) -> Generator[Tick, None, None]:
-    """Yield what a controller would get in every control step.
-
-    Args:
-        cfg: Where to find images.
-        notes: Gets what is wrong with the source, and yet no reason to stop.
+    """Yield what a controller would get in every control step; notes get what is wrong but no reason to end.
 
     Raises:
         PerceptionError: If there is no such source, or no image in it; the message says what to do.
@@ -98,9 +89,7 @@ def ticks_of(cfg: SourceCfg, notes: list[str]) -> Generator[Tick, None, None]:
 def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generator[Tick, None, None]:
     """Yield a tick in every control step of a recording; of several new images it has the newest.
 
-    Args:
-        frames: Images in the order of the recording.
-        notes: Gets what is wrong with their stamps.
+    The frames come in the order of the recording; notes get what is wrong with their stamps.
     """
     newest, num_older, start = None, 0, 0.0
     tick = 0
@@ -126,11 +115,7 @@ def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generat
 
 
 def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
-    """Yield the images of a video file with their own stamps; a damaged file ends where the damage begins.
-
-    Args:
-        path: The file.
-        notes: Gets where a damaged file ended, and why.
+    """Yield the images of a video file with their own stamps; a damaged file ends where notes get to know.
 
     Raises:
         PerceptionError: If this is no video, or none of its images can be read.
@@ -157,11 +142,7 @@ def is_camera(source: str) -> bool:
 
 
 def open_camera(source: str, camera: CameraSpec = RGB_CAMERA) -> cv2.VideoCapture:
-    """Open a camera and ask it for our size of image and 30 images a second.
-
-    Args:
-        source: Its number or device.
-        camera: The camera that the policies know, for the size of the image.
+    """Open a camera, by its number or device, and ask it for the policies' size of image and 30 a second.
 
     Raises:
         PerceptionError: If there is no such camera, or another program has it.
@@ -188,10 +169,7 @@ def open_camera(source: str, camera: CameraSpec = RGB_CAMERA) -> cv2.VideoCaptur
 class CameraReader:
     """Reads a camera in a thread of its own and keeps the newest image; use it as a context manager.
 
-    The stamp of an image is the time of its arrival, of `time.monotonic`.
-
-    Args:
-        capture: The open camera; it is closed at the end.
+    The stamp of an image is the time of its arrival, of `time.monotonic`. The camera is closed at the end.
     """
 
     def __init__(self, capture: cv2.VideoCapture) -> None:
@@ -277,11 +255,7 @@ class CameraReport:
 
 
 def measure_camera(capture: cv2.VideoCapture, seconds: float) -> CameraReport:
-    """Watch a camera.
-
-    Args:
-        capture: The open camera; it is closed at the end.
-        seconds: For how long, after the first image [s].
+    """Watch an open camera, which is closed at the end, for a time after its first image [s].
 
     Raises:
         PerceptionError: If no first image comes.

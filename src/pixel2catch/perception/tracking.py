@@ -63,12 +63,7 @@ class Sighting:
 
 
 def follow(ticks: Iterable[Tick], extractor: PixelFeatureExtractor, begin: float = 0.0) -> Iterator[Sighting]:
-    """Yield what is seen in every control step.
-
-    Args:
-        ticks: The stream.
-        extractor: Gets a reset when the throw begins.
-        begin: When that is, after the first image [s].
+    """Yield what is seen in every control step; a throw begins, with a reset, so long after the start [s].
 
     Raises:
         PerceptionError: If the first image has the wrong size.
@@ -87,12 +82,7 @@ def follow(ticks: Iterable[Tick], extractor: PixelFeatureExtractor, begin: float
 
 
 class Tally:
-    """Counts sightings and measures how long they took.
-
-    Attributes:
-        num_steps: Control steps.
-        num_without_joints: Of them, those without joint positions.
-    """
+    """Counts sightings, also those without joint positions, and measures how long they took."""
 
     def __init__(self) -> None:
         """Begin with none."""

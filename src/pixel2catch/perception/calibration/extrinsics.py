@@ -74,13 +74,7 @@ class HandView:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewError:
-    """How well one image fits.
-
-    Attributes:
-        name: Name of the image.
-        rms: Root mean square distance of seen and computed corners [px].
-        is_used: Whether it was fitted, or left out as wrong.
-    """
+    """How well an image fits: distance of seen and computed corners [px]; was it fitted, or left out?"""
 
     name: str
     rms: float
@@ -144,13 +138,9 @@ class _Corners:
 
 @dataclass(frozen=True, kw_only=True)
 class _Fit:
-    """The smallest errors.
+    """The poses of camera and board with the smallest errors: computed minus seen pixels [px].
 
-    Attributes:
-        camera: Pose of the camera in the world.
-        board: Pose of the board in the hand.
-        errors: Computed minus seen pixels [px].
-        jacobian: Their derivatives by position and turn of the camera, and then of the board if it was free.
+    The Jacobian is by position and turn of the camera, and then of the board if it was free.
     """
 
     camera: Pose
