@@ -24,8 +24,7 @@ import torch
 import transformers
 from transformers import Sam2VideoConfig, Sam2VideoModel
 
-from pixel2catch.perception.sam2 import Sam2Segmenter
-from pixel2catch.perception.sam2_graphs import MODULES, SpeedCfg
+from pixel2catch.perception.sam2 import MODULES, Module, Sam2Segmenter, capture
 from pixel2catch.perception.segmenter import BoxPrompt
 
 LIMIT = 1000.0 / 30.0
@@ -34,17 +33,19 @@ WARM_UP_IMAGES = 30
 BUSY_IMAGES = 30
 HEIGHT, WIDTH = 480, 640
 BOX = BoxPrompt(box=(300.0, 200.0, 340.0, 240.0))
-SETTINGS = {
-    "eager": SpeedCfg(captured=()),
-    "reduce_overhead": SpeedCfg(captured=()),
-    "compiled_encoder": SpeedCfg(captured=(), compiled=("vision_encoder",)),
-    "graph_of_encoder": SpeedCfg(captured=("vision_encoder",)),
-    "graphs": SpeedCfg(),
-    "graphs_compiled_encoder": SpeedCfg(compiled=("vision_encoder",)),
-    "graphs_compiled_memory": SpeedCfg(compiled=("vision_encoder", "memory_attention")),
-    "graphs_compiled_all": SpeedCfg(compiled=MODULES),
+Modules = tuple[Module, ...]
+SETTINGS: dict[str, tuple[Modules, Modules]] = {
+    "eager": ((), ()),
+    "reduce_overhead": ((), ()),
+    "compiled_encoder": ((), ("vision_encoder",)),
+    "graph_of_encoder": (("vision_encoder",), ()),
+    "graphs": (MODULES, ()),
+    "graphs_compiled_encoder": (MODULES, ("vision_encoder",)),
+    "graphs_compiled_memory": (MODULES, ("vision_encoder", "memory_attention")),
+    "graphs_compiled_all": (MODULES, MODULES),
 }
-"""What is tried. `reduce_overhead` is PyTorch's own way to CUDA graphs, on the encoder; the rest is ours."""
+"""What is tried: modules that run as CUDA graphs, and those that `torch.compile` fuses before, which takes a
+minute and needs a C compiler. `reduce_overhead` is PyTorch's own way to CUDA graphs, on the encoder."""
 
 
 def write_checkpoint(folder: Path) -> None:
@@ -57,7 +58,13 @@ def write_checkpoint(folder: Path) -> None:
 
 def build(folder: Path, setting: str, device: str, size: int) -> Sam2Segmenter:
     """Load and warm up as the robot does."""
-    segmenter = Sam2Segmenter(folder, device, size, SETTINGS[setting])
+    captured, compiled = SETTINGS[setting]
+    segmenter = Sam2Segmenter(folder, device, size, () if compiled else captured)
+    for name in compiled:
+        module = getattr(segmenter._model, name)
+        module.forward = torch.compile(module.forward)
+    if compiled and captured:
+        capture(segmenter._model, captured)
     if setting == "reduce_overhead":
         encoder = segmenter._model.vision_encoder
         encoder.forward = torch.compile(encoder.forward, mode="reduce-overhead")

@@ -13,8 +13,8 @@ from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.perception.finder import CameraFrame
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.robot.constants import CONTROL_DT
 

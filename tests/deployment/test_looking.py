@@ -13,8 +13,8 @@ from pixel2catch.deployment.stepwise import PerceptionTime, StepClock
 from pixel2catch.deployment.worker import CallerWorker, ThreadWorker
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.perception.color import ColorThreshold
-from pixel2catch.perception.finder import CameraFrame
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt, Segmentation, Segmenter
 from pixel2catch.robot.constants import CONTROL_DT
 

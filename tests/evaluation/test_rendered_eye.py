@@ -19,7 +19,7 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import METHODS
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.robot.constants import CONTROL_DT
 
 METHOD = METHODS["proposed"]

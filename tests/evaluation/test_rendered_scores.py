@@ -5,7 +5,7 @@ import torch
 from pixel2catch.evaluation.rendered.film import Shot
 from pixel2catch.evaluation.rendered.scores import Phase, reacquisition, score, summary
 from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.plausibility import Verdict
 
 IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)
 BOX = (100.0, 100.0, 120.0, 110.0)

@@ -9,9 +9,9 @@ import torch
 from pixel2catch.robot.kinematics import palm_pose
 from scipy.spatial.transform import Rotation
 
-from pixel2catch.perception.calibration import HandView, pose_matrix
-from pixel2catch.perception.calibration_intrinsics import Intrinsics
-from pixel2catch.perception.calibration_target import SQUARE, SQUARES, HandBoard, View
+from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
+from pixel2catch.perception.calibration.intrinsics import Intrinsics
+from pixel2catch.perception.calibration.target import SQUARE, SQUARES, CharucoBoard, View
 from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA, CameraSpec
 
 HOME = np.array([joint.home for joint in ARM_JOINTS])
@@ -41,10 +41,14 @@ def lens(camera: CameraSpec = RGB_CAMERA) -> Intrinsics:
     return Intrinsics(size=(camera.width, camera.height), matrix=matrix)
 
 
-def board_in_camera(joint_pos: np.ndarray, camera: CameraSpec = RGB_CAMERA) -> np.ndarray:
+def palm(joint_pos: np.ndarray) -> np.ndarray:
+    """Pose of the palm in the world at joint positions [rad]."""
     pos, quat = palm_pose(torch.from_numpy(joint_pos)[None])
-    palm = pose_matrix(pos[0].tolist(), quat[0].tolist())
-    return np.linalg.inv(camera_pose(camera)) @ palm @ BOARD
+    return pose_matrix(pos[0].tolist(), quat[0].tolist())
+
+
+def board_in_camera(joint_pos: np.ndarray, camera: CameraSpec = RGB_CAMERA) -> np.ndarray:
+    return np.linalg.inv(camera_pose(camera)) @ palm(joint_pos) @ BOARD
 
 
 def pixels_of(pose: np.ndarray, points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
@@ -68,22 +72,28 @@ def poses(num: int, seed: int = 0) -> Iterator[np.ndarray]:
             yield joint_pos
 
 
-def hand_views(num: int, *, noise: float = 0.3, seed: int = 0, distortion=()) -> list[HandView]:
-    """The corners in images at several joint positions, with Gaussian noise of this deviation [px]."""
+def hand_views(
+    num: int, *, noise: float = 0.3, seed: int = 0, distortion=(), offsets: np.ndarray | None = None
+) -> list[HandView]:
+    """The corners in images at several joint positions, with Gaussian noise of this deviation [px].
+
+    Where offsets are given, a row of them is how far the joints are from what is said of them [rad].
+    """
+    offsets = np.zeros((num, len(HOME))) if offsets is None else offsets
     rng = np.random.default_rng(seed + 1)
     intrinsics = Intrinsics(size=(640, 480), matrix=lens().matrix, distortion=distortion)
     views = []
     for i, joint_pos in enumerate(poses(num, seed)):
         pixels = pixels_of(board_in_camera(joint_pos), CORNERS, intrinsics)
         view = View(points=CORNERS, pixels=pixels + rng.normal(0, noise, pixels.shape))
-        views.append(HandView(name=f"view{i}", view=view, joint_pos=joint_pos))
+        views.append(HandView(name=f"view{i}", view=view, palm=palm(joint_pos + offsets[i])))
     return views
 
 
 @cache
 def texture() -> tuple[np.ndarray, float]:
     """The printed board with its white edge, and its pixels a metre."""
-    board = HandBoard().picture()
+    board = CharucoBoard().picture()
     scale = board.shape[1] / (COLUMNS * SQUARE)
     edge = round(MARGIN * scale)
     return cv2.copyMakeBorder(board, edge, edge, edge, edge, cv2.BORDER_CONSTANT, value=255), scale

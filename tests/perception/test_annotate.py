@@ -19,10 +19,9 @@ from pixel2catch.perception.annotate import (
     Annotator,
     Color,
 )
-from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.finder import CameraFrame
-from pixel2catch.perception.gate import Verdict
-from pixel2catch.perception.ticks import Tick
+from pixel2catch.perception.extractor import CameraFrame, Extraction
+from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.perception.sources import Tick
 from pixel2catch.perception.tracking import Sighting
 
 STEP = 50

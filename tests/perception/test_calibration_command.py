@@ -11,7 +11,7 @@ from calibration_views import board_in_camera, poses, rendered
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main
-from pixel2catch.perception.calibration_target import SQUARE, HandBoard, read_image
+from pixel2catch.perception.calibration.target import SQUARE, CharucoBoard, read_image
 from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA
 
 JOINTS = [joint.name for joint in ARM_JOINTS]
@@ -93,7 +93,7 @@ def test_the_printed_squares_have_their_size(tmp_path: Path):
     """At 300 dots an inch; the board is found on the page itself."""
     path = tmp_path / "board.png"
     assert main(["calibrate", "--print-marker", str(path)]) == 0
-    view = HandBoard().find(read_image(path))
+    view = CharucoBoard().find(read_image(path))
     assert view is not None
     edge = 1e-3 * 25.4 / 300 * np.linalg.norm(view.pixels[1] - view.pixels[0])
     assert edge == pytest.approx(SQUARE, rel=2e-3)

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.calibration_intrinsics import (
+from pixel2catch.perception.calibration.intrinsics import (
     Intrinsics,
     intrinsics_of_images,
     intrinsics_of_views,
     read_intrinsics,
 )
-from pixel2catch.perception.calibration_target import Chessboard, HandBoard, View, read_image
+from pixel2catch.perception.calibration.target import CharucoBoard, Chessboard, View, read_image
 from pixel2catch.robot.constants import RGB_CAMERA
 
 YAML = """image_width: 640
@@ -47,7 +47,7 @@ projection_matrix:
 """
 """As `camera_calibration` writes it."""
 
-BOARD = HandBoard()
+BOARD = CharucoBoard()
 
 
 def board_poses(num: int) -> list[np.ndarray]:
@@ -220,4 +220,4 @@ def test_other_paths_are_refused(tmp_path: Path):
 @pytest.mark.parametrize("square", [0.0, 60.0, nan])
 def test_a_square_is_in_metres(square: float):
     with pytest.raises(InvalidValueError, match=r"in metres, such as 0\.06"):
-        HandBoard(square)
+        CharucoBoard(square)

@@ -16,9 +16,9 @@ from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.observations import Frame, pixels
 from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
-from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
-from pixel2catch.perception.finder import CameraFrame, FinderCfg
-from pixel2catch.perception.gate import GateCfg, Verdict
+from pixel2catch.perception.extractor import CameraFrame, Extraction, ExtractorCfg, PixelFeatureExtractor
+from pixel2catch.perception.factory import make_robot_mask
+from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict
 from pixel2catch.perception.prompt import ColorPrompter, GivenPrompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image, Mask, PointPrompt, Prompt, Segmentation, Segmenter
@@ -26,7 +26,7 @@ from pixel2catch.robot.constants import CONTROL_DT, JOINTS, RGB_CAMERA
 
 RED = (220, 20, 20)
 REDS = ColorRange(hue=(350.0, 10.0))
-ANYTHING = GateCfg(least_area=1, largest_share=1.0, largest_jump=1e4, largest_sides=4)
+ANYTHING = PlausibilityCfg(least_area=1, largest_share=1.0, largest_jump=1e4, largest_sides=4)
 HOME = np.array([joint.home for joint in JOINTS])
 
 Box = tuple[int, int, int, int]
@@ -45,7 +45,7 @@ def painted_box(box: torch.Tensor) -> np.ndarray:
     return picture((xmin, ymin, xmax, ymax))
 
 
-def extractor(cfg: FinderCfg | None = None, robot: RobotMask | None = None) -> PixelFeatureExtractor:
+def extractor(cfg: ExtractorCfg | None = None, robot: RobotMask | None = None) -> PixelFeatureExtractor:
     """Follows red, pointed out by its colour."""
     return PixelFeatureExtractor(ColorThreshold(REDS), ColorPrompter(REDS), robot=robot, cfg=cfg)
 
@@ -75,7 +75,7 @@ def test_features_are_those_of_training():
     boxes = [measurement.box.round().int() for measurement in measurements]
     env.close()
     assert len({tuple(box[0].tolist()) for box in boxes}) > 20
-    seen = play([painted_box(box) for box in boxes], extractor(FinderCfg(gate=ANYTHING)))
+    seen = play([painted_box(box) for box in boxes], extractor(ExtractorCfg(plausibility=ANYTHING)))
     for now, box in zip(seen, boxes, strict=True):
         assert now.verdict is Verdict.SEEN
         assert torch.equal(now.box, box.to(now.box))
@@ -197,7 +197,7 @@ def test_a_wrong_image_is_refused_at_the_start_and_passed_over_later(image: np.n
 
 
 def test_joint_states_that_are_no_numbers_do_not_stop_the_loop():
-    subject = extractor(robot=RobotMask())
+    subject = extractor(robot=make_robot_mask())
     frames = [
         CameraFrame(image=picture(START), stamp=stamp, joint_pos=joints)
         for stamp, joints in ((0.0, HOME), (0.1, HOME * np.nan), (0.2, HOME))
@@ -210,17 +210,17 @@ def test_joint_states_that_are_no_numbers_do_not_stop_the_loop():
 def test_a_lost_object_is_pointed_out_again():
     far = moved(START, 250, 200)
     images = [picture(START), *[picture(far)] * 6]
-    seen = play(images, extractor(FinderCfg(patience=3, gate=GateCfg(largest_jump=10.0))))
+    seen = play(images, extractor(ExtractorCfg(patience=3, plausibility=PlausibilityCfg(largest_jump=10.0))))
     verdicts = [each.verdict for each in seen]
     assert verdicts == [Verdict.SEEN, *[Verdict.NOT_FOUND] * 3, *[Verdict.SEEN] * 3]
     assert seen[-1].box[0].tolist() == list(far)
 
 
 def test_what_vanished_at_the_robot_is_in_the_hand_and_nothing_else_is_looked_for():
-    robot = RobotMask()
+    robot = make_robot_mask()
     rows, columns = np.nonzero(robot.at(HOME))
     u, v = int(np.median(columns)), int(np.median(rows))
-    subject, far = extractor(FinderCfg(patience=2), robot), (600, 10, 630, 40)
+    subject, far = extractor(ExtractorCfg(patience=2), robot), (600, 10, 630, 40)
     images = [picture((u - 9, v - 9, u + 9, v + 9)), *[picture(far)] * 8]
     frames = [CameraFrame(image=image, stamp=i / 30, joint_pos=HOME) for i, image in enumerate(images)]
     verdicts = [subject.step(frame, frame.stamp).verdict for frame in frames]
@@ -239,7 +239,7 @@ def test_a_new_throw_begins_without_the_old_box_and_its_stamps():
 
 
 def test_every_stage_is_measured():
-    subject = extractor(robot=RobotMask())
+    subject = extractor(robot=make_robot_mask())
     for i in range(3):
         subject.step(CameraFrame(image=picture(START), stamp=i / 30, joint_pos=HOME), i / 30)
     report = subject.clock.percentiles()

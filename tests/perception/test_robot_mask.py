@@ -10,6 +10,7 @@ from pixel2catch.robot.allegro import Handedness
 
 from pixel2catch.camera.pinhole import back_project
 from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.factory import JOINT_NAMES, make_robot_mask
 from pixel2catch.perception.robot_mask import MARGIN, RobotMask
 from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
 from pixel2catch.robot.scene import SceneCfg, build_model
@@ -58,7 +59,7 @@ def seen_robot(model: mujoco.MjModel, joint_pos: np.ndarray) -> np.ndarray:
 def shares(handedness: Handedness, margin: int) -> tuple[np.ndarray, np.ndarray]:
     """In every pose, masked pixels of the robot and of the rest, both as shares of the robot's."""
     model = build_model(SceneCfg(handedness=handedness, visuals=True))
-    robot = RobotMask(handedness=handedness, margin=margin)
+    robot = RobotMask(model, JOINT_NAMES, RGB_CAMERA, margin=margin)
     covered, hidden = [], []
     for joint_pos in poses():
         truth = seen_robot(model, joint_pos)
@@ -84,7 +85,7 @@ def test_the_margin_covers_the_robot_and_little_else():
 
 def test_the_margin_covers_a_robot_that_is_a_little_elsewhere():
     """Encoders that are half an image interval late, at a tenth of the arm's largest speed."""
-    model, robot = build_model(SceneCfg(visuals=True)), RobotMask()
+    model, robot = build_model(SceneCfg(visuals=True)), make_robot_mask()
     late = np.where(np.arange(len(JOINTS)) < len(ARM_JOINTS), 0.279 / 60, 0.0)
     covered = [robot.at(pose + late)[::STRIDE, ::STRIDE][seen_robot(model, pose)].mean() for pose in poses()]
     assert min(covered) >= 0.99
@@ -92,4 +93,4 @@ def test_the_margin_covers_a_robot_that_is_a_little_elsewhere():
 
 def test_joint_positions_that_are_no_numbers_are_refused():
     with pytest.raises(PerceptionError, match="joint positions must be finite"):
-        RobotMask().at(np.full(len(JOINTS), np.nan))
+        make_robot_mask().at(np.full(len(JOINTS), np.nan))

@@ -9,7 +9,7 @@ from filmed import EPOCH, compressed, joint_state, jpeg, raw, save_bag, stamp_of
 from rosbags.rosbag2 import StoragePlugin
 
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.finder import CameraFrame
+from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.rosbag_images import bag_frames
 from pixel2catch.robot.constants import JOINTS
 
@@ -18,7 +18,7 @@ NAMES = [joint.name for joint in JOINTS]
 
 
 def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[CameraFrame]:
-    return list(bag_frames(path, topic, "/joint_states", [] if notes is None else notes))
+    return list(bag_frames(path, topic, "/joint_states", NAMES, [] if notes is None else notes))
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))

@@ -10,8 +10,8 @@ import torch
 from tiny_sam2 import random_images, save_tiny_sam2
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from pixel2catch.perception.sam2 import Sam2Segmenter
-from pixel2catch.perception.sam2_graphs import MODULES, CapturedFunction, SpeedCfg, accelerate
+from pixel2catch.perception.sam2 import MODULES, Sam2Segmenter, capture
+from pixel2catch.perception.sam2_graphs import CapturedFunction
 from pixel2catch.perception.segmenter import BoxPrompt
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
@@ -86,10 +86,10 @@ def test_a_captured_function_follows_its_input_and_keeps_its_results() -> None:
 def test_graphs_see_what_the_plain_model_sees(tmp_path: Path) -> None:
     """In float32: in bfloat16 noise would hide a memory that is not the right one."""
     folder = save_tiny_sam2(tmp_path)
-    plain, graphs = (Sam2Segmenter(folder, "cuda", speed=SpeedCfg(captured=())) for _ in range(2))
+    plain, graphs = (Sam2Segmenter(folder, "cuda", captured=()) for _ in range(2))
     for segmenter in (plain, graphs):
         segmenter._model.float()
-    accelerate(graphs._model, SpeedCfg())
+    capture(graphs._model, MODULES)
     differences = []
     for throw in range(2):
         images = random_images(40, seed=throw)

@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 from tiny_sam2 import save_tiny_sam2
 
 from pixel2catch.errors import DeviceUnavailableError, PerceptionError
-from pixel2catch.perception import sam2_model
+from pixel2catch.perception import sam2
 from pixel2catch.perception.sam2 import Sam2Segmenter
 
 ADVICE = "hf download facebook/sam2.1-hiera-tiny --local-dir"
@@ -96,7 +96,7 @@ def test_a_missing_device_is_named_before_anything_is_loaded(tmp_path: Path) -> 
 
 def test_without_transformers_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "transformers", None)
-    spec = importlib.util.spec_from_file_location("fresh", sam2_model.__file__)
+    spec = importlib.util.spec_from_file_location("fresh", sam2.__file__)
     assert spec is not None
     assert spec.loader is not None
     with pytest.raises(PerceptionError, match=r"pip install 'pixel2catch\[sam2\]'"):
@@ -110,9 +110,9 @@ def test_a_torchvision_for_another_torch_is_named(tmp_path: Path) -> None:
     metadata.mkdir()
     (package / "__init__.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')")
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: torchvision\nVersion: 0.1.0\n")
-    path = os.pathsep.join([str(tmp_path), str(Path(sam2_model.__file__).parents[2])])
+    path = os.pathsep.join([str(tmp_path), str(Path(sam2.__file__).parents[2])])
     result = subprocess.run(
-        [sys.executable, "-c", "import pixel2catch.perception.sam2_model"],
+        [sys.executable, "-c", "import pixel2catch.perception.sam2"],
         env=os.environ | {"PYTHONPATH": path},
         capture_output=True,
         text=True,

@@ -9,7 +9,7 @@ import threading
 import time
 from itertools import islice
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import av
 import numpy as np
@@ -18,10 +18,8 @@ from filmed import CAMERA, HELD, PATH, box_at, compressed, jpeg, save_bag, save_
 from tiny_sam2 import save_tiny_sam2
 
 from pixel2catch.cli.main import main
-from pixel2catch.cli.sight import Sight
 from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO
 from pixel2catch.perception.annotate import HEADER, PLOT_HEIGHT, PLOT_ROWS
-from pixel2catch.perception.choice import SEGMENTERS
 from pixel2catch.perception.tracking import COLUMNS
 from pixel2catch.robot.constants import CONTROL_DT
 
@@ -133,10 +131,6 @@ def test_what_is_printed_says_whether_it_is_fast_enough(
     ):
         assert word in printed
     assert "the robot is not masked in 16 control steps" in printed
-
-
-def test_choices_of_the_command_are_the_segmenters():
-    assert set(get_args(get_type_hints(Sight)["segmenter"])) == set(SEGMENTERS)
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,11 @@ from filmed import CAMERA, HELD, PATH, throw
 
 from pixel2catch.camera.features import PIXEL_FEATURES
 from pixel2catch.perception.color import ColorRange, ColorThreshold
-from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
-from pixel2catch.perception.finder import CameraFrame
-from pixel2catch.perception.gate import Verdict
-from pixel2catch.perception.prompt import ColorPrompter
-from pixel2catch.perception.ticks import Tick, on_control_clock
-from pixel2catch.perception.tracking import COLUMNS, LaterPrompter, Sighting, Tally, follow
+from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
+from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.perception.prompt import ColorPrompter, LaterPrompter
+from pixel2catch.perception.sources import Tick, on_control_clock
+from pixel2catch.perception.tracking import COLUMNS, Sighting, Tally, follow
 from pixel2catch.robot.constants import CONTROL_DT
 
 RED = ColorRange(hue=(340, 20))

@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.extras import needs_extra
+from pixel2catch.errors import InvalidValueError, RecordingError
+from pixel2catch.files import require_free_file, write_atomically
+from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    import numpy as np
-
-    from pixel2catch.perception.calibration import Calibration, HandView
-    from pixel2catch.perception.calibration_comparison import Comparison
-    from pixel2catch.perception.calibration_intrinsics import Intrinsics
+    from pixel2catch.perception.calibration.comparison import Comparison
+    from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
+    from pixel2catch.perception.calibration.intrinsics import Intrinsics
 
 IMAGE_COLUMN = "image"
 """Column with the names of the images, relative to the folder of the table."""
@@ -65,10 +68,8 @@ class Calibrate:
 
     def run(self) -> None:
         """Print the board, or find the camera and write it."""
-        from pixel2catch.cli.extras import needs_extra
-
         with needs_extra("perception"):
-            import pixel2catch.perception.calibration  # noqa: F401
+            import pixel2catch.perception.calibration.extrinsics  # noqa: F401
         if self.print_marker is not None:
             _print_board(self.print_marker)
         else:
@@ -77,80 +78,88 @@ class Calibrate:
     def _calibrate(self) -> None:
         from pixel2catch.cli.console import say
         from pixel2catch.evaluation.study.throw_figure import sample_paths
-        from pixel2catch.files import require_free_file
         from pixel2catch.mdp.throws import ThrowCfg
-        from pixel2catch.perception.calibration import calibrate, pose_matrix
-        from pixel2catch.perception.calibration_comparison import compare
-        from pixel2catch.robot.constants import RGB_CAMERA
+        from pixel2catch.perception.calibration.comparison import compare
+        from pixel2catch.perception.calibration.extrinsics import calibrate, pose_matrix
 
         require_free_file(self.out)
-        intrinsics = self._lens()
+        if self.intrinsics is None or self.views is None:
+            raise InvalidValueError(
+                "give a table of images and joint positions, and --intrinsics; or --print-marker FILE.png "
+                "to begin with."
+            )
+        intrinsics = self._lens(self.intrinsics)
         pose = self.board_pose
         board = None if pose is None else pose_matrix(pose[:3], pose[3:])
-        result = calibrate(self._hand_views(intrinsics), intrinsics, board)
+        result = calibrate(self._hand_views(self.views, intrinsics), intrinsics, board)
         paths = sample_paths(ThrowCfg(), NUM_THROWS, seed=0).reshape(-1, 3)
         comparison = compare(result.file, RGB_CAMERA, paths)
         result.file.save(self.out)
         _print_result(result, intrinsics, comparison, as_json=self.json)
         say(f"wrote {self.out}")
 
-    def _lens(self) -> "Intrinsics":
+    def _lens(self, path: Path) -> "Intrinsics":
         """The lens.
 
         Raises:
-            InvalidValueError: If it is not given, or is of images of another size than the policies'.
+            InvalidValueError: If it is of images of another size than the policies'.
         """
-        from pixel2catch.errors import InvalidValueError
-        from pixel2catch.perception.calibration_intrinsics import read_intrinsics
-        from pixel2catch.perception.calibration_target import Chessboard, HandBoard
-        from pixel2catch.robot.constants import RGB_CAMERA
+        from pixel2catch.perception.calibration.intrinsics import read_intrinsics
+        from pixel2catch.perception.calibration.target import CharucoBoard, Chessboard
 
-        if self.intrinsics is None or self.views is None:
-            raise InvalidValueError(
-                "give a table of images and joint positions, and --intrinsics; or --print-marker FILE.png "
-                "to begin with."
-            )
-        board = Chessboard(self.chessboard) if self.chessboard else HandBoard(self.square)
-        lens = read_intrinsics(self.intrinsics, board, self.topic, is_rectified=self.rectified)
+        board = Chessboard(self.chessboard) if self.chessboard else CharucoBoard(self.square)
+        lens = read_intrinsics(path, board, self.topic, is_rectified=self.rectified)
         wanted = (RGB_CAMERA.width, RGB_CAMERA.height)
         if lens.size != wanted:
             raise InvalidValueError(
-                f"{self.intrinsics} is of images of {lens.size} pixels, but policies look at {wanted}: set "
-                "the camera to that resolution and record again."
+                f"{path} is of images of {lens.size} pixels, but policies look at {wanted}: set the camera "
+                "to that resolution and record again."
             )
         return lens
 
-    def _hand_views(self, intrinsics: "Intrinsics") -> "list[HandView]":
-        """The corners in every image that shows the board."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.perception.calibration import HandView
-        from pixel2catch.perception.calibration_target import HandBoard, read_image
-        from pixel2catch.perception.segmenter import check_image
+    def _hand_views(self, path: Path, intrinsics: "Intrinsics") -> "list[HandView]":
+        """The corners in every image of a table that shows the board.
 
-        assert self.views is not None
-        names, joint_pos = _read_views(self.views)
-        board, views, blank = HandBoard(self.square), [], []
-        for name, positions in zip(names, joint_pos, strict=True):
-            image = read_image(self.views.parent / name)
+        Raises:
+            RecordingError: If the table lacks a column, or has positions that no arm can have, such as
+                degrees.
+        """
+        import numpy as np
+        import torch
+
+        from pixel2catch.cli.console import say
+        from pixel2catch.identification.recording import read_table, require_motion
+        from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
+        from pixel2catch.perception.calibration.target import CharucoBoard, read_image
+        from pixel2catch.perception.segmenter import check_image
+        from pixel2catch.robot.kinematics import palm_pose
+
+        table = read_table(path)
+        if IMAGE_COLUMN not in table.names:
+            raise RecordingError(f"{path}: no column {IMAGE_COLUMN}; it has {', '.join(table.names)}.")
+        joints = tuple(joint.name for joint in ARM_JOINTS)
+        joint_pos = table.columns(joints)
+        require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
+        names = [row[table.names.index(IMAGE_COLUMN)] for row in table.rows]
+        board, views, blank = CharucoBoard(self.square), [], []
+        pos, quat = (each.tolist() for each in palm_pose(torch.from_numpy(joint_pos)))
+        for name, *palm in zip(names, pos, quat, strict=True):
+            image = read_image(path.parent / name)
             check_image(image, *intrinsics.size)
-            view = board.find(image)
-            if view is None:
-                blank.append(name)
+            if view := board.find(image):
+                views.append(HandView(name=name, view=view, palm=pose_matrix(*palm)))
             else:
-                views.append(HandView(name=name, view=view, joint_pos=positions))
+                blank.append(name)
         if blank:
             say(f"no board found in {len(blank)} of {len(names)} images: {', '.join(blank)}")
         return views
 
 
 def _print_board(path: Path) -> None:
-    """Write the board to print."""
     import io
 
     from pixel2catch.cli.console import say
-    from pixel2catch.errors import InvalidValueError
-    from pixel2catch.files import require_free_file, write_atomically
-    from pixel2catch.perception.calibration_target import sheet
+    from pixel2catch.perception.calibration.target import sheet
 
     kind = path.suffix.lower().lstrip(".")
     if kind not in ("png", "pdf"):
@@ -160,28 +169,6 @@ def _print_board(path: Path) -> None:
     sheet().savefig(page, format=kind)
     write_atomically({path: page.getvalue()})
     say(f"wrote {path}: print it at 100 %, then measure a square for --square")
-
-
-def _read_views(path: Path) -> "tuple[list[str], np.ndarray]":
-    """Names of images and positions of the arm's joints [rad], row by row.
-
-    Raises:
-        RecordingError: If the table lacks a column, or has positions that no arm can have, such as degrees.
-    """
-    import numpy as np
-
-    from pixel2catch.errors import RecordingError
-    from pixel2catch.identification.recording import read_table, require_motion
-    from pixel2catch.robot.constants import ARM_JOINTS
-
-    table = read_table(path)
-    if IMAGE_COLUMN not in table.names:
-        raise RecordingError(f"{path}: no column {IMAGE_COLUMN}; it has {', '.join(table.names)}.")
-    joints = tuple(joint.name for joint in ARM_JOINTS)
-    joint_pos = table.columns(joints)
-    require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
-    index = table.names.index(IMAGE_COLUMN)
-    return [row[index] for row in table.rows], joint_pos
 
 
 def _print_result(
@@ -219,7 +206,7 @@ def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Com
     """The result in words."""
     from math import degrees
 
-    from pixel2catch.perception.calibration_comparison import advice
+    from pixel2catch.perception.calibration.comparison import advice
 
     x, y, z = result.file.camera.pos
     dx, dy, dz = (100 * std for std in result.file.pos_std)

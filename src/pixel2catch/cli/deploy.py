@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from pixel2catch.cli.link import Link
-from pixel2catch.cli.sight import Sight
+from pixel2catch.perception.factory import PerceptionArgs
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.brain import Brain
@@ -34,7 +34,7 @@ class Deploy:
         record_images: How images are recorded; raw ones are 27 MB a second.
         seconds: When to end. Default: at Ctrl-C.
         json: Print the summary as one JSON object, and each status as a line of JSON.
-        sight: What looks for the object.
+        perception: What looks for the object.
         link: How the robot is reached, and how fast it may be.
     """
 
@@ -44,7 +44,7 @@ class Deploy:
     record_images: Literal["jpeg", "raw", "none"] = "jpeg"
     seconds: float | None = None
     json: bool = False
-    sight: Sight = field(default_factory=Sight)
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
     link: Link = field(default_factory=Link)
 
     def run(self) -> None:
@@ -58,9 +58,9 @@ class Deploy:
             from pixel2catch.deployment.priority import BRAIN, set_niceness
             from pixel2catch.deployment.worker import ThreadWorker
         set_niceness(BRAIN)
-        self.sight.prepare()
+        self.perception.prepare()
         notes: list[str] = []
-        camera, profile = self.sight.camera_spec(notes), self.link.load()
+        camera, profile = self.perception.camera_spec(notes), self.link.load()
         brain = self.make_brain(profile, camera)
         for note in notes:
             say(note)
@@ -82,14 +82,14 @@ class Deploy:
         from pixel2catch.deployment.brain import make_brain
         from pixel2catch.deployment.controller import Controller
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.perception.robot_mask import RobotMask
+        from pixel2catch.perception.factory import make_robot_mask
 
         policy, _ = load_policy(self.policy)
         controller = Controller(policy, profile.handedness, camera)
         profile.require(policy.contract.commands)
-        robot = RobotMask(camera, handedness=profile.handedness) if self.mask_robot else None
-        prompter = self.sight.make_prompter(camera)
-        return make_brain(controller, self.sight.make_segmenter(), prompter, camera, robot)
+        robot = make_robot_mask(camera, profile.handedness) if self.mask_robot else None
+        prompter = self.perception.make_prompter(camera)
+        return make_brain(controller, self.perception.make_segmenter(), prompter, camera, robot)
 
     def _loop(self, deployment: "Deployment", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""

@@ -272,7 +272,7 @@ def camera(source: str | None) -> str:
     """
     if source is None:
         raise Absent("not asked for: name it with --camera")
-    from pixel2catch.perception.cameras import measure_camera, open_camera
+    from pixel2catch.perception.sources import measure_camera, open_camera
     from pixel2catch.robot.constants import RGB_CAMERA
 
     report = measure_camera(open_camera(source), CAMERA_SECONDS)

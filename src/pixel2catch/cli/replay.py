@@ -9,7 +9,7 @@ from typing import Any
 from tyro.conf import Positional
 
 from pixel2catch.cli.deploy import Deploy
-from pixel2catch.cli.sight import Sight
+from pixel2catch.perception.factory import PerceptionArgs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Replay:
         perception_ms: Time that perception takes for an image.
         mask_robot: Ignore motion where the robot is in the image.
         json: Print the report as one JSON object.
-        sight: What looks for the object.
+        perception: What looks for the object.
     """
 
     tape: Positional[Path]
@@ -37,7 +37,7 @@ class Replay:
     perception_ms: float = 10.0
     mask_robot: bool = True
     json: bool = False
-    sight: Sight = field(default_factory=Sight)
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
 
     def run(self) -> None:
         """Replay, compare and report."""
@@ -46,10 +46,10 @@ class Replay:
         with needs_extra("deployment"):
             from pixel2catch.deployment.profile import Profile
             from pixel2catch.deployment.replaying import ReplayCfg, compare, decided, replay
-        self.sight.prepare()
+        self.perception.prepare()
         notes: list[str] = []
-        profile, camera = Profile.load(self.profile), self.sight.camera_spec(notes)
-        deploy = Deploy(policy=self.policy, mask_robot=self.mask_robot, sight=self.sight)
+        profile, camera = Profile.load(self.profile), self.perception.camera_spec(notes)
+        deploy = Deploy(policy=self.policy, mask_robot=self.mask_robot, perception=self.perception)
         cfg = ReplayCfg(
             tape=self.tape,
             out=self.out,

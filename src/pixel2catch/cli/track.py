@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.cli.sight import Sight
+from pixel2catch.circumstances import circumstances
+from pixel2catch.cli.extras import needs_extra
+from pixel2catch.errors import PerceptionError
+from pixel2catch.files import plain, require_free_folder, write_atomically
+from pixel2catch.interruption import StopRequest
+from pixel2catch.perception.factory import JOINT_NAMES, PerceptionArgs, make_robot_mask
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from pixel2catch.perception.extractor import PixelFeatureExtractor
     from pixel2catch.perception.tracking import Sighting, Tally
     from pixel2catch.robot.constants import CameraSpec
 
@@ -43,7 +45,7 @@ class Track:
         topic: Topic of the images in a rosbag. Default: the only one.
         joint_states: Topic of the joint states in a rosbag, for --mask-robot.
         mask_robot: Ignore motion where the robot is; the rosbag must have the states of all joints.
-        sight: What looks for the object.
+        perception: What looks for the object.
         json: Print the summary as one JSON object.
     """
 
@@ -54,20 +56,17 @@ class Track:
     topic: str | None = None
     joint_states: str = "/joint_states"
     mask_robot: bool = False
-    sight: Sight = field(default_factory=Sight)
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
     json: bool = False
 
     def run(self) -> None:
         """Follow the object, write what is seen, and print how long it took."""
         from pixel2catch.cli.console import say
-        from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("perception"):
             from pixel2catch.perception.tracking import Tally
-        from pixel2catch.files import require_free_folder
-
         require_free_folder(self.out)
-        self.sight.prepare()
+        self.perception.prepare()
         notes: list[str] = []
         tally = Tally()
         self._record(tally, notes)
@@ -76,13 +75,10 @@ class Track:
                 f"the robot is not masked in {tally.num_without_joints} control steps: no states of all its "
                 f"joints on {self.joint_states} before their images."
             )
-        summary = {
-            "source": self.source,
-            "segmenter": self.sight.segmenter,
-            **tally.summary(),
-            "notes": notes,
-        }
-        self._finish(summary)
+        source = {"source": self.source, "segmenter": self.perception.segmenter}
+        summary = {**source, **tally.summary(), "notes": notes}
+        text = json.dumps(summary | {"circumstances": circumstances()}, indent=2, default=plain)
+        write_atomically({self.out / SUMMARY: f"{text}\n".encode()})
         _print_result(tally, summary, as_json=self.json)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
 
@@ -90,14 +86,21 @@ class Track:
         """Follow the object and write video and table until the end, or until Ctrl-C."""
         from contextlib import closing
 
-        from pixel2catch.errors import PerceptionError
-        from pixel2catch.interruption import StopRequest
+        from pixel2catch.perception.extractor import PixelFeatureExtractor
+        from pixel2catch.perception.prompt import LaterPrompter
         from pixel2catch.perception.sources import SourceCfg, ticks_of
         from pixel2catch.perception.tracking import follow
 
-        camera = self.sight.camera_spec(notes)
-        extractor = self._extractor(camera)
-        source = SourceCfg(name=self.source, topic=self.topic, joint_states=self.joint_states)
+        camera = self.perception.camera_spec(notes)
+        extractor = PixelFeatureExtractor(
+            self.perception.make_segmenter(),
+            LaterPrompter(self.perception.make_prompter(camera)),
+            robot=make_robot_mask(camera) if self.mask_robot else None,
+            camera=camera,
+        )
+        source = SourceCfg(
+            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=JOINT_NAMES
+        )
         with closing(ticks_of(source, notes)) as ticks:
             sightings = follow(ticks, extractor, self.at)
             first = next(sightings, None)
@@ -105,13 +108,10 @@ class Track:
                 raise PerceptionError(f"{self.source} has no images.")
             with StopRequest() as stop:
                 rest = takewhile(lambda _: not stop.is_set, chain([first], sightings))
-                self._write(takewhile(self._is_in_time, rest), camera, tally)
+                end = inf if self.seconds is None else self.seconds
+                self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera, tally)
             if stop.is_set:
                 notes.append("stopped by Ctrl-C.")
-
-    def _is_in_time(self, sighting: "Sighting") -> bool:
-        """Whether this is before the time to stop."""
-        return self.seconds is None or sighting.time <= self.seconds
 
     def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
         """Write a picture and a row for every sighting."""
@@ -137,43 +137,16 @@ class Track:
                     said = time.monotonic()
                     say(f"{sighting.time:.1f} s: {sighting.extraction.verdict}")
 
-    def _finish(self, summary: dict[str, Any]) -> None:
-        """Write the summary, with how it came about."""
-        from pixel2catch.circumstances import circumstances
-        from pixel2catch.files import plain, write_atomically
-
-        text = json.dumps(summary | {"circumstances": circumstances()}, indent=2, default=plain)
-        write_atomically({self.out / SUMMARY: f"{text}\n".encode()})
-
-    def _extractor(self, camera: "CameraSpec") -> "PixelFeatureExtractor":
-        """What finds the object and makes features of it."""
-        from pixel2catch.perception.extractor import PixelFeatureExtractor
-        from pixel2catch.perception.robot_mask import RobotMask
-        from pixel2catch.perception.tracking import LaterPrompter
-
-        prompter = LaterPrompter(self.sight.make_prompter(camera))
-        robot = RobotMask(camera) if self.mask_robot else None
-        return PixelFeatureExtractor(self.sight.make_segmenter(), prompter, robot=robot, camera=camera)
-
 
 def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> None:
     """Print the times of the stages, what was seen, and whether it is fast enough."""
     if as_json:
         print(json.dumps(summary, indent=2))
         return
+    from rich.table import Table
     from rich.text import Text
 
     from pixel2catch.cli.console import results_console
-
-    console = results_console()
-    console.print(_table(tally))
-    for line in _sentences(tally, summary):
-        console.print(Text(line))
-
-
-def _table(tally: "Tally") -> "Table":
-    """The times of the stages."""
-    from rich.table import Table
 
     table = Table(title="time of each stage [ms]")
     table.add_column("stage")
@@ -182,7 +155,10 @@ def _table(tally: "Tally") -> "Table":
     for stage, took in tally.percentiles().items():
         times = (f"{1e3 * value:.2f}" for value in (took.p50, took.p95, took.p99))
         table.add_row(stage, *times, str(took.count))
-    return table
+    console = results_console()
+    console.print(table)
+    for line in _sentences(tally, summary):
+        console.print(Text(line))
 
 
 def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":

@@ -13,13 +13,11 @@ from pixel2catch.deployment.motion import Joints
 from pixel2catch.deployment.servo_link import Orders
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
-from pixel2catch.perception.finder import CameraFrame
-from pixel2catch.perception.gate import Verdict
-from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, Prompter
+from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
+from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, LaterPrompter, Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
-from pixel2catch.perception.tracking import LaterPrompter
 from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
 
 BOX_AGE = 1.8 * CONTROL_DT

@@ -21,8 +21,7 @@ from pixel2catch.deployment.servo_state import Mode
 from pixel2catch.deployment.tape import ORDERS, SERVO
 from pixel2catch.deployment.worker import CallerWorker, Worker
 from pixel2catch.errors import DeploymentError, NonFiniteError
-from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.finder import CameraFrame
+from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 

@@ -13,7 +13,7 @@ from pixel2catch.deployment.profile import CameraProfile
 from pixel2catch.deployment.transport import Packet, Transport
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
-from pixel2catch.perception.finder import CameraFrame
+from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
 
 DEPTH = 4

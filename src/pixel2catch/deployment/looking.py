@@ -7,8 +7,7 @@ from functools import partial
 from pixel2catch.deployment.brain import Brain
 from pixel2catch.deployment.clock import Clock
 from pixel2catch.deployment.worker import Worker
-from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.finder import CameraFrame
+from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.segmenter import Prompt
 from pixel2catch.robot.constants import CONTROL_DT
 

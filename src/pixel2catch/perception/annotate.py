@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 
 from pixel2catch.camera.features import PIXEL_FEATURES
 from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.perception.tracking import Sighting
 from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
@@ -43,11 +43,7 @@ class Annotator:
     """Draws one picture per control step, all of one size; it remembers what the plots show."""
 
     def __init__(self, camera: CameraSpec = RGB_CAMERA) -> None:
-        """Begin with empty plots.
-
-        Args:
-            camera: The camera, for the size of the image.
-        """
+        """Begin with empty plots beside images of the camera's size."""
         self._camera = camera
         self._past: deque[tuple[np.ndarray, Color]] = deque(maxlen=HISTORY)
 
@@ -58,7 +54,6 @@ class Annotator:
         return np.concatenate([self._header(sighting), self._image(sighting, color), self._plots()])
 
     def _header(self, sighting: Sighting) -> Canvas:
-        """The line of text."""
         seen = sighting.extraction
         age = f"{1e3 * seen.age:.0f} ms old" if seen.is_valid else "never seen"
         took = f"{1e3 * sighting.durations.get('total', 0.0):.1f} ms"
@@ -112,7 +107,6 @@ def _plot(canvas: Canvas, name: str, values: np.ndarray, colors: list[Color]) ->
 
 
 def _color(seen: Extraction) -> Color:
-    """Colour of what is known of the object."""
     if not seen.is_valid:
         return UNKNOWN
     if seen.verdict is Verdict.SEEN:

@@ -1,13 +1,12 @@
-"""The object by its colours and its motion: what has both, near to where the object should be."""
+"""The object by its motion and its colours: what differs from a learned background where it should be."""
 
 from math import inf, isinf
 
 import cv2
 import numpy as np
 
-from pixel2catch.perception.appearance import Appearance
-from pixel2catch.perception.blobs import Blob, Blobs, Course, FollowCfg, find_blobs
-from pixel2catch.perception.foreground import GAP, SPECK, Foreground, ForegroundCfg
+from pixel2catch.perception.color import Appearance
+from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack, find_blobs
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
@@ -17,6 +16,19 @@ from pixel2catch.perception.segmenter import (
     Segmentation,
     Segmenter,
 )
+
+FOREGROUND = 255
+"""What OpenCV calls the foreground; shadows are 127."""
+
+MEMORY = 300
+"""Images that the background is made of. Source: ours: 10 s at 30 Hz."""
+
+THRESHOLD = 16.0
+"""Squared distance of a pixel from the background, in variances, from which it differs. Source: OpenCV."""
+
+LEARNING_IMAGES = 30
+"""Images that a pixel must have been seen in without the robot before its changes mean anything: a tenth of
+the memory, after which OpenCV takes something new for background."""
 
 INNER = 0.8
 """Share of the width and height of a prompted box in which the object's colours are learned. Source: ours."""
@@ -35,6 +47,38 @@ THINNING = 2
 """Of what is ignored, every second pixel of every second row is learned."""
 
 
+class Foreground:
+    """Which pixels differ from the background, in a stream of images.
+
+    Where pixels are ignored the background is not learned: the robot that waits for a throw is not taken for
+    background, and neither is what it uncovers taken for an object.
+    """
+
+    def __init__(self, learning_images: int = LEARNING_IMAGES) -> None:
+        """Know no background, and say nothing of a pixel before so many images of it."""
+        self._learning_images = learning_images
+        self._model = cv2.createBackgroundSubtractorMOG2(MEMORY, THRESHOLD, detectShadows=True)
+        self._scene = np.empty((0, 0, 3), dtype=np.uint8)
+        self._num_seen = np.empty((0, 0), dtype=np.uint8)
+
+    def step(self, image: Image, ignored: Mask | None) -> tuple[Mask, Mask]:
+        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel.
+
+        Returns:
+            Which pixels differ from the background; and in which that cannot be told.
+        """
+        if self._scene.shape != image.shape:
+            self._scene = image.copy()
+            self._num_seen = np.zeros(image.shape[:2], dtype=np.uint8)
+        counted = np.ones_like(self._num_seen) if ignored is None else (~ignored).view(np.uint8)
+        cv2.copyTo(image, counted, self._scene)
+        cv2.add(self._num_seen, counted, self._num_seen)
+        pixels = (self._model.apply(self._scene) == FOREGROUND).view(np.uint8)
+        pixels = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, SPECK)
+        unknown = (counted == 0) | (self._num_seen < self._learning_images)
+        return (pixels > 0) & ~unknown, unknown
+
+
 class BackgroundSubtraction(Segmenter):
     """Follows what has the object's colours, or moves, near to where the object should be; needs no weights.
 
@@ -43,21 +87,15 @@ class BackgroundSubtraction(Segmenter):
     and while it is held still. An object without colours of its own is followed by its motion alone.
     """
 
-    def __init__(self, *, background: ForegroundCfg | None = None, follow: FollowCfg | None = None) -> None:
-        """Know neither background nor object.
-
-        Args:
-            background: How the background is learned.
-            follow: Which of several regions is taken.
-        """
-        self._foreground = Foreground(background or ForegroundCfg())
-        self._follow = follow or FollowCfg()
-        self._course: Course | None = None
+    def __init__(self) -> None:
+        """Know neither background nor object."""
+        self._foreground = Foreground()
+        self._track: ImageTrack | None = None
         self._appearance, self._area = Appearance(), inf
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`."""
-        self._course, self._appearance, self._area = Course(center=prompt.center), Appearance(), inf
+        self._track, self._appearance, self._area = ImageTrack(center=prompt.center), Appearance(), inf
         if isinstance(prompt, BoxPrompt):
             inside, around = _prompted(prompt.box, image)
             self._learn(image, inside, around, ignored)
@@ -66,54 +104,57 @@ class BackgroundSubtraction(Segmenter):
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
         """See `Segmenter.track`."""
         moving, unknown = self._foreground.step(image, ignored)
-        if self._course is None:
+        if self._track is None:
             return NOT_FOUND
-        found, blob = self._object(image, moving, unknown, self._course)
-        if blob is not None and not _overlap(found.mask(blob), unknown):
+        blobs, blob = self._object(image, moving, unknown, self._track)
+        self._track, segmentation = self._track.advanced(blobs, blob)
+        mask = segmentation.mask
+        if blob is not None and mask is not None and not _overlap(mask, unknown):
             is_first = isinf(self._area)
             self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
-            self._learn(image, found.mask(blob), _grown(found.mask(blob), GAP), ignored)
-        self._course, segmentation = self._course.advanced(found, blob)
+            self._learn(image, mask, _grown(mask, GAP), ignored)
         return segmentation
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
-        self._course = None
+        self._track = None
 
-    def _object(self, image: Image, moving: Mask, unknown: Mask, course: Course) -> tuple[Blobs, Blob | None]:
+    def _object(
+        self, image: Image, moving: Mask, unknown: Mask, track: ImageTrack
+    ) -> tuple[list[Blob], Blob | None]:
         """The region of the object's colours with its new sides, else of less, else whatever moves.
 
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alike, whole = self._resembling(image, moving, course)
+        alike, whole = self._resembling(image, moving, track)
         for mask in (whole, alike, alike & (moving | unknown), moving):
-            found, blob = self._next(mask, course)
-            if blob is not None and self._fits(blob, found.mask(blob), unknown):
-                return found, blob
-        return self._next(alike, course)[0], None
+            blobs, blob = self._next(mask, track)
+            if blob is not None and self._fits(blob, unknown):
+                return blobs, blob
+        return self._next(alike, track)[0], None
 
-    def _next(self, mask: Mask, course: Course) -> tuple[Blobs, Blob | None]:
-        """The regions of a mask, with small gaps closed, and the one that continues the course."""
-        found = find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
-        return found, course.next_blob(found, self._follow)
+    def _next(self, mask: Mask, track: ImageTrack) -> tuple[list[Blob], Blob | None]:
+        """The regions of a mask, with small gaps closed, and the one that continues the track."""
+        blobs = find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
+        return blobs, track.next_blob(blobs)
 
-    def _fits(self, blob: Blob, mask: Mask, unknown: Mask) -> bool:
+    def _fits(self, blob: Blob, unknown: Mask) -> bool:
         """Whether a region has the object's size, or less where the robot may hide a part of it."""
         if isinf(self._area):
             return True
         is_large = blob.area >= LEAST_SHARE * self._area
-        return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(mask, unknown))
+        return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(blob.mask(), unknown))
 
-    def _resembling(self, image: Image, moving: Mask, course: Course) -> tuple[Mask, Mask]:
+    def _resembling(self, image: Image, moving: Mask, track: ImageTrack) -> tuple[Mask, Mask]:
         """Pixels with the object's colours, and these with what moves along with them in a new colour.
 
         In reach of where the object should be and a little further: what is out of reach now may be in reach
         in the next image, and is known for another thing then.
         """
         alike, whole = (np.zeros(image.shape[:2], dtype=bool) for _ in range(2))
-        reach = course.reach(self._follow) + self._follow.reach
-        window = _window((course.center, course.expected), reach, image)
+        reach = track.reach + REACH
+        window = _window((track.center, track.expected), reach, image)
         alike[window] = self._appearance.resembles(image[window])
         new = self._appearance.is_new(image[window]) & moving[window]
         whole[window] = _extended(alike[window], new)
@@ -125,7 +166,7 @@ class BackgroundSubtraction(Segmenter):
         if not len(rows):
             return
         center = (float(columns.mean()), float(rows.mean()))
-        window = _window((center,), self._follow.reach, image)
+        window = _window((center,), REACH, image)
         others = [image[window][~maybe[window]]]
         if ignored is not None:
             others.append(image[::THINNING, ::THINNING][ignored[::THINNING, ::THINNING]])

@@ -1,14 +1,31 @@
-"""The object by its colour: a range of hue, saturation and value."""
+"""The object by its colours: a range that a person gives, or histograms that are learned while it is seen."""
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from jaxtyping import Float32, Int, UInt8
 
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.blobs import Course, FollowCfg, find_blobs
-from pixel2catch.perception.foreground import SPECK
+from pixel2catch.perception.image_track import SPECK, ImageTrack, find_blobs
 from pixel2catch.perception.segmenter import NOT_FOUND, Image, Mask, Prompt, Segmentation, Segmenter
+
+Colors = UInt8[np.ndarray, "_ 3"]
+"""Red, green and blue of some pixels."""
+
+Histogram = Float32[np.ndarray, " num_colors"]
+"""How many pixels have each colour, with older images counting less."""
+
+SHIFT = 4
+"""A colour is the upper four bits of each channel: 16 levels. Source: ours."""
+
+LEVELS = 256 >> SHIFT
+
+FADE = 0.8
+"""Weight of what was learned before, in every image. Source: ours; five images."""
+
+LEAST_COUNT = 0.1
+"""Pixels of a colour, spread over its neighbours, below which it is not known. Source: ours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,16 +55,12 @@ class ColorRange:
         """Which pixels have such a colour, without single specks."""
         hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
         pixels = np.zeros(image.shape[:2], dtype=bool)
-        for first, last in self._hue_intervals():
+        start, end = self.hue
+        for first, last in [(start, end)] if start <= end else [(start, 360.0), (0.0, end)]:
             lower = np.array((first / 2, 255 * self.saturation[0], 255 * self.value[0]))
             upper = np.array((last / 2, 255 * self.saturation[1], 255 * self.value[1]))
             pixels |= cv2.inRange(hsv, lower, upper) > 0
         return cv2.morphologyEx(pixels.view(np.uint8), cv2.MORPH_OPEN, SPECK) > 0
-
-    def _hue_intervals(self) -> tuple[tuple[float, float], ...]:
-        """The hues as intervals that do not cross red [degrees]."""
-        first, last = self.hue
-        return ((first, last),) if first <= last else ((first, 360.0), (0.0, last))
 
 
 class ColorThreshold(Segmenter):
@@ -57,30 +70,71 @@ class ColorThreshold(Segmenter):
     hand, too.
     """
 
-    def __init__(self, colors: ColorRange, follow: FollowCfg | None = None) -> None:
-        """Follow a colour.
-
-        Args:
-            colors: The object's colours.
-            follow: Which of several regions is taken.
-        """
-        self._colors, self._follow = colors, follow or FollowCfg()
-        self._course: Course | None = None
+    def __init__(self, colors: ColorRange) -> None:
+        """Follow these colours."""
+        self._colors = colors
+        self._track: ImageTrack | None = None
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         """Begin at the prompt: see `Segmenter.start`."""
-        self._course = Course(center=prompt.center)
+        self._track = ImageTrack(center=prompt.center)
         return self.track(image, ignored)
 
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
         """See `Segmenter.track`; colour needs no motion, so nothing is ignored."""
-        if self._course is None:
+        if self._track is None:
             return NOT_FOUND
-        found = find_blobs(self._colors.mask(image))
-        blob = self._course.next_blob(found, self._follow)
-        self._course, segmentation = self._course.advanced(found, blob)
+        blobs = find_blobs(self._colors.mask(image))
+        self._track, segmentation = self._track.advanced(blobs, self._track.next_blob(blobs))
         return segmentation
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
-        self._course = None
+        self._track = None
+
+
+class Appearance:
+    """Two colour histograms: of the object, and of all that it could be confused with.
+
+    They count pixels, so a colour is the object's only where the object has more of it than all the rest: a
+    black ball over a black hand is not told by its colour.
+    """
+
+    def __init__(self) -> None:
+        """Know no colour."""
+        self._object = np.zeros(LEVELS**3, dtype=np.float32)
+        self._other = np.zeros(LEVELS**3, dtype=np.float32)
+
+    def learn(self, pixels: Colors, others: Colors) -> None:
+        """Learn the object's pixels in an image, and others that are surely not the object's."""
+        self._object = _faded(self._object, pixels)
+        self._other = _faded(self._other, others)
+
+    def resembles(self, image: Image) -> Mask:
+        """Return which pixels have the object's colours rather than others; none if they are unknown."""
+        likely = _spread(self._object) > np.maximum(_spread(self._other), LEAST_COUNT)
+        return likely[_codes(cv2.blur(image, (3, 3)))]
+
+    def is_new(self, image: Image) -> Mask:
+        """Return which pixels have colours that nothing else had: an unseen side of the object may have."""
+        return (_spread(self._other) <= LEAST_COUNT)[_codes(cv2.blur(image, (3, 3)))]
+
+
+def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]:
+    """Index of every colour in a histogram."""
+    levels = (colors >> SHIFT).astype(np.intp)
+    return (levels[..., 0] * LEVELS + levels[..., 1]) * LEVELS + levels[..., 2]
+
+
+def _faded(histogram: Histogram, colors: Colors) -> Histogram:
+    counts = np.bincount(_codes(colors), minlength=len(histogram)).astype(np.float32)
+    return FADE * histogram + (1.0 - FADE) * counts
+
+
+def _spread(histogram: Histogram) -> Histogram:
+    """The histogram, spread over neighbouring colours: what is lit a little differently is alike."""
+    cube = histogram.reshape(LEVELS, LEVELS * LEVELS)
+    for _ in range(3):  # one channel at a time; the transposition brings the next to the front
+        cube = cv2.blur(np.ascontiguousarray(cube), (1, 3), borderType=cv2.BORDER_CONSTANT)
+        cube = cube.reshape(LEVELS, LEVELS, LEVELS).transpose(1, 2, 0).reshape(LEVELS, LEVELS * LEVELS)
+    return cube.reshape(-1)

@@ -1,19 +1,28 @@
 """What says which of all the things in an image is the object: a person, its colour, or its flight."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from itertools import product
 
 import cv2
 import numpy as np
 
-from pixel2catch.perception.blobs import Blob, FollowCfg, find_blobs, is_plausible
+from pixel2catch.perception.background import Foreground
 from pixel2catch.perception.color import ColorRange
-from pixel2catch.perception.foreground import GAP, Foreground, ForegroundCfg
+from pixel2catch.perception.image_track import GAP, Blob, find_blobs
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt
 
 Region = tuple[float, float, float, float]
 """xmin, ymin, xmax, ymax [px]."""
+
+LEAST_SPEED, LARGEST_SPEED = 8.0, 90.0
+"""Slowest and fastest motion of a flying thing between two images [px]. Source: ours; a throw begins with 10
+or more, and rendered catches move by 61 at most."""
+
+LARGEST_CHANGE = 12.0
+"""Largest change of its motion [px]. Source: ours; gravity and approach make up to 10."""
+
+LARGEST_GROWTH = 2.5
+"""How many times larger a flying thing may be in one of three images than in another. Source: ours."""
 
 
 class Prompter(ABC):
@@ -72,56 +81,38 @@ class FirstPrompter(Prompter):
             prompter.reset()
 
 
+class LaterPrompter(Prompter):
+    """Another one, that says nothing before the first throw begins with a reset; it may learn until then."""
+
+    def __init__(self, prompter: Prompter) -> None:
+        """Silence this one."""
+        self._prompter, self._has_begun = prompter, False
+
+    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
+        """See `Prompter.look`."""
+        prompt = self._prompter.look(image, ignored)
+        return prompt if self._has_begun else None
+
+    def reset(self) -> None:
+        """See `Prompter.reset`."""
+        self._prompter.reset()
+        self._has_begun = True
+
+
 class ColorPrompter(Prompter):
     """The largest thing of a colour, in a region of interest."""
 
-    def __init__(
-        self, colors: ColorRange, *, region: Region | None = None, follow: FollowCfg | None = None
-    ) -> None:
-        """Look for a colour.
-
-        Args:
-            colors: The object's colours.
-            region: Where the object is held; the whole image if absent.
-            follow: How large it may be.
-        """
-        self._colors, self._region, self._follow = colors, region, follow or FollowCfg()
+    def __init__(self, colors: ColorRange, *, region: Region | None = None) -> None:
+        """Look for these colours where the object is held: the whole image if no region is given."""
+        self._colors, self._region = colors, region
 
     def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
         """See `Prompter.look`."""
         mask = _within(self._colors.mask(image), self._region)
-        plausible = (blob for blob in find_blobs(mask).blobs if is_plausible(blob, self._follow))
-        return next((_box(blob) for blob in plausible), None)
+        return next((_box(blob) for blob in find_blobs(mask) if blob.is_plausible), None)
 
     def reset(self) -> None:
         """Nothing is remembered."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlightCfg:
-    """What the motion of a thrown object is, in three successive images.
-
-    Attributes:
-        least_speed: Slowest motion between two images [px]. Source: ours; a throw begins with 10 or more.
-        largest_speed: Fastest motion [px]. Source: ours; 61 in rendered catches.
-        largest_change: Largest change of the motion [px]. Source: ours; gravity and approach make up to 10.
-    """
-
-    least_speed: float = 8.0
-    largest_speed: float = 90.0
-    largest_change: float = 12.0
-
-    def joins(self, now: Blob, before: Blob, oldest: Blob) -> bool:
-        """Return whether these can be one flying thing, newest first."""
-        if not self.least_speed <= now.distance(before.center) <= self.largest_speed:
-            return False
-        continued = (2 * before.center[0] - oldest.center[0], 2 * before.center[1] - oldest.center[1])
-        areas = (now.area, before.area, oldest.area)
-        return now.distance(continued) <= self.largest_change and max(areas) <= LARGEST_GROWTH * min(areas)
-
-
-LARGEST_GROWTH = 2.5
-"""How many times larger a flying thing may be in one of three images than in another. Source: ours."""
 
 
 class MotionPrompter(Prompter):
@@ -131,40 +122,33 @@ class MotionPrompter(Prompter):
     than an object.
     """
 
-    def __init__(
-        self,
-        *,
-        background: ForegroundCfg | None = None,
-        region: Region | None = None,
-        flight: FlightCfg | None = None,
-        follow: FollowCfg | None = None,
-    ) -> None:
-        """Look for a flight.
-
-        Args:
-            background: How the background is learned.
-            region: Where the object may be found; the whole image if absent.
-            flight: What a flight is.
-            follow: How large the object may be.
-        """
-        self._foreground = Foreground(background or ForegroundCfg())
-        self._region, self._flight, self._follow = region, flight or FlightCfg(), follow or FollowCfg()
+    def __init__(self, *, region: Region | None = None) -> None:
+        """Look for a flight in a region, the whole image if none is given."""
+        self._foreground, self._region = Foreground(), region
         self.reset()
 
     def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
         """See `Prompter.look`."""
         moving, _ = self._foreground.step(image, ignored)
         whole = cv2.morphologyEx(moving.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
-        blobs = find_blobs(_within(whole, self._region)).blobs
-        newest = tuple(blob for blob in blobs if is_plausible(blob, self._follow))
+        newest = [blob for blob in find_blobs(_within(whole, self._region)) if blob.is_plausible]
         oldest, middle = self._before
         self._before = (middle, newest)
         triples = product(newest, middle, oldest)
-        return next((_box(now) for now, *before in triples if self._flight.joins(now, *before)), None)
+        return next((_box(now) for now, *before in triples if _flies(now, *before)), None)
 
     def reset(self) -> None:
         """Forget what moved; what is known of the background stays."""
-        self._before: tuple[tuple[Blob, ...], tuple[Blob, ...]] = ((), ())
+        self._before: tuple[list[Blob], list[Blob]] = ([], [])
+
+
+def _flies(now: Blob, before: Blob, oldest: Blob) -> bool:
+    """Whether these can be one flying thing in three successive images, newest first."""
+    if not LEAST_SPEED <= now.distance(before.center) <= LARGEST_SPEED:
+        return False
+    continued = (2 * before.center[0] - oldest.center[0], 2 * before.center[1] - oldest.center[1])
+    areas = (now.area, before.area, oldest.area)
+    return now.distance(continued) <= LARGEST_CHANGE and max(areas) <= LARGEST_GROWTH * min(areas)
 
 
 def _within(mask: Mask, region: Region | None) -> Mask:

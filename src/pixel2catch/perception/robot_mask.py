@@ -1,5 +1,7 @@
 """Which pixels show the robot: its model, projected."""
 
+from collections.abc import Sequence
+
 import cv2
 import mujoco
 import numpy as np
@@ -10,11 +12,7 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.segmenter import Mask
 from pixel2catch.robot import shapes
-from pixel2catch.robot.allegro import Handedness
-from pixel2catch.robot.constants import JOINTS, RGB_CAMERA, CameraSpec
-from pixel2catch.robot.scene import SceneCfg, build_model
-
-ROOT_BODY = "base_link"
+from pixel2catch.robot.constants import CameraSpec
 
 NEAREST = 0.05
 """Points nearer to the camera's plane are left out [m]."""
@@ -24,37 +22,33 @@ MARGIN = 4
 
 
 class RobotMask:
-    """Projects the robot of the simulation, with what is only seen of it, into the camera's image.
-
-    Every geom is convex, so its picture is the hull of its projected corners.
-    """
+    """Projects a robot into the camera's image. Every geom is convex, and seen as the hull of its corners."""
 
     def __init__(
-        self, camera: CameraSpec = RGB_CAMERA, *, handedness: Handedness = "left", margin: int = MARGIN
+        self, model: mujoco.MjModel, joints: Sequence[str], camera: CameraSpec, *, margin: int = MARGIN
     ) -> None:
         """Compute the corners of every geom.
 
         Args:
+            model: A model with the robot and with what is only seen of it.
+            joints: Names of its joints, in joint order; the robot is all that hangs on the bodies of the
+                world that they belong to.
             camera: The camera.
-            handedness: Which hand.
             margin: Pixels about the robot that are taken for it, too.
         """
         self._camera, self._margin = camera, margin
-        self._model = build_model(SceneCfg(handedness=handedness, visuals=True))
-        self._data = mujoco.MjData(self._model)
-        self._columns = [self._model.joint(joint.name).qposadr[0] for joint in JOINTS]
-        root = self._model.body(ROOT_BODY).rootid[0]
-        self._geoms = np.flatnonzero(self._model.body_rootid[self._model.geom_bodyid] == root)
-        corners = [_corners(self._model, geom) for geom in self._geoms.tolist()]
+        self._model, self._data = model, mujoco.MjData(model)
+        ids = [model.joint(name).id for name in joints]
+        self._columns = model.jnt_qposadr[ids]
+        roots = model.body_rootid[model.jnt_bodyid[ids]]
+        geoms = np.flatnonzero(np.isin(model.body_rootid[model.geom_bodyid], roots))
+        corners = [_corners(model, geom) for geom in geoms.tolist()]
         self._corners = np.concatenate(corners)
         self._ends = np.cumsum([len(points) for points in corners])[:-1]
-        self._owner = np.repeat(self._geoms, [len(points) for points in corners])
+        self._owner = np.repeat(geoms, [len(points) for points in corners])
 
     def at(self, joint_pos: Float[np.ndarray, " num_joints"]) -> Mask:
-        """Return the pixels of the robot.
-
-        Args:
-            joint_pos: Positions of arm and hand in joint order [rad].
+        """Return the pixels of the robot at these positions of its joints, in joint order [rad].
 
         Raises:
             PerceptionError: If they are not finite.
@@ -87,13 +81,15 @@ class RobotMask:
 def _corners(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "num_corners 3"]:
     """Corners of a convex geom in its own frame [m]."""
     x, y, z = model.geom_size[geom]
-    kind = mujoco.mjtGeom(model.geom_type[geom])
-    makers = {
-        mujoco.mjtGeom.mjGEOM_BOX: lambda: shapes.box(2 * x, 2 * y, 2 * z),
-        mujoco.mjtGeom.mjGEOM_CAPSULE: lambda: shapes.capsule(x, 2 * y),
-        mujoco.mjtGeom.mjGEOM_CYLINDER: lambda: shapes.cylinder(x, 2 * y),
-        mujoco.mjtGeom.mjGEOM_SPHERE: lambda: shapes.sphere(x),
-    }
-    if kind not in makers:
-        raise PerceptionError(f"the robot has a geom of type {kind.name}, which cannot be projected yet.")
-    return makers[kind]().vertices
+    match mujoco.mjtGeom(model.geom_type[geom]):
+        case mujoco.mjtGeom.mjGEOM_BOX:
+            shape = shapes.box(2 * x, 2 * y, 2 * z)
+        case mujoco.mjtGeom.mjGEOM_CAPSULE:
+            shape = shapes.capsule(x, 2 * y)
+        case mujoco.mjtGeom.mjGEOM_CYLINDER:
+            shape = shapes.cylinder(x, 2 * y)
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            shape = shapes.sphere(x)
+        case kind:
+            raise PerceptionError(f"the robot has a geom of type {kind.name}, which cannot be projected yet.")
+    return shape.vertices

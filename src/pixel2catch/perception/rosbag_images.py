@@ -1,63 +1,46 @@
-"""Images of a ROS 2 bag, with the robot's joint positions where it recorded them. Needs rosbags."""
+"""Images of a ROS 2 bag, with the joint positions and camera information that it recorded. Needs rosbags."""
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection
-from rosbags.typesys import Stores, get_typestore
 
 from pixel2catch.errors import PerceptionError, Pixel2CatchError
-from pixel2catch.perception.finder import CameraFrame
+from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.segmenter import Image
-from pixel2catch.robot.constants import JOINTS
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
 
 CHANNEL_ORDERS = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0)}
 """Encodings that are read, and where red, green and blue are in them."""
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
+JOINT_STATE, CAMERA_INFO = "sensor_msgs/msg/JointState", "sensor_msgs/msg/CameraInfo"
 
 NUM_STATES = 1000
 """Joint states that are remembered until an image of their time arrives: 2 s at 500 Hz."""
 
 
-def bag_frames(path: Path, topic: str | None, joint_states: str, notes: list[str]) -> Iterator[CameraFrame]:
-    """Yield the images of a topic, with the joint positions of their time if all joints were recorded.
-
-    The stamp is that of the header, or the time of recording where it has none.
-
-    Args:
-        path: The bag's folder, or its .mcap or .db3 file.
-        topic: The topic of the images; None for the only one.
-        joint_states: The topic of the joint states; it may be missing.
-        notes: Gets how many images could not be decoded, and why.
-
-    Raises:
-        PerceptionError: If the bag cannot be read, has no such topic, or images of another encoding.
-    """
-    with opened_bag(path) as reader:
-        chosen = _image_connections(path, reader.connections, topic)
-        states = [each for each in reader.connections if _is_joint_state(each, joint_states)]
-        yield from _frames(reader, chosen, states, notes)
-
-
 @contextmanager
-def opened_bag(path: Path) -> Iterator[AnyReader]:
-    """The bag, closed afterwards; whatever a damaged one makes the library raise becomes one error.
-
-    Args:
-        path: The bag's folder, or its .mcap or .db3 file.
+def opened_bag(path: Path) -> "Iterator[AnyReader]":
+    """A bag, by its folder or .mcap or .db3 file; whatever a damaged one raises becomes one error.
 
     Raises:
-        PerceptionError: If it cannot be read.
+        PerceptionError: If it cannot be read, or the library is missing.
     """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ModuleNotFoundError as error:
+        raise PerceptionError(
+            f"{path}: reading bags needs {error.name}: pip install 'pixel2catch[perception]'."
+        ) from None
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             yield reader
@@ -67,11 +50,67 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
         raise PerceptionError(f"{path}: not a readable rosbag2 ({error}); try 'ros2 bag reindex'.") from error
 
 
-def _image_connections(path: Path, connections: list[Connection], topic: str | None) -> list[Connection]:
+def first_camera_info(path: Path, topic: str | None) -> Any:
+    """Return the first CameraInfo of a topic; None for the only topic.
+
+    Raises:
+        PerceptionError: If the bag cannot be read, or has no such topic.
+    """
+    with opened_bag(path) as reader:
+        infos = [each for each in reader.connections if each.msgtype == CAMERA_INFO and each.msgcount]
+        topics = sorted({each.topic for each in infos})
+        chosen = topics if topic is None else [topic]
+        if len(chosen) != 1 or chosen[0] not in topics:
+            raise PerceptionError(
+                f"{path}: CameraInfo is on {', '.join(topics) or 'no topic'}; record the camera's "
+                "camera_info, and choose one with --topic."
+            )
+        messages = reader.messages([each for each in infos if each.topic == chosen[0]])
+        connection, _, data = next(messages)
+        return reader.deserialize(data, connection.msgtype)
+
+
+def bag_frames(
+    path: Path, topic: str | None, joint_states: str, joints: Sequence[str], notes: list[str]
+) -> Iterator[CameraFrame]:
+    """Yield the images of a topic, with the joint positions of their time if all joints were recorded.
+
+    The stamp is that of the header, or the time of recording where it has none.
+
+    Args:
+        path: The bag's folder, or its .mcap or .db3 file.
+        topic: The topic of the images; None for the only one.
+        joint_states: The topic of the joint states; it may be missing.
+        joints: Names of the joints, in joint order; none if no positions are asked for.
+        notes: Gets how many images could not be decoded, and why.
+
+    Raises:
+        PerceptionError: If the bag cannot be read, has no such topic, or images of another encoding.
+    """
+    with opened_bag(path) as reader:
+        images = _image_connections(path, reader.connections, topic)
+        states = [
+            each for each in reader.connections if each.topic == joint_states and each.msgtype == JOINT_STATE
+        ]
+        positions, num_damaged, reason = _JointPositions(joints), 0, ""
+        for connection, time, data in reader.messages([*images, *states]):
+            message: Any = reader.deserialize(data, connection.msgtype)
+            stamp = _stamp(message.header, time)
+            if connection in states:
+                positions.learn(message, stamp)
+                continue
+            image = DECODERS[connection.msgtype](f"topic {connection.topic}", message)
+            if image is None:
+                num_damaged, reason = num_damaged + 1, f"of {len(message.data)} bytes at {stamp:.3f} s"
+                continue
+            yield CameraFrame(image=image, stamp=stamp, joint_pos=positions.at(stamp))
+        if num_damaged:
+            notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
+
+
+def _image_connections(path: Path, connections: "list[Connection]", topic: str | None) -> "list[Connection]":
     """The connections of the chosen topic, or of the only one with images."""
-    images = [
-        connection for connection in connections if connection.msgtype in DECODERS and connection.msgcount
-    ]
+    images = [each for each in connections if each.msgtype in DECODERS and each.msgcount]
     topics = sorted({connection.topic for connection in images})
     if topic is None and len(topics) == 1:
         return images
@@ -84,49 +123,26 @@ def _image_connections(path: Path, connections: list[Connection], topic: str | N
     raise PerceptionError(f"{path}: {wanted}; choose with --topic out of: {', '.join(topics)}.")
 
 
-def _is_joint_state(connection: Connection, topic: str) -> bool:
-    return connection.topic == topic and connection.msgtype == JOINT_STATE
-
-
-def _frames(
-    reader: AnyReader, images: list[Connection], states: list[Connection], notes: list[str]
-) -> Iterator[CameraFrame]:
-    """The images, in the order of the bag."""
-    robot, num_damaged, reason = _Robot(), 0, ""
-    for connection, time, data in reader.messages([*images, *states]):
-        message: Any = reader.deserialize(data, connection.msgtype)
-        if connection in states:
-            robot.learn(message, time)
-            continue
-        stamp = _stamp(message.header, time)
-        image = DECODERS[connection.msgtype](f"topic {connection.topic}", message)
-        if image is None:
-            num_damaged, reason = num_damaged + 1, f"of {len(message.data)} bytes at {stamp:.3f} s"
-            continue
-        yield CameraFrame(image=image, stamp=stamp, joint_pos=robot.at(stamp))
-    if num_damaged:
-        notes.append(f"damaged images, passed over: {num_damaged}; the last {reason}.")
-
-
-@dataclass
-class _Robot:
+class _JointPositions:
     """Where the joints were in the last seconds."""
 
-    known: dict[str, float] = field(default_factory=dict)
-    stamps: deque[float] = field(default_factory=lambda: deque(maxlen=NUM_STATES))
-    positions: deque[np.ndarray] = field(default_factory=lambda: deque(maxlen=NUM_STATES))
+    def __init__(self, joints: Sequence[str]) -> None:
+        self._joints = joints
+        self._known: dict[str, float] = {}
+        self._stamps: deque[float] = deque(maxlen=NUM_STATES)
+        self._positions: deque[np.ndarray] = deque(maxlen=NUM_STATES)
 
-    def learn(self, message: Any, time: int) -> None:
+    def learn(self, message: Any, stamp: float) -> None:
         """Take over a joint state, which may have some of the joints only."""
-        self.known.update(zip(message.name, message.position, strict=False))
-        if all(joint.name in self.known for joint in JOINTS):
-            self.stamps.append(_stamp(message.header, time))
-            self.positions.append(np.array([self.known[joint.name] for joint in JOINTS]))
+        self._known.update(zip(message.name, message.position, strict=False))
+        if self._joints and all(name in self._known for name in self._joints):
+            self._stamps.append(stamp)
+            self._positions.append(np.array([self._known[name] for name in self._joints]))
 
     def at(self, stamp: float) -> np.ndarray | None:
         """The last positions before a time [rad]; None if there are none."""
-        index = bisect_right(self.stamps, stamp) - 1
-        return self.positions[index] if index >= 0 else None
+        index = bisect_right(self._stamps, stamp) - 1
+        return self._positions[index] if index >= 0 else None
 
 
 def _stamp(header: Any, received: int) -> float:

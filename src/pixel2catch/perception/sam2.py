@@ -4,21 +4,24 @@
     segmenter.start(image, BoxPrompt(box=(300.0, 200.0, 340.0, 240.0)))
     segmentation = segmenter.track(next_image)
 
-Needs the extra `sam2` and a checkpoint: `sam2_model.py` says how to get both.
+Needs transformers, the extra `sam2`, and a checkpoint in a local folder: errors say what to install or to
+download. The network is never used.
 """
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812
 from jaxtyping import Bool, Float
-from torch import Tensor
+from safetensors import SafetensorError
+from torch import Tensor, nn
 
-from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.sam2_graphs import SpeedCfg, accelerate
-from pixel2catch.perception.sam2_model import Sam2VideoInferenceSession, load_sam2, new_session
+from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.perception.sam2_graphs import CapturedFunction
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     Image,
@@ -31,11 +34,22 @@ from pixel2catch.perception.segmenter import (
 )
 from pixel2catch.sim.devices import require_cuda
 
-MEAN = (0.485, 0.456, 0.406)
-"""Mean of red, green, blue over ImageNet, of 1. Source: the model's training."""
+MODEL_ID = "facebook/sam2.1-hiera-tiny"
+"""Public name of the smallest checkpoint. Source: ours: users report 25 images a second on a desktop GPU."""
 
-DEVIATION = (0.229, 0.224, 0.225)
-"""Standard deviation of red, green, blue over ImageNet, of 1. Source: the model's training."""
+STRIDES = (4, 8, 16)
+"""Image pixels per cell of the encoder's three feature maps. Source: the model's architecture."""
+
+SIZE_STEP = 32
+"""The side of the model's image is a multiple of this [px]. Source: cells of its coarsest feature map."""
+
+Module = Literal["vision_encoder", "memory_attention", "mask_decoder", "memory_encoder"]
+"""A part of the model that takes tensors and returns tensors, and never asks for a value on the host."""
+
+MODULES: tuple[Module, ...] = ("vision_encoder", "memory_attention", "mask_decoder", "memory_encoder")
+
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Mean and standard deviation of red, green, blue over ImageNet, of 1. Source: the model's training."""
 
 WARM_UP_FRAMES = 24
 """Images tracked before the first of a camera on CUDA. The memory grows for 16, and each size is a recording.
@@ -48,6 +62,28 @@ BOX_LABELS, POINT_LABELS = (2, 3), (1,)
 """What the points of a prompt are: two corners; a point on the object. Source: the model's prompt encoder."""
 
 
+def _import_advice(error: BaseException) -> str:
+    if isinstance(error, ModuleNotFoundError) and error.name in ("huggingface_hub", "transformers"):
+        return (
+            "SAM 2 needs the package transformers, which is not installed: pip install 'pixel2catch[sam2]'."
+        )
+    while cause := error.__cause__ or error.__context__:  # transformers wraps it
+        error = cause
+    return (
+        f"SAM 2 cannot be imported from transformers: {error}. If that is about torchvision, it "
+        f"does not match PyTorch {torch.__version__}; it is not needed: pip uninstall torchvision, or "
+        "install the version made for this PyTorch. If not: pip install --upgrade 'pixel2catch[sam2]'."
+    )
+
+
+try:
+    from huggingface_hub.errors import StrictDataclassError
+    from transformers import Sam2VideoConfig, Sam2VideoInferenceSession, Sam2VideoModel
+    from transformers.utils.logging import disable_progress_bar
+except (ImportError, RuntimeError) as import_error:
+    raise PerceptionError(_import_advice(import_error)) from import_error
+
+
 class Sam2Segmenter(Segmenter):
     """Follows an object by its look, whatever else moves.
 
@@ -56,7 +92,11 @@ class Sam2Segmenter(Segmenter):
     """
 
     def __init__(
-        self, folder: Path, device: str, image_size: int | None = None, speed: SpeedCfg | None = None
+        self,
+        folder: Path,
+        device: str,
+        image_size: int | None = None,
+        captured: Sequence[Module] = MODULES,
     ) -> None:
         """Load a checkpoint; on a CUDA device also track blank images, so that the first real one is fast.
 
@@ -65,7 +105,7 @@ class Sam2Segmenter(Segmenter):
             device: "cpu" (float32), "cuda" or "cuda:N" (bfloat16).
             image_size: Side of the square that the model sees [px], a multiple of 32; None for the
                 checkpoint's 1024. Half of it is a quarter of the work, and masks are half as fine.
-            speed: What to make faster on a CUDA device; None for the default.
+            captured: What runs as CUDA graphs on a CUDA device.
 
         Raises:
             DeviceUnavailableError: If CUDA is asked for and absent.
@@ -85,7 +125,7 @@ class Sam2Segmenter(Segmenter):
         self._session: Sam2VideoInferenceSession | None = None
         self._frame_idx = 0
         if is_cuda:
-            accelerate(self._model, speed or SpeedCfg())
+            capture(self._model, captured)
             self._warm_up()
 
     @property
@@ -103,7 +143,10 @@ class Sam2Segmenter(Segmenter):
                 f"the prompt's centre ({u:g}, {v:g}) px is not on the image of {width} by {height} px: mark "
                 "the object where it is seen."
             )
-        self._session = new_session(self._model)
+        where = dict.fromkeys(
+            ("inference_device", "inference_state_device", "video_storage_device"), self._model.device
+        )
+        self._session = Sam2VideoInferenceSession(**where, dtype=self._model.dtype)
         self._frame_idx = 0
         index = self._session.obj_id_to_idx(OBJECT)
         points, labels = _points(prompt)
@@ -156,7 +199,6 @@ class Sam2Segmenter(Segmenter):
                 del kind[self._frame_idx]["high_res_masks"], kind[self._frame_idx]["pred_masks"]
 
     def _check(self, image: Image) -> None:
-        """Refuse images that are none, or of another size than the first."""
         is_first = self._upload.numel() == 0
         height, width = (image if is_first else self._upload).shape[:2]
         check_image(image, width, height)
@@ -176,6 +218,17 @@ class Sam2Segmenter(Segmenter):
         self._upload = torch.empty((0, 0, 3), dtype=torch.uint8)
 
 
+def capture(model: nn.Module, modules: Sequence[Module]) -> None:
+    """Let parts of a model on a CUDA device run as CUDA graphs, which compute the same.
+
+    It runs a thousand small kernels for an image; on a data-centre GPU the time goes into launching them.
+    """
+    pool = torch.cuda.graph_pool_handle()
+    for name in modules:
+        module = getattr(model, name)
+        module.forward = CapturedFunction(module.forward, pool)
+
+
 def mask_of_logits(
     logits: Float[Tensor, "1 1 rows columns"], height: int, width: int
 ) -> Bool[Tensor, "height width"]:
@@ -184,9 +237,75 @@ def mask_of_logits(
 
 
 def _points(prompt: Prompt) -> tuple[Float[Tensor, "1 1 num_points 2"], Tensor]:
-    """Return a prompt's points [px] and what they are."""
+    """A prompt's points [px] and what they are."""
     if isinstance(prompt, BoxPrompt):
         points, labels = (prompt.box[:2], prompt.box[2:]), BOX_LABELS
     else:
         points, labels = (prompt.center,), POINT_LABELS
     return torch.tensor([[points]], dtype=torch.float32), torch.tensor([[labels]], dtype=torch.int32)
+
+
+def load_sam2(
+    folder: Path, device: torch.device, dtype: torch.dtype, image_size: int | None = None
+) -> Sam2VideoModel:
+    """Load the video model from a folder in the format of transformers: config.json, model.safetensors.
+
+    Raises:
+        PerceptionError: If the folder, or a file or weight in it, is missing or damaged.
+        InvalidValueError: If the image size is no positive multiple of 32.
+    """
+    if image_size is not None and (image_size <= 0 or image_size % SIZE_STEP):
+        raise InvalidValueError(
+            f"the image size must be a positive multiple of {SIZE_STEP}, not {image_size}."
+        )
+    _require_files(folder)
+    disable_progress_bar()
+    try:
+        config = Sam2VideoConfig.from_pretrained(folder, local_files_only=True)
+        config = config if image_size is None else _with_image_size(config, image_size)
+        loaded: Any = Sam2VideoModel.from_pretrained(
+            folder, config=config, dtype=dtype, local_files_only=True, output_loading_info=True
+        )
+    except (OSError, ValueError, KeyError, RuntimeError, SafetensorError, StrictDataclassError) as error:
+        raise PerceptionError(
+            f"{folder} cannot be read as SAM 2: {error}. {_download_advice(folder)}"
+        ) from error
+    model, report = loaded
+    missing = sorted(report["missing_keys"])
+    if missing:
+        raise PerceptionError(
+            f"{folder} lacks {len(missing)} weights of SAM 2, such as {missing[0]}. "
+            f"{_download_advice(folder)}"
+        )
+    return model.eval().requires_grad_(False).to(device)
+
+
+def _require_files(folder: Path) -> None:
+    config = folder / "config.json"
+    if not config.is_file():
+        raise PerceptionError(f"there is no SAM 2 checkpoint in {folder}. {_download_advice(folder)}")
+    if not any(folder.glob("*.safetensors")):
+        raise PerceptionError(f"{folder} has no weights (*.safetensors). {_download_advice(folder)}")
+    try:
+        kind = json.loads(config.read_text()).get("model_type")
+    except (ValueError, AttributeError) as error:
+        raise PerceptionError(f"{config} is damaged: {error}. {_download_advice(folder)}") from error
+    if kind != Sam2VideoConfig.model_type:
+        raise PerceptionError(
+            f"{folder} holds a model of type '{kind}', not '{Sam2VideoConfig.model_type}'. "
+            f"{_download_advice(folder)}"
+        )
+
+
+def _download_advice(folder: Path) -> str:
+    return f"On a machine with a network: hf download {MODEL_ID} --local-dir {folder}"
+
+
+def _with_image_size(config: Sam2VideoConfig, size: int) -> Sam2VideoConfig:
+    """Return the configuration for another size of image; no weight depends on it."""
+    values = config.to_dict()
+    values["image_size"] = values["prompt_encoder_config"]["image_size"] = size
+    values["memory_attention_rope_feat_sizes"] = [size // STRIDES[-1]] * 2
+    values["vision_config"]["backbone_feature_sizes"] = [[size // stride] * 2 for stride in STRIDES]
+    values["vision_config"]["backbone_config"]["image_size"] = [size, size]
+    return Sam2VideoConfig(**values)

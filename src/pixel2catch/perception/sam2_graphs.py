@@ -1,53 +1,14 @@
-"""SAM 2's modules as CUDA graphs: one launch for each instead of hundreds.
-
-The model runs a thousand small kernels for an image; on a data-centre GPU the time goes into launching them.
-"""
+"""Functions of tensors as CUDA graphs: one launch instead of hundreds."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.utils import _pytree as pytree
-
-Module = Literal["vision_encoder", "memory_attention", "mask_decoder", "memory_encoder"]
-"""A part of the model that takes tensors and returns tensors, and never asks for a value on the host."""
-
-MODULES: tuple[Module, ...] = ("vision_encoder", "memory_attention", "mask_decoder", "memory_encoder")
 
 WARM_UP_RUNS = 2
 """Runs before a capture: in the first, kernels choose algorithms and take memory. Source: ours: one spare."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SpeedCfg:
-    """How SAM 2 is made faster on a CUDA device.
-
-    Attributes:
-        captured: Modules that run as CUDA graphs.
-        compiled: Modules that `torch.compile` fuses before; its first use takes about a minute and needs a C
-            compiler.
-    """
-
-    captured: tuple[Module, ...] = MODULES
-    compiled: tuple[Module, ...] = ()
-
-
-def accelerate(model: nn.Module, cfg: SpeedCfg) -> None:
-    """Replace the modules' forward functions by faster ones that compute the same.
-
-    Args:
-        model: SAM 2 on a CUDA device, in evaluation mode.
-        cfg: Which modules, and how.
-    """
-    pool = torch.cuda.graph_pool_handle()
-    for name in MODULES:
-        module = getattr(model, name)
-        if name in cfg.compiled:
-            module.forward = torch.compile(module.forward)
-        if name in cfg.captured:
-            module.forward = CapturedFunction(module.forward, pool)
 
 
 class CapturedFunction:
@@ -79,7 +40,7 @@ class CapturedFunction:
 
 
 def _signature(leaf: Any) -> Any:
-    """Return what a recording depends on: layout of a tensor, value of anything else."""
+    """What a recording depends on: layout of a tensor, value of anything else."""
     return (leaf.shape, leaf.dtype, leaf.device) if isinstance(leaf, Tensor) else leaf
 
 
@@ -115,5 +76,4 @@ class _Capture:
 
 
 def _cloned(leaves: Sequence[Any]) -> list[Any]:
-    """Copy tensors; leave the rest."""
     return [leaf.clone() if isinstance(leaf, Tensor) else leaf for leaf in leaves]

@@ -17,11 +17,7 @@ Mask = Bool[np.ndarray, "height width"]
 
 @dataclass(frozen=True, kw_only=True)
 class BoxPrompt:
-    """The object is what this box holds.
-
-    Attributes:
-        box: xmin, ymin, xmax, ymax in continuous image coordinates [px].
-    """
+    """The object is what this box holds: xmin, ymin, xmax, ymax in continuous image coordinates [px]."""
 
     box: tuple[float, float, float, float]
 
@@ -34,11 +30,7 @@ class BoxPrompt:
 
 @dataclass(frozen=True, kw_only=True)
 class PointPrompt:
-    """The object is what this point lies on.
-
-    Attributes:
-        center: (u, v) in continuous image coordinates [px].
-    """
+    """The object is what this point (u, v) lies on, in continuous image coordinates [px]."""
 
     center: tuple[float, float]
 
@@ -87,15 +79,7 @@ class Segmenter(ABC):
 
     @abstractmethod
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
-        """Find the object in the next image; not found where nothing was started.
-
-        Args:
-            image: The image.
-            ignored: As in `start`.
-
-        Raises:
-            PerceptionError: As in `start`.
-        """
+        """Find the object in the next image, see `start`; not found where nothing was started."""
 
     @abstractmethod
     def reset(self) -> None:
@@ -103,12 +87,7 @@ class Segmenter(ABC):
 
 
 def check_image(image: np.ndarray, width: int, height: int) -> None:
-    """Refuse what is not an RGB image of this size.
-
-    Args:
-        image: What a camera or a file delivered.
-        width: Expected width [px].
-        height: Expected height [px].
+    """Refuse what a camera or a file delivered if it is not an RGB image of this size [px].
 
     Raises:
         PerceptionError: If shape or dtype are wrong; the message says how they must be.

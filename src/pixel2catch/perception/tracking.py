@@ -1,7 +1,7 @@
 """Following the object through a whole stream of images, and what is to be said about it afterwards."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,11 +9,9 @@ import numpy as np
 
 from pixel2catch.camera.features import PIXEL_FEATURES
 from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
-from pixel2catch.perception.gate import Verdict
-from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.segmenter import Image, Mask, Prompt
-from pixel2catch.perception.stages import Percentiles, StageClock
-from pixel2catch.perception.ticks import Tick
+from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.perception.sources import Tick
+from pixel2catch.perception.timing import Percentiles, StageClock
 from pixel2catch.robot.constants import CONTROL_DT
 
 STAGES = ("robot", "segment", "box", "features", "total")
@@ -29,24 +27,6 @@ COLUMNS = (
     *("num_skipped", *(f"{stage}_ms" for stage in STAGES), "message"),
 )
 """Columns of a table of sightings: box, differences [px], centre and size as shares, times [s] or [ms]."""
-
-
-class LaterPrompter(Prompter):
-    """Another one, that says nothing before the first throw begins with a reset; it may learn until then."""
-
-    def __init__(self, prompter: Prompter) -> None:
-        """Silence this one."""
-        self._prompter, self._has_begun = prompter, False
-
-    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
-        """See `Prompter.look`."""
-        prompt = self._prompter.look(image, ignored)
-        return prompt if self._has_begun else None
-
-    def reset(self) -> None:
-        """See `Prompter.reset`."""
-        self._prompter.reset()
-        self._has_begun = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,12 +63,7 @@ class Sighting:
 
 
 def follow(ticks: Iterable[Tick], extractor: PixelFeatureExtractor, begin: float = 0.0) -> Iterator[Sighting]:
-    """Yield what is seen in every control step.
-
-    Args:
-        ticks: The stream.
-        extractor: Gets a reset when the throw begins.
-        begin: When that is, after the first image [s].
+    """Yield what is seen in every control step; a throw begins, with a reset, so long after the start [s].
 
     Raises:
         PerceptionError: If the first image has the wrong size.
@@ -107,12 +82,7 @@ def follow(ticks: Iterable[Tick], extractor: PixelFeatureExtractor, begin: float
 
 
 class Tally:
-    """Counts sightings and measures how long they took.
-
-    Attributes:
-        num_steps: Control steps.
-        num_without_joints: Of them, those without joint positions.
-    """
+    """Counts sightings, also those without joint positions, and measures how long they took."""
 
     def __init__(self) -> None:
         """Begin with none."""
@@ -144,7 +114,7 @@ class Tally:
 
     def percentiles(self) -> dict[str, Percentiles]:
         """Durations of the stages, over the control steps in which an image was looked at."""
-        return {stage: _percentiles(self._durations[stage]) for stage in STAGES if stage in self._durations}
+        return {stage: Percentiles.of(self._durations[stage]) for stage in STAGES if stage in self._durations}
 
     @property
     def is_fast_enough(self) -> bool:
@@ -170,9 +140,3 @@ class Tally:
             "limit_ms": 1e3 * CONTROL_DT,
             "is_fast_enough": self.is_fast_enough,
         }
-
-
-def _percentiles(durations: Sequence[float]) -> Percentiles:
-    """Percentiles of durations [s]."""
-    p50, p95, p99 = np.percentile(durations, (50, 95, 99)).tolist()
-    return Percentiles(p50=p50, p95=p95, p99=p99, count=len(durations))

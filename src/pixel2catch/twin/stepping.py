@@ -12,10 +12,12 @@ from pixel2catch.deployment.brain import Brain, make_brain
 from pixel2catch.deployment.controller import Controller
 from pixel2catch.deployment.limits import ServoLimits
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.perception.choice import PromptCfg, SegmenterCfg, make_prompter, make_segmenter
-from pixel2catch.perception.color import ColorRange
+from pixel2catch.perception.background import BackgroundSubtraction
+from pixel2catch.perception.color import ColorRange, ColorThreshold
+from pixel2catch.perception.factory import make_robot_mask
+from pixel2catch.perception.prompt import MotionPrompter
 from pixel2catch.perception.robot_mask import RobotMask
-from pixel2catch.perception.segmenter import Image
+from pixel2catch.perception.segmenter import Image, Segmenter
 from pixel2catch.policy import Policy
 from pixel2catch.twin.lab import Lab
 from pixel2catch.twin.lockstep import PERCEPTION_TIME, Draw, Lockstep, LockstepCfg
@@ -109,21 +111,20 @@ def _rendered(cfg: SteppingCfg, policy: Policy, stack: ExitStack) -> tuple[Draw,
     """What `pixel2catch twin` shows, and what `pixel2catch deploy` sees in it."""
     scene = cfg.task.scene
     view = stack.enter_context(RoomView(scene, cfg.seed))
-    robot = RobotMask(scene.camera, handedness=scene.handedness)
-    return lambda _, exposure: view.image(exposure), _brain(cfg, policy, SegmenterCfg(), robot)
+    robot = make_robot_mask(scene.camera, scene.handedness)
+    return lambda _, exposure: view.image(exposure), _brain(cfg, policy, BackgroundSubtraction(), robot)
 
 
 def _plain(cfg: SteppingCfg, policy: Policy) -> tuple[Draw, Brain]:
     """Red boxes, and eyes for red."""
-    return plain_image, _brain(cfg, policy, SegmenterCfg(kind="color", colors=RED_HUES), None)
+    return plain_image, _brain(cfg, policy, ColorThreshold(RED_HUES), None)
 
 
-def _brain(cfg: SteppingCfg, policy: Policy, segmenter: SegmenterCfg, robot: RobotMask | None) -> Brain:
+def _brain(cfg: SteppingCfg, policy: Policy, segmenter: Segmenter, robot: RobotMask | None) -> Brain:
     """What catches."""
     scene = cfg.task.scene
     controller = Controller(policy, scene.handedness, scene.camera)
-    prompter = make_prompter(PromptCfg(), scene.camera)
-    return make_brain(controller, make_segmenter(segmenter), prompter, scene.camera, robot)
+    return make_brain(controller, segmenter, MotionPrompter(), scene.camera, robot)
 
 
 def plain_image(lab: Lab, _: Exposure) -> Image:

@@ -13,7 +13,7 @@ from pixel2catch.evaluation.rendered.watcher import Watcher
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.robot.constants import CONTROL_DT
 
 NUM_EMPTY_AGAIN = 3

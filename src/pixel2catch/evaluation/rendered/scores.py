@@ -9,7 +9,7 @@ import numpy as np
 
 from pixel2catch.evaluation.rendered.film import Shot
 from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.plausibility import Verdict
 
 NEAR_HAND = 0.25
 """From the palm to the object [m]; what was nearer once is near the hand from then on. Source: ours, the last

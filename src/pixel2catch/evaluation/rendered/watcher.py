@@ -3,12 +3,11 @@
 import numpy as np
 
 from pixel2catch.evaluation.rendered.film import Shot
-from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
-from pixel2catch.perception.finder import CameraFrame
+from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
+from pixel2catch.perception.factory import make_robot_mask
 from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, MotionPrompter
-from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
-from pixel2catch.perception.stages import StageClock
+from pixel2catch.perception.timing import StageClock
 from pixel2catch.robot.allegro import Handedness
 from pixel2catch.robot.constants import CONTROL_DT
 
@@ -29,7 +28,7 @@ class Watcher:
         """
         self._person, self._rng = GivenPrompter(), np.random.default_rng(seed)
         prompter = FirstPrompter(self._person, MotionPrompter())
-        robot = RobotMask(handedness=handedness)
+        robot = make_robot_mask(handedness=handedness)
         self._extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot)
         self._is_prompted, self._num_seen = False, 0
 

@@ -3,15 +3,15 @@
 import pytest
 import torch
 
-from pixel2catch.perception.gate import Before, GateCfg, Verdict, judge
+from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, judge
 from pixel2catch.robot.constants import RGB_CAMERA
 
 Box = tuple[float, float, float, float]
 OBJECT: Box = (300.0, 200.0, 330.0, 230.0)
 
 
-def verdict(box: Box, area: int, before: Before | None = None) -> Verdict:
-    return judge(GateCfg(), RGB_CAMERA, torch.tensor([box]), area, before)
+def verdict(box: Box, area: int, *before) -> Verdict:
+    return judge(PlausibilityCfg(), RGB_CAMERA, torch.tensor([box]), area, *before)
 
 
 @pytest.mark.parametrize(
@@ -45,4 +45,4 @@ def test_size_and_borders(box: Box, area: int, expected: Verdict):
 )
 def test_a_box_moves_no_faster_than_objects_do(jump: float, steps: float, expected: Verdict):
     moved = (OBJECT[0], OBJECT[1] + jump, OBJECT[2], OBJECT[3] + jump)
-    assert verdict(moved, 700, Before(box=torch.tensor([OBJECT]), steps=steps)) is expected
+    assert verdict(moved, 700, torch.tensor([OBJECT]), steps) is expected

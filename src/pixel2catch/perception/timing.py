@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -14,19 +14,19 @@ MEMORY = 10_000
 
 @dataclass(frozen=True, kw_only=True)
 class Percentiles:
-    """Durations of one stage [s].
-
-    Attributes:
-        p50: Half of them were shorter.
-        p95: 95 % of them were.
-        p99: 99 % of them were.
-        count: How many there were.
-    """
+    """Durations of one stage [s]: half of them, 95 % and 99 % were shorter; and how many there were."""
 
     p50: float
     p95: float
     p99: float
     count: int
+
+    @classmethod
+    def of(cls, durations: Iterable[float]) -> "Percentiles":
+        """Those of some durations [s]."""
+        values = list(durations)
+        p50, p95, p99 = np.percentile(values, (50, 95, 99)).tolist()
+        return cls(p50=p50, p95=p95, p99=p99, count=len(values))
 
 
 class StageClock:
@@ -47,8 +47,4 @@ class StageClock:
 
     def percentiles(self) -> dict[str, Percentiles]:
         """Durations by stage, in the order in which the stages first ended."""
-        report = {}
-        for name, durations in self._durations.items():
-            p50, p95, p99 = np.percentile(list(durations), (50, 95, 99)).tolist()
-            report[name] = Percentiles(p50=p50, p95=p95, p99=p99, count=len(durations))
-        return report
+        return {name: Percentiles.of(durations) for name, durations in self._durations.items()}

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_views import BOARD, CORNERS, HOME, board_in_camera, hand_views, lens, pixels_of
+from calibration_views import BOARD, CORNERS, HOME, board_in_camera, hand_views, lens, palm, pixels_of
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.calibration import Calibration, HandView, calibrate
-from pixel2catch.perception.calibration_target import View
+from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, calibrate
+from pixel2catch.perception.calibration.target import View
 from pixel2catch.robot.constants import RGB_CAMERA
 
 NOISE = 0.3
@@ -23,16 +23,11 @@ def errors(result: Calibration) -> tuple[float, float]:
     return float(np.linalg.norm(np.subtract(found.pos, RGB_CAMERA.pos))), turn.magnitude()
 
 
-def disturbed(views: list[HandView], index: int, joint: int, angle: float) -> list[HandView]:
-    joint_pos = views[index].joint_pos.copy()
-    joint_pos[joint] += angle
-    return [replace(view, joint_pos=joint_pos) if i == index else view for i, view in enumerate(views)]
-
-
 @pytest.mark.parametrize("seed", [0, 1])
 def test_finds_the_camera_in_spite_of_noise_and_a_wrong_row(seed: int):
-    views = disturbed(hand_views(12, noise=NOISE, seed=seed), index=4, joint=3, angle=0.2)
-    result = calibrate(views, lens())
+    offsets = np.zeros((12, 6))
+    offsets[4, 3] = 0.2
+    result = calibrate(hand_views(12, noise=NOISE, seed=seed, offsets=offsets), lens())
     distance, angle = errors(result)
     assert distance < 5e-3
     assert angle < np.radians(0.3)
@@ -59,10 +54,8 @@ def test_the_uncertainty_is_that_of_repeated_calibrations():
 
 
 def test_errors_of_the_arm_are_part_of_the_uncertainty():
-    rng = np.random.default_rng(3)
-    views = hand_views(12, noise=NOISE)
-    shaken = [replace(view, joint_pos=view.joint_pos + rng.normal(0, 2e-3, 6)) for view in views]
-    calm, rough = calibrate(views, lens()).file, calibrate(shaken, lens()).file
+    shaken = hand_views(12, noise=NOISE, offsets=np.random.default_rng(3).normal(0, 2e-3, (12, 6)))
+    calm, rough = calibrate(hand_views(12, noise=NOISE), lens()).file, calibrate(shaken, lens()).file
     assert np.linalg.norm(rough.pos_std) > 1.5 * np.linalg.norm(calm.pos_std)
 
 
@@ -74,12 +67,12 @@ def test_a_lens_is_straightened():
 
 
 def test_turning_about_one_axis_only_takes_a_known_board():
-    rng, views = np.random.default_rng(0), []
+    rng, views, shaken = np.random.default_rng(0), [], []
     for angle in np.linspace(-0.3, 0.3, 8):
         joint_pos = HOME + np.array((angle, 0, 0, 0, 0, 0))
         view = View(points=CORNERS, pixels=pixels_of(board_in_camera(joint_pos), CORNERS, lens()))
-        views.append(HandView(name=f"{angle:.2f}", view=view, joint_pos=joint_pos))
-    shaken = [replace(view, joint_pos=view.joint_pos + rng.normal(0, 5e-4, 6)) for view in views]
+        views.append(HandView(name=f"{angle:.2f}", view=view, palm=palm(joint_pos)))
+        shaken.append(replace(views[-1], palm=palm(joint_pos + rng.normal(0, 5e-4, 6))))
     for turned in (views, shaken):
         with pytest.raises(PerceptionError, match="one axis only; add images with the wrist turned"):
             calibrate(turned, lens())
@@ -96,6 +89,6 @@ def test_too_few_images_are_refused():
 def test_rows_of_other_images_are_refused():
     views = hand_views(8)
     pairs = zip(views, [*views[3:], *views[:3]], strict=True)
-    mixed = [replace(view, joint_pos=other.joint_pos) for view, other in pairs]
+    mixed = [replace(view, palm=other.palm) for view, other in pairs]
     with pytest.raises(PerceptionError, match="are the rows of the table those of the images"):
         calibrate(mixed, lens())

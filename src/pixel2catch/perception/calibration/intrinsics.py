@@ -13,8 +13,9 @@ from jaxtyping import Float
 
 from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.calibration_target import Board, View, read_image
-from pixel2catch.robot.constants import PIXEL_CENTER
+from pixel2catch.perception.calibration.target import Board, View, read_image
+from pixel2catch.perception.rosbag_images import first_camera_info
+from pixel2catch.robot.constants import PIXEL_CENTER, CameraSpec
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
 """Lens models of ROS that are OpenCV's; no name stands for no distortion."""
@@ -69,17 +70,29 @@ def read_intrinsics(
         InvalidValueError: If a camera file is damaged.
     """
     if path.suffix == ".json":
-        return _of_camera_file(CameraFile.load(path))
+        known = CameraFile.load(path)
+        camera = known.camera
+        return Intrinsics(
+            size=(camera.width, camera.height),
+            matrix=camera_matrix(camera),
+            distortion=known.distortion,
+            focal_std=known.focal_std,
+        )
     if path.suffix in (".yaml", ".yml"):
-        return _of_numbers(path, _yaml_numbers(path), is_rectified)
+        return _of_camera_info(path, _of_yaml(path), is_rectified)
     if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists():
-        return _of_numbers(path, _bag_numbers(path, topic), is_rectified)
+        return _of_camera_info(path, _of_bag(path, topic), is_rectified)
     if path.is_dir():
         return intrinsics_of_images(path, board)
     raise PerceptionError(
         f"{path}: not there, or of no known kind; give a .yaml of camera_calibration, a rosbag2, a camera "
         "file (.json), or a folder with images of the board."
     )
+
+
+def camera_matrix(camera: CameraSpec) -> Float[np.ndarray, "3 3"]:
+    """Focal lengths and optical axis of a pinhole [px], as OpenCV takes them."""
+    return np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
 
 
 def intrinsics_of_images(folder: Path, board: Board) -> Intrinsics:
@@ -103,12 +116,7 @@ def intrinsics_of_images(folder: Path, board: Board) -> Intrinsics:
 
 
 def intrinsics_of_views(views: Sequence[View], size: tuple[int, int]) -> Intrinsics:
-    """Compute a lens (k1, k2, p1, p2) from the corners of a board in several images.
-
-    Args:
-        views: The corners.
-        size: Width and height of the images [px].
-    """
+    """Compute a lens (k1, k2, p1, p2) from the corners of a board in several images of a size [px]."""
     rms, matrix, lens, _, _, deviations, *_ = cv2.calibrateCameraExtended(
         [view.points.astype(np.float32) for view in views],
         [view.pixels.astype(np.float32)[:, None] for view in views],
@@ -127,16 +135,8 @@ def intrinsics_of_views(views: Sequence[View], size: tuple[int, int]) -> Intrins
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Numbers:
-    """What ROS says of a camera.
-
-    Attributes:
-        size: Width and height [px].
-        model: Lens model.
-        distortion: Numbers of the lens.
-        matrix: K, row by row [px].
-        projection: P, row by row [px].
-    """
+class _CameraInfo:
+    """What ROS says of a camera: size [px], lens model and its numbers, K and P row by row [px]."""
 
     size: tuple[int, int]
     model: str
@@ -145,32 +145,24 @@ class _Numbers:
     projection: Sequence[float]
 
 
-def _of_numbers(path: Path, numbers: _Numbers, is_rectified: bool) -> Intrinsics:
+def _of_camera_info(path: Path, info: _CameraInfo, is_rectified: bool) -> Intrinsics:
     """What ROS says, in our image coordinates; refuse what is no lens of OpenCV's."""
-    if numbers.model not in LENS_MODELS or len(numbers.distortion) not in LENS_SIZES:
+    if info.model not in LENS_MODELS or len(info.distortion) not in LENS_SIZES:
         raise PerceptionError(
-            f"{path}: lens model '{numbers.model}' with {len(numbers.distortion)} numbers is not read; "
+            f"{path}: lens model '{info.model}' with {len(info.distortion)} numbers is not read; "
             "record rectified images and give --rectified, or calibrate with plumb_bob."
         )
-    flat, columns = (numbers.projection, 4) if is_rectified else (numbers.matrix, 3)
+    flat, columns = (info.projection, 4) if is_rectified else (info.matrix, 3)
     matrix = np.array(flat, dtype=np.float64)
     matrix = matrix.reshape(3, columns)[:, :3] if len(matrix) == 3 * columns else np.zeros((3, 3))
-    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(numbers.size) <= 0:
+    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(info.size) <= 0:
         raise PerceptionError(f"{path}: no focal length or image size; the camera is not calibrated yet.")
     matrix[:2, 2] += PIXEL_CENTER
-    lens = () if is_rectified else tuple(map(float, numbers.distortion))
-    return Intrinsics(size=numbers.size, matrix=matrix, distortion=lens)
+    lens = () if is_rectified else tuple(map(float, info.distortion))
+    return Intrinsics(size=info.size, matrix=matrix, distortion=lens)
 
 
-def _of_camera_file(known: CameraFile) -> Intrinsics:
-    """The lens of a camera that was calibrated before."""
-    camera = known.camera
-    matrix = np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
-    size = (camera.width, camera.height)
-    return Intrinsics(size=size, matrix=matrix, distortion=known.distortion, focal_std=known.focal_std)
-
-
-def _yaml_numbers(path: Path) -> _Numbers:
+def _of_yaml(path: Path) -> _CameraInfo:
     """Read a file as `camera_calibration` writes it; OpenCV's parser only misses a first line."""
     names = ("camera_matrix", "distortion_coefficients", "projection_matrix")
     reading = cv2.FileStorage_READ | cv2.FileStorage_MEMORY
@@ -185,22 +177,15 @@ def _yaml_numbers(path: Path) -> _Numbers:
             f"{path}: not a file of camera_calibration ({' '.join(str(error).split())}); it has image_width, "
             "image_height, camera_matrix, distortion_model, distortion_coefficients, projection_matrix."
         ) from None
-    return _Numbers(size=(width, height), model=model, distortion=lens, matrix=matrix, projection=projection)
+    return _CameraInfo(
+        size=(width, height), model=model, distortion=lens, matrix=matrix, projection=projection
+    )
 
 
-def _bag_numbers(path: Path, topic: str | None) -> _Numbers:
-    """Read the first CameraInfo of a bag; only here the optional library is needed."""
-    try:
-        from pixel2catch.perception.calibration_rosbag import first_camera_info
-    except ModuleNotFoundError as error:
-        raise PerceptionError(
-            f"{path}: reading bags needs {error.name}; pip install 'pixel2catch[perception]'."
-        ) from None
-    message = first_camera_info(path, topic)
-    return _Numbers(
-        size=(int(message.width), int(message.height)),
-        model=message.distortion_model,
-        distortion=[*message.d],
-        matrix=[*message.k],
-        projection=[*message.p],
+def _of_bag(path: Path, topic: str | None) -> _CameraInfo:
+    """Read the first CameraInfo of a bag."""
+    info = first_camera_info(path, topic)
+    size = (int(info.width), int(info.height))
+    return _CameraInfo(
+        size=size, model=info.distortion_model, distortion=[*info.d], matrix=[*info.k], projection=[*info.p]
     )

@@ -26,12 +26,10 @@ SQUARE = 0.06
 MARKER_SHARE = 0.75
 """Edge of a marker over that of its square."""
 
-PAGE = (210.0, 297.0)
+PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4
 """A4 [mm]."""
 
-PAGE_DPI = 300
 SQUARE_PIXELS = 480
-MM_PER_INCH = 25.4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,14 +53,11 @@ class Board(ABC):
         """Return the corners in an image; None where they do not tell the board's pose."""
 
 
-class HandBoard(Board):
+class CharucoBoard(Board):
     """The printed board: a chessboard with markers (ChArUco), so that corners are told from each other."""
 
     def __init__(self, square: float = SQUARE) -> None:
-        """Describe the board.
-
-        Args:
-            square: Edge of a square as printed [m].
+        """Describe the board by the edge of a square as printed [m].
 
         Raises:
             InvalidValueError: If it is not positive.
@@ -91,10 +86,7 @@ class Chessboard(Board):
     """A chessboard, for a lens only: it looks the same if turned by 180°, and a square is taken for 1."""
 
     def __init__(self, corners: tuple[int, int]) -> None:
-        """Describe the board.
-
-        Args:
-            corners: Columns and rows of inner corners.
+        """Describe the board by columns and rows of inner corners.
 
         Raises:
             InvalidValueError: If there are too few corners.
@@ -132,7 +124,9 @@ def sheet() -> Figure:
     board_width, board_height = (1e3 * SQUARE * number for number in SQUARES)
     left, bottom = 0.5 * (width - board_width), 0.5 * (height - board_height)
     extent = (left, left + board_width, bottom, bottom + board_height)
-    axes.imshow(HandBoard().picture(), cmap="gray", vmin=0, vmax=255, interpolation="nearest", extent=extent)
+    axes.imshow(
+        CharucoBoard().picture(), cmap="gray", vmin=0, vmax=255, interpolation="nearest", extent=extent
+    )
     axes.set(xlim=(0.0, width), ylim=(0.0, height))
     axes.set_axis_off()
     axes.text(

@@ -14,6 +14,7 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import project
 from pixel2catch.camera.visibility import is_in_view
 from pixel2catch.mdp.sensing import SensingCfg
+from pixel2catch.perception.calibration.intrinsics import camera_matrix
 from pixel2catch.robot.constants import CameraSpec, Vec3
 
 NUM_DRAWS = 100
@@ -54,10 +55,10 @@ class Comparison:
 def compare(
     calibrated: CameraFile, policy: CameraSpec, points: Float[np.ndarray, "num_points 3"]
 ) -> Comparison:
-    """Compare a camera with a policy's.
+    """Compare the camera of a laboratory with the one of a policy, whose images have the same size.
 
     Args:
-        calibrated: The camera of the laboratory; its images have the size of the policy's.
+        calibrated: The camera of the laboratory.
         policy: The camera that the policy was trained with.
         points: Where objects fly, world frame [m].
     """
@@ -119,8 +120,7 @@ def _lens_shift(calibrated: CameraFile, points: np.ndarray) -> np.ndarray:
     camera = calibrated.camera
     inverse = _rotation(camera).inv()
     turn, move = inverse.as_rotvec(), -inverse.apply(camera.pos)
-    matrix = np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
-    lenses = (np.array(calibrated.distortion), np.zeros(4))
+    matrix, lenses = camera_matrix(camera), (np.array(calibrated.distortion), np.zeros(4))
     bent, straight = (cv2.projectPoints(points, turn, move, matrix, lens)[0][:, 0] for lens in lenses)
     return bent - straight
 

@@ -26,7 +26,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GateCfg:
+class PlausibilityCfg:
     """Limits of the plausible. Source: ours, from 1,500 rendered images of 16 catches.
 
     Attributes:
@@ -42,30 +42,23 @@ class GateCfg:
     largest_sides: int = 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class Before:
-    """The box that was last accepted.
-
-    Attributes:
-        box: The box [px].
-        steps: Control steps since its image.
-    """
-
-    box: Float[Tensor, "1 4"]
-    steps: float
-
-
 def judge(
-    cfg: GateCfg, camera: CameraSpec, box: Float[Tensor, "1 4"], area: int, before: Before | None
+    cfg: PlausibilityCfg,
+    camera: CameraSpec,
+    box: Float[Tensor, "1 4"],
+    area: int,
+    before: Float[Tensor, "1 4"] | None = None,
+    steps: float = 1.0,
 ) -> Verdict:
-    """Return whether a box can be the object's, or why not.
+    """Return whether a box [px] around so many pixels can be the object's, or why not.
 
     Args:
         cfg: The limits.
         camera: The camera, for the size of the image.
         box: The box [px].
         area: Pixels of its mask.
-        before: The last accepted box; None where the object was just pointed out.
+        before: The box that was last accepted [px]; None where the object was just pointed out.
+        steps: Control steps since the image of that box.
     """
     xmin, ymin, xmax, ymax = box[0].tolist()
     if area < cfg.least_area:
@@ -74,12 +67,8 @@ def judge(
         return Verdict.TOO_LARGE
     if (xmin <= 0) + (ymin <= 0) + (xmax >= camera.width) + (ymax >= camera.height) > cfg.largest_sides:
         return Verdict.BORDER
-    if before is not None and _moved(box, before.box) > cfg.largest_jump * max(before.steps, 1.0):
-        return Verdict.JUMP
+    if before is not None:
+        change = box - before
+        if (0.5 * (change[:, :2] + change[:, 2:])).norm() > cfg.largest_jump * max(steps, 1.0):
+            return Verdict.JUMP
     return Verdict.SEEN
-
-
-def _moved(box: Float[Tensor, "1 4"], before: Float[Tensor, "1 4"]) -> float:
-    """How far the middle of a box moved [px]."""
-    change = box - before
-    return float((0.5 * (change[:, :2] + change[:, 2:])).norm())

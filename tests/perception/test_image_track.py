@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pixel2catch.perception.blobs import Course, FollowCfg, find_blobs, largest_component
+from pixel2catch.perception.image_track import LARGEST_REACH, ImageTrack, find_blobs, largest_component
 
 
 def two_blobs() -> np.ndarray:
@@ -12,14 +12,13 @@ def two_blobs() -> np.ndarray:
 
 
 def test_blobs_have_the_boxes_that_were_painted():
-    large, small = find_blobs(two_blobs()).blobs
+    large, small = find_blobs(two_blobs())
     assert (large.area, large.width, large.height, large.center) == (40, 4, 10, (42.0, 25.0))
     assert (small.area, small.width, small.height, small.center) == (30, 6, 5, (11.0, 7.5))
 
 
 def test_the_masks_of_all_blobs_are_the_mask():
-    found = find_blobs(two_blobs())
-    first, second = (found.mask(blob) for blob in found.blobs)
+    first, second = (blob.mask() for blob in find_blobs(two_blobs()))
     assert not (first & second).any()
     assert np.array_equal(first | second, two_blobs())
 
@@ -34,22 +33,22 @@ def test_of_two_blobs_the_largest_is_left():
 def test_one_blob_or_none_stays(level: bool):
     mask = np.full((6, 8), level)
     assert np.array_equal(largest_component(mask), mask)
-    assert len(find_blobs(mask).blobs) == level
+    assert len(find_blobs(mask)) == level
 
 
-def test_a_course_goes_on_as_it_moved():
-    course = Course(center=(10.0, 10.0)).seen((16.0, 12.0))
-    assert course.expected == (22.0, 14.0)
-    assert course.missed().expected == (28.0, 16.0)
-    assert course.missed().seen((34.0, 18.0)).velocity == (9.0, 3.0)
+def test_a_track_goes_on_as_it_moved():
+    track = ImageTrack(center=(10.0, 10.0)).seen((16.0, 12.0))
+    assert track.expected == (22.0, 14.0)
+    assert track.missed().expected == (28.0, 16.0)
+    assert track.missed().seen((34.0, 18.0)).velocity == (9.0, 3.0)
 
 
 def test_what_stays_away_is_not_expected_ever_further():
-    course = Course(center=(0.0, 0.0), velocity=(10.0, 0.0))
+    track = ImageTrack(center=(0.0, 0.0), velocity=(10.0, 0.0))
     for _ in range(20):
-        course = course.missed()
-    assert course.expected == (30.0, 0.0)
-    assert course.reach(FollowCfg()) == FollowCfg().largest_reach
+        track = track.missed()
+    assert track.expected == (30.0, 0.0)
+    assert track.reach == LARGEST_REACH
 
 
 def blob_at(u: int, v: int) -> np.ndarray:
@@ -69,31 +68,31 @@ def blob_at(u: int, v: int) -> np.ndarray:
         ((40, 100), False),  # 60 px back
     ],
 )
-def test_a_course_goes_on_near_its_way(place: tuple[int, int], is_in_reach: bool):
-    course = Course(center=(100.0, 100.0), velocity=(60.0, 0.0))
-    assert (course.next_blob(find_blobs(blob_at(*place)), FollowCfg()) is not None) == is_in_reach
+def test_a_track_goes_on_near_its_way(place: tuple[int, int], is_in_reach: bool):
+    track = ImageTrack(center=(100.0, 100.0), velocity=(60.0, 0.0))
+    assert (track.next_blob(find_blobs(blob_at(*place))) is not None) == is_in_reach
 
 
 def test_of_two_things_the_nearest_goes_on():
     found = find_blobs(blob_at(150, 100) | blob_at(170, 125))
-    blob = Course(center=(140.0, 100.0), velocity=(12.0, 0.0)).next_blob(found, FollowCfg())
+    blob = ImageTrack(center=(140.0, 100.0), velocity=(12.0, 0.0)).next_blob(found)
     assert blob is not None
     assert blob.center == (150.0, 100.0)
 
 
 def test_what_was_another_thing_does_not_become_the_object():
     both = find_blobs(blob_at(150, 100) | blob_at(190, 100))
-    course = Course(center=(140.0, 100.0), velocity=(10.0, 0.0))
-    course, _ = course.advanced(both, course.next_blob(both, FollowCfg()))
-    assert course.others == ((190.0, 100.0),)
-    assert course.next_blob(find_blobs(blob_at(186, 102)), FollowCfg()) is None
-    assert course.next_blob(find_blobs(blob_at(186, 130)), FollowCfg()) is not None
-    assert course.next_blob(find_blobs(blob_at(160, 100)), FollowCfg()) is not None
+    track = ImageTrack(center=(140.0, 100.0), velocity=(10.0, 0.0))
+    track, _ = track.advanced(both, track.next_blob(both))
+    assert track.others == ((190.0, 100.0),)
+    assert track.next_blob(find_blobs(blob_at(186, 102))) is None
+    assert track.next_blob(find_blobs(blob_at(186, 130))) is not None
+    assert track.next_blob(find_blobs(blob_at(160, 100))) is not None
 
 
 def test_the_object_may_pass_where_another_thing_was():
-    course = Course(center=(140.0, 100.0), velocity=(50.0, 0.0), others=((191.0, 100.0),))
-    assert course.next_blob(find_blobs(blob_at(192, 101)), FollowCfg()) is not None
+    track = ImageTrack(center=(140.0, 100.0), velocity=(50.0, 0.0), others=((191.0, 100.0),))
+    assert track.next_blob(find_blobs(blob_at(192, 101))) is not None
 
 
 def test_things_of_another_size_are_no_object():
@@ -101,4 +100,4 @@ def test_things_of_another_size_are_no_object():
     speck[100, 100:105] = True
     wall[100:110, 50:151] = True
     for mask in (speck, wall):
-        assert Course(center=(100.0, 105.0)).next_blob(find_blobs(mask), FollowCfg()) is None
+        assert ImageTrack(center=(100.0, 105.0)).next_blob(find_blobs(mask)) is None

@@ -1,0 +1,145 @@
+"""What looks for an object in images, as data: the options of commands, and what is made of them.
+
+OpenCV and SAM 2 are optional packages, which are imported only where something is made.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.robot.constants import JOINTS, RGB_CAMERA, CameraSpec
+
+if TYPE_CHECKING:
+    from pixel2catch.perception.color import ColorRange
+    from pixel2catch.perception.prompt import Prompter
+    from pixel2catch.perception.robot_mask import RobotMask
+    from pixel2catch.perception.segmenter import Segmenter
+    from pixel2catch.robot.allegro import Handedness
+
+Span = tuple[float, float]
+Corners = tuple[float, float, float, float]
+
+JOINT_NAMES = tuple(joint.name for joint in JOINTS)
+"""Names of the robot's joints, in the order of their positions in a `CameraFrame`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerceptionArgs:
+    """What looks for the object, and through which camera.
+
+    Attributes:
+        segmenter: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint.
+        box: The object when the throw begins: xmin, ymin, xmax, ymax [px].
+        point: A point on the object when the throw begins: u, v [px].
+        region: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
+        color: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
+        saturation: Smallest and largest saturation of --color.
+        value: Smallest and largest brightness of --color.
+        camera: Camera file as `calibrate` writes it. Default: the camera of the policies.
+        checkpoint: Folder of a SAM 2.1 checkpoint in the format of transformers.
+        image_size: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
+        device: Where SAM 2 runs: cpu, cuda, cuda:1, ...
+    """
+
+    segmenter: Literal["background", "color", "sam2"] = "background"
+    box: Corners | None = None
+    point: tuple[float, float] | None = None
+    region: Corners | None = None
+    color: Span | None = None
+    saturation: Span = (0.4, 1.0)
+    value: Span = (0.2, 1.0)
+    camera: Path | None = None
+    checkpoint: Path | None = None
+    image_size: int | None = None
+    device: str = "cpu"
+
+    def prepare(self) -> None:
+        """Leave the cores to others, unless SAM 2 is to run on them."""
+        import torch
+
+        if self.checkpoint is None:
+            torch.set_num_threads(1)
+
+    def camera_spec(self, notes: list[str]) -> CameraSpec:
+        """The camera that takes the images; notes get what a user should know of it."""
+        from pixel2catch.camera.camera_file import CameraFile
+
+        if self.camera is None:
+            return RGB_CAMERA
+        file = CameraFile.load(self.camera)
+        if file.distortion:
+            notes.append(f"{self.camera} has a lens: give rectified images, such as image_rect.")
+        return file.camera
+
+    def make_segmenter(self) -> "Segmenter":
+        """What finds the object's pixels.
+
+        Raises:
+            InvalidValueError: If it needs what is not given.
+        """
+        if self.segmenter == "sam2":
+            if self.checkpoint is None:
+                raise InvalidValueError(
+                    "the segmenter sam2 needs --checkpoint, the folder of a SAM 2.1 model."
+                )
+            from pixel2catch.perception.sam2 import Sam2Segmenter
+
+            return Sam2Segmenter(self.checkpoint, self.device, self.image_size)
+        if self.segmenter == "color":
+            from pixel2catch.perception.color import ColorThreshold
+
+            if (colors := self._colors()) is None:
+                raise InvalidValueError(
+                    "the segmenter color needs the object's hues: --color 340 20 for red."
+                )
+            return ColorThreshold(colors)
+        from pixel2catch.perception.background import BackgroundSubtraction
+
+        return BackgroundSubtraction()
+
+    def make_prompter(self, camera: CameraSpec = RGB_CAMERA) -> "Prompter":
+        """What points the object out: what a person gave, and after a loss its colour, then its flight.
+
+        Raises:
+            InvalidValueError: If box and point are given, or one of them or the region is not on the image.
+        """
+        from pixel2catch.perception.prompt import ColorPrompter, FirstPrompter, GivenPrompter, MotionPrompter
+        from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt
+
+        if self.box and self.point:
+            raise InvalidValueError("give the object's box or a point on it, not both.")
+        prompters: list[Prompter] = []
+        if self.box:
+            prompters.append(GivenPrompter(BoxPrompt(box=_on_image("box", self.box, camera))))
+        if self.point:
+            corners = _on_image("point", (*self.point, camera.width, camera.height), camera)
+            prompters.append(GivenPrompter(PointPrompt(center=corners[:2])))
+        region = self.region and _on_image("region", self.region, camera)
+        if colors := self._colors():
+            prompters.append(ColorPrompter(colors, region=region))
+        return FirstPrompter(*prompters, MotionPrompter(region=region))
+
+    def _colors(self) -> "ColorRange | None":
+        from pixel2catch.perception.color import ColorRange
+
+        return self.color and ColorRange(hue=self.color, saturation=self.saturation, value=self.value)
+
+
+def make_robot_mask(camera: CameraSpec = RGB_CAMERA, handedness: "Handedness" = "left") -> "RobotMask":
+    """What tells the robot's pixels in a camera's images."""
+    from pixel2catch.perception.robot_mask import RobotMask
+    from pixel2catch.robot.scene import SceneCfg, build_model
+
+    return RobotMask(build_model(SceneCfg(handedness=handedness, visuals=True)), JOINT_NAMES, camera)
+
+
+def _on_image(name: str, box: Corners, camera: CameraSpec) -> Corners:
+    """The box, if it is one and on the image."""
+    xmin, ymin, xmax, ymax = box
+    if 0.0 <= xmin < xmax <= camera.width and 0.0 <= ymin < ymax <= camera.height:
+        return box
+    raise InvalidValueError(
+        f"the {name} {' '.join(f'{edge:g}' for edge in box)} is not on the image of {camera.width} by "
+        f"{camera.height} px: count pixels from the upper left corner."
+    )

@@ -1,0 +1,171 @@
+"""Connected regions of a mask, and the track that says which of them continues the object's motion."""
+
+from dataclasses import dataclass, replace
+from math import hypot
+
+import cv2
+import numpy as np
+from jaxtyping import Int32
+
+from pixel2catch.perception.segmenter import NOT_FOUND, Mask, Segmentation
+
+NUM_NEIGHBORS = 8
+"""Pixels that touch at a corner belong together."""
+
+SPECK = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+"""What is smaller than this cross is noise [px]."""
+
+GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+"""Pieces of one thing that are no further apart than this belong together [px]."""
+
+LEAST_AREA, LARGEST_SIDE = 6, 100
+"""Smallest region, and longest side of a region, that is taken for the object [px]. Source: ours, twice the
+side in rendered catches (49 px)."""
+
+REACH, REACH_GROWTH, LARGEST_REACH = 45.0, 30.0, 150.0
+"""Largest distance of the object from the way between where it was and where it is expected, how much more it
+may be for every image without it, and in the end [px]. Source: ours; the release of a throw makes up to 30 px
+in an image interval out of nothing."""
+
+LONGEST_STEP = 20.0
+"""How far another thing moves between two images, at most, to be known again [px]. Source: ours."""
+
+LONGEST_COAST = 3
+"""Image intervals that an unseen object is taken to go on as before. Source: ours."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blob:
+    """A connected region of a mask.
+
+    Attributes:
+        area: Number of pixels.
+        width: Of its box [px].
+        height: Of its box [px].
+        center: Middle of its box [px].
+        label: Its number among the regions of the mask.
+        labels: Number of the region that each pixel is in, in the part of the mask that holds all of them.
+        window: That part: rows and columns.
+        shape: Height and width of the mask.
+    """
+
+    area: int
+    width: int
+    height: int
+    center: tuple[float, float]
+    label: int
+    labels: Int32[np.ndarray, "rows columns"]
+    window: tuple[slice, slice]
+    shape: tuple[int, int]
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether it has the size of an object."""
+        return self.area >= LEAST_AREA and max(self.width, self.height) <= LARGEST_SIDE
+
+    def mask(self) -> Mask:
+        """The pixels of the region."""
+        mask = np.zeros(self.shape, dtype=bool)
+        mask[self.window] = self.labels == self.label
+        return mask
+
+    def distance(self, point: tuple[float, float]) -> float:
+        """From the middle of the box to a point [px]."""
+        return hypot(self.center[0] - point[0], self.center[1] - point[1])
+
+
+def find_blobs(mask: Mask) -> list[Blob]:
+    """Return the connected regions of a mask, largest first."""
+    pixels = mask.view(np.uint8)
+    left, top, width, height = cv2.boundingRect(pixels)
+    if not width:
+        return []
+    window = slice(top, top + height), slice(left, left + width)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels[window], connectivity=NUM_NEIGHBORS)
+    common = {"labels": labels, "window": window, "shape": mask.shape}
+    blobs = []
+    for label, (x, y, w, h, area) in enumerate(stats.tolist()[1:], start=1):
+        center = (left + x + 0.5 * w, top + y + 0.5 * h)
+        blobs.append(Blob(label=label, area=area, width=w, height=h, center=center, **common))
+    return sorted(blobs, key=lambda blob: -blob.area)
+
+
+def largest_component(mask: Mask) -> Mask:
+    """Return the largest connected region of a mask; the mask itself if it has one or none."""
+    blobs = find_blobs(mask)
+    return blobs[0].mask() if len(blobs) > 1 else mask
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageTrack:
+    """Where the object was last, and how it moved: constant velocity in the image.
+
+    Attributes:
+        center: Middle of its last box [px].
+        velocity: Its last change in an image interval [px].
+        num_missed: Images since then.
+        others: Middles of the things in the last image that were not the object [px].
+    """
+
+    center: tuple[float, float]
+    velocity: tuple[float, float] = (0.0, 0.0)
+    num_missed: int = 0
+    others: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def expected(self) -> tuple[float, float]:
+        """Where it should be in the next image [px]; what stays away for long has stopped somewhere."""
+        steps = min(self.num_missed + 1, LONGEST_COAST)
+        return self.center[0] + steps * self.velocity[0], self.center[1] + steps * self.velocity[1]
+
+    def missed(self) -> "ImageTrack":
+        """The track after an image without the object."""
+        return replace(self, num_missed=self.num_missed + 1)
+
+    def seen(self, center: tuple[float, float]) -> "ImageTrack":
+        """The track after an image with the object [px]."""
+        steps = self.num_missed + 1
+        velocity = (center[0] - self.center[0]) / steps, (center[1] - self.center[1]) / steps
+        return ImageTrack(center=center, velocity=velocity)
+
+    def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
+        """The track after the next image, in which the object is this one of the regions, and its mask.
+
+        The score is the region's share of its box.
+        """
+        others = tuple(each.center for each in blobs if each is not blob)
+        if blob is None:
+            return replace(self.missed(), others=others), NOT_FOUND
+        score = blob.area / (blob.width * blob.height)
+        return replace(self.seen(blob.center), others=others), Segmentation(mask=blob.mask(), score=score)
+
+    @property
+    def reach(self) -> float:
+        """How far from the way to there it may be [px]."""
+        return min(REACH + REACH_GROWTH * self.num_missed, LARGEST_REACH)
+
+    def next_blob(self, blobs: list[Blob]) -> Blob | None:
+        """The region of the right size that is nearest to where the object should be, if any is in reach.
+
+        In reach is what is near to the way from its last place to there: a hand may have stopped it. What was
+        another thing in the last image is not the object in this one.
+        """
+        plausible = (blob for blob in blobs if blob.is_plausible and not self._is_other(blob))
+        near = [blob for blob in plausible if self._distance(blob.center) <= self.reach]
+        return min(near, key=lambda blob: blob.distance(self.expected), default=None)
+
+    def _distance(self, point: tuple[float, float]) -> float:
+        """From a point to the way between the last and the expected place [px]."""
+        (u, v), (end_u, end_v) = self.center, self.expected
+        du, dv = end_u - u, end_v - v
+        length = max(du * du + dv * dv, 1.0)
+        share = min(max((du * (point[0] - u) + dv * (point[1] - v)) / length, 0.0), 1.0)
+        return hypot(point[0] - u - share * du, point[1] - v - share * dv)
+
+    def _is_other(self, blob: Blob) -> bool:
+        """Whether a region continues another thing rather than the object, which is expected elsewhere."""
+        away = blob.distance(self.expected)
+        (u, v), (end_u, end_v) = blob.center, self.expected
+        if abs(u - end_u) <= 0.5 * blob.width and abs(v - end_v) <= 0.5 * blob.height:
+            return False
+        return any(blob.distance(other) < min(away, LONGEST_STEP) for other in self.others)

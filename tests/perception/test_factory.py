@@ -1,0 +1,72 @@
+"""Options of commands become segmenters and prompters, or errors that say what to give."""
+
+import numpy as np
+import pytest
+
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.perception.background import BackgroundSubtraction
+from pixel2catch.perception.color import ColorThreshold
+from pixel2catch.perception.factory import PerceptionArgs
+from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt
+
+RED = (340.0, 20.0)
+
+
+def image_with_red(box: tuple[int, int, int, int]) -> np.ndarray:
+    image = np.full((480, 640, 3), 90, dtype=np.uint8)
+    xmin, ymin, xmax, ymax = box
+    image[ymin:ymax, xmin:xmax] = (200, 40, 30)
+    return image
+
+
+def test_segmenters():
+    assert isinstance(PerceptionArgs().make_segmenter(), BackgroundSubtraction)
+    assert isinstance(PerceptionArgs(segmenter="color", color=RED).make_segmenter(), ColorThreshold)
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (PerceptionArgs(segmenter="color"), "--color 340 20"),
+        (PerceptionArgs(segmenter="sam2"), "--checkpoint"),
+    ],
+)
+def test_what_a_segmenter_lacks_is_named(args: PerceptionArgs, words: str):
+    with pytest.raises(InvalidValueError, match=words):
+        args.make_segmenter()
+
+
+def test_what_a_person_gave_comes_before_the_colour():
+    image = image_with_red((300, 200, 320, 220))
+    given = PerceptionArgs(box=(10, 10, 30, 30), color=RED).make_prompter()
+    assert given.look(image) == BoxPrompt(box=(10, 10, 30, 30))
+    assert given.look(image) == BoxPrompt(box=(300, 200, 320, 220))
+    assert PerceptionArgs(point=(5, 6)).make_prompter().look(image) == PointPrompt(center=(5, 6))
+
+
+def test_colour_is_looked_for_in_the_region():
+    image = image_with_red((300, 200, 320, 220))
+    inside = PerceptionArgs(color=RED, region=(250, 150, 400, 300)).make_prompter()
+    outside = PerceptionArgs(color=RED, region=(0, 0, 200, 200)).make_prompter()
+    assert inside.look(image) == BoxPrompt(box=(300, 200, 320, 220))
+    assert outside.look(image) is None
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        PerceptionArgs(box=(30, 10, 10, 30)),
+        PerceptionArgs(box=(600, 10, 700, 30)),
+        PerceptionArgs(point=(640, 10)),
+        PerceptionArgs(point=(-1, 10)),
+        PerceptionArgs(region=(0, 0, 641, 480)),
+    ],
+)
+def test_places_off_the_image_are_refused(args: PerceptionArgs):
+    with pytest.raises(InvalidValueError, match="not on the image of 640 by 480 px"):
+        args.make_prompter()
+
+
+def test_box_and_point_exclude_each_other():
+    with pytest.raises(InvalidValueError, match="not both"):
+        PerceptionArgs(box=(10, 10, 30, 30), point=(20, 20)).make_prompter()
