@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from pixel2catch.evaluation.study.jobs import Status
-from pixel2catch.evaluation.study.plan import GROUPS
+from pixel2catch.evaluation.comparison.jobs import Status
+from pixel2catch.evaluation.comparison.plan import GROUPS
 
 SUMMARY_SECONDS = 30.0
 """Time between two summaries where there is no terminal [s]."""

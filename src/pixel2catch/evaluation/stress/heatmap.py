@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pixel2catch.evaluation.pictures import png
+from pixel2catch.evaluation.report import png
 
 PALETTE = "viridis"
 """A sequential palette for any kind of colour vision. Source: Smith and van der Walt 2015, Matplotlib."""

@@ -1,64 +1,73 @@
-"""Measuring the cells of the stress suite: the same throws for all, in one process or in several.
+"""Measuring the results of the stress suite: the same throws for all, in one process or in several.
 
-A cell is written all at once. Cells that are there are not computed again; cells that were obtained otherwise
-are refused before anything is computed, and never overwritten. No cell depends on the number of processes: it
-has seeds of its own, and the physics is the same on any number of threads.
+A result is written all at once. Results that are there are not computed again; results that were obtained
+otherwise are refused before anything is computed, and never overwritten. None depends on the number of
+processes: it has seeds of its own, and the physics is the same on any number of threads.
 """
 
 import dataclasses
 import json
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
+from multiprocessing import get_context, parent_process
+from threading import Thread
+from typing import Any, TypeVar
 
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.rounds import Actor, Trials, run_round
-from pixel2catch.evaluation.stress.cells import Cell, Json, StressCfg
-from pixel2catch.evaluation.stress.processes import in_processes
+from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, run_round
+from pixel2catch.evaluation.report import differences
+from pixel2catch.evaluation.stress.results import Json, Result, StressCfg
 from pixel2catch.files import plain, write_atomically
 from pixel2catch.methods import Method
 from pixel2catch.policy import leaves
-from pixel2catch.robot.objects import OBJECTS
+
+Returned = TypeVar("Returned")
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What libraries read, as they are loaded, for the number of their threads."""
 
 
-def run_cells(
-    cells: Sequence[Cell],
+def measure(
+    results: Sequence[Result],
     cfg: StressCfg,
-    on_cell: Callable[[int, Cell, Metrics], None] = lambda *_: None,
+    on_result: Callable[[int, Result, Metrics], None] = lambda *_: None,
     jobs: int = 1,
 ) -> tuple[Json, ...]:
-    """Compute the cells that are not there, and return all.
+    """Compute the results that are not there, and return all.
 
     Args:
-        cells: The cells.
+        results: The results.
         cfg: How they are obtained.
-        on_cell: Called with number, cell and metrics of every cell that was computed, as soon as it was.
-        jobs: Cells that are computed at once, each in a process of its own; only on the CPU more than one.
+        on_result: Called with number, result and metrics of every one that was computed, as soon as it was.
+        jobs: Results that are computed at once, each in a process of its own; only on the CPU more than one.
 
     Raises:
         InvalidValueError: If there can not be so many.
-        StudyError: If a cell was obtained otherwise, nothing was computed then; or if a process was ended.
+        StudyError: If a result was obtained otherwise, nothing was computed then; or if a process was ended.
     """
     if jobs < 1 or (jobs > 1 and cfg.device != "cpu"):
         raise InvalidValueError(
             f"{jobs} jobs were asked for on '{cfg.device}'; give --jobs 1, or more with --device cpu"
         )
-    origins = [_origin(cell, cfg) for cell in cells]
-    for cell, origin in zip(cells, origins, strict=True):
-        _require_same(cell, origin)
-    results = [cell.read() for cell in cells]
-    missing = [number for number, result in enumerate(results) if result is None]
-    for number, found in _measured([cells[number] for number in missing], cfg, jobs):
-        number = missing[number]
-        cell, result = cells[number], origins[number] | {"metrics": found}
-        cell.file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically({cell.file: (json.dumps(result, indent=2) + "\n").encode()})
-        results[number] = result
-        on_cell(number + 1, cell, found)
-    return tuple(result for result in results if result is not None)
+    origins = [_origin(each, cfg) for each in results]
+    for each, origin in zip(results, origins, strict=True):
+        _require_same(each, origin)
+    contents = [each.read() for each in results]
+    missing = [number for number, content in enumerate(contents) if content is None]
+    for index, found in _measured([results[number] for number in missing], cfg, jobs):
+        number = missing[index]
+        each, content = results[number], origins[number] | {"metrics": found}
+        each.file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically({each.file: (json.dumps(content, indent=2) + "\n").encode()})
+        contents[number] = content
+        on_result(number + 1, each, found)
+    return tuple(content for content in contents if content is not None)
 
 
 def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
@@ -85,18 +94,16 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     return Trials.concatenate(rounds)
 
 
-def _measured(cells: Sequence[Cell], cfg: StressCfg, jobs: int) -> Iterator[tuple[int, Metrics]]:
-    """Numbers and metrics of cells as they come."""
-    if jobs > 1 and len(cells) > 1:
-        yield from in_processes(jobs, _measure, [(cell, cfg, False) for cell in cells])
+def _measured(results: Sequence[Result], cfg: StressCfg, jobs: int) -> Iterator[tuple[int, Metrics]]:
+    """Numbers and metrics of results as they come."""
+    if jobs > 1 and len(results) > 1:
+        yield from in_processes(jobs, _measure, [(each, cfg, False) for each in results])
     else:
-        yield from ((number, _measure(cell, cfg)) for number, cell in enumerate(cells))
+        yield from ((number, _measure(each, cfg)) for number, each in enumerate(results))
 
 
-def _measure(cell: Cell, cfg: StressCfg, is_alone: bool = True) -> Metrics:
-    """Metrics of a cell."""
-    trials = throw_rounds(*_evaluation(cell, cfg, cfg.device), is_alone=is_alone)
-    return metrics(trials, tuple(OBJECTS))
+def _measure(result: Result, cfg: StressCfg, is_alone: bool = True) -> Metrics:
+    return metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=is_alone))
 
 
 @contextmanager
@@ -110,53 +117,107 @@ def _one_processor() -> Iterator[None]:
         os.sched_setaffinity(0, processors)
 
 
-def _evaluation(cell: Cell, cfg: StressCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
+def _evaluation(result: Result, cfg: StressCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
     """The policy and what is thrown at it."""
-    policy, method = load_policy(cell.contestant.folder, device)
-    return (
-        policy,
-        method,
-        EvaluationCfg(
-            objects=cfg.objects,
-            num_envs=cfg.num_envs,
-            trials=cfg.trials,
-            seed=cfg.seed,
-            device=device,
-            task=cell.setting.level.change(task_of(policy, cfg.physics_hz)),
-        ),
+    policy, method = load_policy(result.policy.folder, device)
+    evaluation = EvaluationCfg(
+        objects=cfg.objects,
+        num_envs=cfg.num_envs,
+        trials=cfg.trials,
+        seed=cfg.seed,
+        device=device,
+        task=result.setting.level.change(task_of(policy, cfg.physics_hz)),
     )
+    return policy, method, evaluation
 
 
-def _origin(cell: Cell, cfg: StressCfg) -> Json:
-    """Everything that decides a cell's metrics, as JSON."""
-    _, method, evaluation = _evaluation(cell, cfg, "cpu")
+def _origin(result: Result, cfg: StressCfg) -> Json:
+    """Everything that decides a result's metrics, as JSON."""
+    _, method, evaluation = _evaluation(result, cfg, "cpu")
     evaluation = dataclasses.replace(evaluation, device=cfg.device)
     return {
-        "policy": cell.contestant.name,
+        "policy": result.policy.name,
         "method": method.name,
-        "policy_sha256": fingerprint(cell.contestant.folder),
-        "setting": cell.setting.name,
+        "policy_sha256": fingerprint(result.policy.folder),
+        "setting": result.setting.name,
         "evaluation": json.loads(json.dumps(dataclasses.asdict(evaluation), default=plain)),
     }
 
 
-def _require_same(cell: Cell, origin: Json) -> None:
-    """See that a cell that is there was obtained as it would be now.
+def _require_same(result: Result, origin: Json) -> None:
+    """See that a result that is there was obtained as it would be now.
 
     Raises:
         StudyError: With the fields that differ.
     """
-    found = cell.read()
+    found = result.read()
     if found is None:
         return
-    before, now = dict(leaves(found | {"metrics": None})), dict(leaves(origin | {"metrics": None}))
-    changes = [
-        f"{name}: {before.get(name)} there, {now.get(name)} now"
-        for name in sorted({*before, *now})
-        if before.get(name) != now.get(name)
-    ]
-    if changes:
+    before, now = (dict(leaves(each | {"metrics": None})) for each in (found, origin))
+    if changes := differences(before, now, "there"):
         raise StudyError(
-            f"'{cell.file}' was obtained otherwise ({'; '.join(changes)}); give the values that it has, or "
+            f"'{result.file}' was obtained otherwise ({changes}); give the values that it has, or "
             "name another folder with --out."
         )
+
+
+def in_processes(
+    jobs: int, function: Callable[..., Returned], calls: Sequence[tuple[Any, ...]]
+) -> Iterator[tuple[int, Returned]]:
+    """Yield number and returned value of every call as soon as it is done.
+
+    The processes are new ones of one thread each, and end with this one or with the first error.
+
+    Args:
+        jobs: Most processes.
+        function: What is called: a function of a module.
+        calls: Its arguments.
+
+    Raises:
+        StudyError: If a process was ended from outside.
+    """
+    context = get_context("spawn")
+    pool = ProcessPoolExecutor(min(jobs, len(calls)), mp_context=context, initializer=_begin)
+    try:
+        with _one_thread_each():
+            numbers = {pool.submit(function, *call): number for number, call in enumerate(calls)}
+        for future in as_completed(numbers):
+            yield numbers[future], future.result()
+    except BrokenProcessPool as error:
+        raise StudyError(
+            f"one of {jobs} processes was ended from outside; if memory was short, give fewer --jobs. What "
+            "was finished is kept: the same command goes on from there."
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _begin() -> None:
+    """Prepare a process."""
+    import torch
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a word of its own
+    torch.set_num_threads(1)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes that begin here load libraries with one thread each."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -6,8 +6,8 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from rendered_throws import LabelledImage
 
-from pixel2catch.evaluation.rendered.film import Shot
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.gate import Verdict
 
@@ -57,7 +57,7 @@ class Score:
         return self.is_seen and self.error <= GOOD
 
 
-def score(shots: Sequence[Shot], extractions: Sequence[Extraction]) -> list[Score]:
+def score(shots: Sequence[LabelledImage], extractions: Sequence[Extraction]) -> list[Score]:
     """Compare what was seen in the images of a film with the truth.
 
     Args:

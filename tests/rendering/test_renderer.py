@@ -8,8 +8,9 @@ import torch
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
-from pixel2catch.evaluation import rendering
-from pixel2catch.evaluation.rendering import OUTSIDE_VIEW, Renderer, VideoWriter, View, find_gl_backend
+from pixel2catch.rendering import renderer as module
+from pixel2catch.rendering.renderer import OUTSIDE_VIEW, Renderer, View, find_gl_backend
+from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.robot.constants import RGB_CAMERA
 from pixel2catch.robot.scene import OBJECT_START, SceneCfg, build_model
 
@@ -69,7 +70,7 @@ def test_an_unknown_camera_names_the_valid_ones():
 
 
 def test_without_opengl_the_error_names_the_packages(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(rendering, "_draws", lambda _backend: False)
+    monkeypatch.setattr(module, "_draws", lambda _backend: False)
     find_gl_backend.cache_clear()
     try:
         with pytest.raises(DeviceUnavailableError, match="apt-get install libegl1 libgl1"):

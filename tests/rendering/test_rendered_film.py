@@ -7,19 +7,13 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from rendered_throws import FilmCfg, ThrowFilm
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.evaluation.rendered.bystanders import (
-    FOLLOW_THROUGH,
-    HAND_DROP,
-    JOINTS,
-    Bystanders,
-)
-from pixel2catch.evaluation.rendered.camera import OBJECT, CameraCfg, Moment
-from pixel2catch.evaluation.rendered.film import FilmCfg, ThrowFilm
-from pixel2catch.evaluation.rendered.room import build_room
-from pixel2catch.evaluation.rendering import find_gl_backend
+from pixel2catch.rendering.camera import OBJECT, CameraCfg, Moment
+from pixel2catch.rendering.renderer import find_gl_backend
+from pixel2catch.rendering.room import BYSTANDER_JOINTS, FOLLOW_THROUGH, HAND_DROP, Bystanders, build_room
 from pixel2catch.robot import constants
 from pixel2catch.robot.constants import RGB_CAMERA
 from pixel2catch.robot.scene import SceneCfg, build_model
@@ -56,7 +50,7 @@ def film(opengl: None, request: pytest.FixtureRequest) -> Iterator[ThrowFilm]:
 def test_the_positions_of_the_scene_come_first_in_the_room():
     room = build_room(SceneCfg(), "cube_l", seed=0)
     names = [room.joint(i).name for i in range(room.njnt)]
-    assert names == [SCENE_MODEL.joint(i).name for i in range(SCENE_MODEL.njnt)] + list(JOINTS)
+    assert names == [SCENE_MODEL.joint(i).name for i in range(SCENE_MODEL.njnt)] + list(BYSTANDER_JOINTS)
 
 
 def test_rooms_of_one_seed_look_alike_and_others_differ():
@@ -72,7 +66,7 @@ def test_the_object_lies_on_the_throwers_hand_until_it_is_released():
     hand = max(geom for geom in range(room.ngeom) if room.geom_bodyid[geom] == room.body("thrower_arm").id)
     heights = []
     for time in (-0.7, 0.0, 0.5):
-        data.qpos[-len(JOINTS) :] = bystanders.joint_pos(time)
+        data.qpos[-len(BYSTANDER_JOINTS) :] = bystanders.joint_pos(time)
         mujoco.mj_kinematics(room, data)
         heights.append(data.geom_xpos[hand] - RELEASE)
     # A standing person sways by 1 cm.

@@ -1,10 +1,16 @@
-"""Results as tables for people, beside the numbers of the paper."""
+"""Results for people: tables for the terminal and for files, and pictures, beside the paper's numbers."""
 
-from collections.abc import Mapping
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+from matplotlib.figure import Figure
 from rich.table import Table
 
 from pixel2catch.evaluation.metrics import Metrics
+from pixel2catch.files import write_atomically
 from pixel2catch.robot.objects import SEEN, UNSEEN
 
 PAPER = {
@@ -29,6 +35,12 @@ CONTACT_RATES = {"palm contact": "palm_contact_rate", "verified hold": "verified
 
 RATES = MAIN_RATES | CONTACT_RATES
 """Columns of the tables and the metrics that they show."""
+
+DPI = 160
+"""Pixels of an inch of a picture."""
+
+Cells = Mapping[str, str]
+"""A row of a table, by column."""
 
 
 def results_table(results: Mapping[str, Metrics], method: str) -> Table:
@@ -78,8 +90,7 @@ def _add_columns(table: Table, first: str) -> None:
 def _cells(rates: Metrics) -> list[str]:
     cells = [f"{rates['trials']}"]
     for name in RATES.values():
-        low, high = (100 * bound for bound in rates[f"{name}_interval"])
-        cells.append(f"{100 * rates[name]:.1f} [{low:.0f}, {high:.0f}]")
+        cells.append(percent(rates[name], rates[f"{name}_interval"]))
     return cells
 
 
@@ -102,3 +113,74 @@ def _quality(result: Metrics) -> dict[str, str]:
         "mean hand torque in the hold, share of limit": scaled("hold_torque_share", 100, "%"),
         "peak deceleration of the object, median": scaled("peak_deceleration", 1, "m/s²"),
     }
+
+
+def percent(rate: float, interval: Sequence[float], digits: int = 0) -> str:
+    """A rate with its interval, in percent."""
+    low, high = (100 * bound for bound in interval)
+    return f"{100 * rate:.1f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def markdown(table: Sequence[Cells], num_text_columns: int = 2) -> str:
+    """A table in Markdown; numbers, right of the text, are aligned to the right."""
+    if not table:
+        return "Nothing has been finished yet.\n"
+    columns = list(table[0])
+    lines = [columns, [("---" if i < num_text_columns else "---:") for i in range(len(columns))]]
+    lines += [[row[column] for column in columns] for row in table]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def latex(table: Sequence[Cells], num_text_columns: int = 2) -> str:
+    """A table in LaTeX, with the rules of the package booktabs."""
+    columns = list(table[0]) if table else []
+    kinds = "l" * min(num_text_columns, len(columns)) + "r" * max(0, len(columns) - num_text_columns)
+    head, *rows = (
+        " & ".join(_escaped(text) for text in line) + r" \\"
+        for line in (columns, *([row[column] for column in columns] for row in table))
+    )
+    lines = [rf"\begin{{tabular}}{{{kinds}}}", r"\toprule", head, r"\midrule", *rows, r"\bottomrule"]
+    return "\n".join([*lines, r"\end{tabular}"]) + "\n"
+
+
+def _escaped(text: str) -> str:
+    """Text of a Markdown cell with what LaTeX writes differently."""
+    plain = text.replace("**", "").replace("\\*", "*")
+    for character in "%_&#":
+        plain = plain.replace(character, f"\\{character}")
+    return plain.replace("±", r"$\pm$").replace("\N{EN DASH}", "--").replace("°", r"$^\circ$")
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any] | Mapping[str, Any]]) -> str:
+    """Rows as CSV; what a mapping does not have stays empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows:
+        is_named = isinstance(row, Mapping)
+        writer.writerow([row.get(name, "") for name in columns] if is_named else row)
+    return text.getvalue()
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any], where: str) -> str:
+    """What is otherwise now: names with both values; empty if nothing is."""
+    names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+    return "; ".join(f"{name}: {before.get(name)} {where}, {now.get(name)} now" for name in names)
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI)
+    return buffer.getvalue()
+
+
+def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
+    """Write the files of a report by name, all or none.
+
+    Raises:
+        OSError: If it cannot be written; a report that was there before is still whole.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
+    write_atomically({folder / name: content for name, content in contents.items()})

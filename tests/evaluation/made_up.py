@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pixel2catch.evaluation.comparison.plan import GROUPS, ComparisonFolder, Plan, Run
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.study.plan import GROUPS, Plan, Run, StudyFolder
 
 OBJECTS = {"seen": ("cube_s", "cone_l"), "unseen": ("cross",)}
 SESSION = {
@@ -36,7 +36,9 @@ def rates(successes: int, trials: int) -> dict[str, Any]:
     return result
 
 
-def write_evaluation(folder: StudyFolder, run: Run, group: str, successes: int, trials: int = 100) -> None:
+def write_evaluation(
+    folder: ComparisonFolder, run: Run, group: str, successes: int, trials: int = 100
+) -> None:
     """All successes are of the group's first object, which is thrown in half of the trials."""
     half = trials // 2
     thrown = dict.fromkeys(OBJECTS[group], rates(0, half)) | {OBJECTS[group][0]: rates(successes, half)}
@@ -51,7 +53,7 @@ def write_evaluation(folder: StudyFolder, run: Run, group: str, successes: int, 
     path.write_text(json.dumps(result))
 
 
-def write_training(folder: StudyFolder, run: Run, seconds: float = 60.0) -> None:
+def write_training(folder: ComparisonFolder, run: Run, seconds: float = 60.0) -> None:
     folder.run(run).mkdir(parents=True)
     summary = {"status": "finished", "transitions": 300, "seconds": seconds}
     (folder.run(run) / "summary.json").write_text(json.dumps(summary))
@@ -60,9 +62,9 @@ def write_training(folder: StudyFolder, run: Run, seconds: float = 60.0) -> None
     folder.metrics(run).write_text(text)
 
 
-def write_study(path: Path) -> StudyFolder:
+def write_study(path: Path) -> ComparisonFolder:
     """Two methods with two seeds: 20 and 40 of 100 throws are caught, the same for all."""
-    folder = StudyFolder(path)
+    folder = ComparisonFolder(path)
     folder.open(plan(), [SESSION])
     for run in plan().runs():
         write_training(folder, run, seconds=60.0 * (1 + run.seed))

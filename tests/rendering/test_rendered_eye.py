@@ -4,22 +4,19 @@ from collections.abc import Iterator
 
 import pytest
 import torch
+from rendered_throws import FilmCfg, PerceptionRunner, RenderedDetector, moments
 
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.rendered.camera import OBJECT
-from pixel2catch.evaluation.rendered.eye import ImageEye
-from pixel2catch.evaluation.rendered.film import FilmCfg
-from pixel2catch.evaluation.rendered.takes import record_throws
-from pixel2catch.evaluation.rendered.watcher import Watcher
-from pixel2catch.evaluation.rendering import find_gl_backend
+from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import METHODS
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.gate import Verdict
+from pixel2catch.rendering.camera import OBJECT
+from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.robot.constants import CONTROL_DT
 
 METHOD = METHODS["proposed"]
@@ -44,7 +41,7 @@ def env() -> Iterator[CatchEnv]:
         pytest.skip(str(error))
     task = CatchEnvCfg(sensing=SensingCfg(corner_noise=0.0, latency_steps=(0, 0)))
     env = CatchEnv(task, METHOD, num_envs=1)
-    eye = ImageEye(env.eye, env.world, FILM, Watcher(BackgroundSubtraction()))
+    eye = RenderedDetector(env.eye, env.world, FILM, PerceptionRunner(BackgroundSubtraction()))
     env.eye = eye
     yield env
     eye.close()
@@ -53,7 +50,7 @@ def env() -> Iterator[CatchEnv]:
 
 def throw(env: CatchEnv, *, through_images: bool) -> list[Measurement]:
     """What is measured in the first steps of one throw."""
-    assert isinstance(env.eye, ImageEye)
+    assert isinstance(env.eye, RenderedDetector)
     env.eye.open() if through_images else env.eye.close()
     env.seed(5)
     observation, measured = env.reset(), []
@@ -74,7 +71,7 @@ def test_the_throw_and_the_noise_are_the_same_and_the_boxes_agree(env: CatchEnv)
 
 def test_the_eye_keeps_the_images_of_the_episode_and_what_was_found(env: CatchEnv):
     throw(env, through_images=True)
-    assert isinstance(env.eye, ImageEye)
+    assert isinstance(env.eye, RenderedDetector)
     assert len(env.eye.shots) == len(env.eye.extractions) == NUM_STEPS + 1
     assert all(seen.verdict is Verdict.SEEN for seen in env.eye.extractions)
     times = [shot.time for shot in env.eye.shots]
@@ -84,7 +81,7 @@ def test_the_eye_keeps_the_images_of_the_episode_and_what_was_found(env: CatchEn
 
 def test_a_closed_eye_takes_no_images(env: CatchEnv):
     throw(env, through_images=True)
-    assert isinstance(env.eye, ImageEye)
+    assert isinstance(env.eye, RenderedDetector)
     before = len(env.eye.shots)
     throw(env, through_images=False)
     assert len(env.eye.shots) == before
@@ -92,14 +89,15 @@ def test_a_closed_eye_takes_no_images(env: CatchEnv):
 
 def test_throws_are_recorded_with_the_time_of_their_release():
     cfg = EvaluationCfg(objects=("cube_l", "sphere_s"), num_envs=2, trials=1)
-    for take in record_throws(cfg, Idle(), METHOD):
-        times = [moment.time for moment in take.moments]
+    for throw in recorded_throws(cfg, Idle(), METHOD):
+        states = moments(throw)
+        times = [moment.time for moment in states]
         assert -19 * CONTROL_DT <= times[0] <= -4 * CONTROL_DT
-        held = take.moments[times.index(0.0) - 1]
-        released, later = (take.moments[times.index(0.0) + i] for i in (0, 3))
+        held = states[times.index(0.0) - 1]
+        released, later = (states[times.index(0.0) + i] for i in (0, 3))
         assert abs(held.qvel[OBJECT]).max() < 0.01
         assert released.qvel[OBJECT][2] > 3.0
         assert later.qpos[OBJECT][0] - released.qpos[OBJECT][0] == pytest.approx(
             3 * CONTROL_DT * released.qvel[OBJECT][0], rel=0.02
         )
-        assert take.object_name in cfg.objects
+        assert throw.object_name in cfg.objects

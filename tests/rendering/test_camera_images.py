@@ -1,4 +1,4 @@
-"""What the twin's camera sees, against the slower camera of the evaluation."""
+"""What the fast camera without shadows sees, against plain pictures of the room and the one with shadows."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.evaluation.rendered.bystanders import Bystanders
-from pixel2catch.evaluation.rendered.camera import OBJECT, CameraCfg, Moment, RoomCamera, room_positions
-from pixel2catch.evaluation.rendered.room import build_room
-from pixel2catch.evaluation.rendering import Renderer, find_gl_backend
+from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
+from pixel2catch.rendering.camera import OBJECT, CameraCfg, Exposure, Moment, RoomCamera, room_positions
+from pixel2catch.rendering.renderer import Renderer, find_gl_backend
+from pixel2catch.rendering.room import Bystanders, build_room
 from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.twin.thrower import Thrower
-from pixel2catch.twin.view import CAMERA, Exposure, RoomView
 
 RELEASE = np.array((2.6, 0.1, 0.8))
 MODEL = build_model(SceneCfg())
@@ -31,12 +30,12 @@ def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, spee
 
 
 @pytest.fixture
-def view(request: pytest.FixtureRequest) -> Iterator[RoomView]:
+def view(request: pytest.FixtureRequest) -> Iterator[RoomCamera]:
     try:
         find_gl_backend()
     except DeviceUnavailableError as error:
         pytest.skip(str(error))
-    with RoomView(SceneCfg(), 0, request.param) as view:
+    with RoomCamera(SceneCfg(), 0, request.param) as view:
         yield view
 
 
@@ -51,7 +50,7 @@ def test_the_thrower_sways_on_and_the_arm_swings_when_it_lets_go():
 
 @pytest.mark.parametrize("view", [STILL], indirect=True)
 @pytest.mark.parametrize("object_name", ["cone_l", "l_block"])
-def test_it_is_the_picture_of_the_room_without_shadows(view: RoomView, object_name: str):
+def test_it_is_the_picture_of_the_room_without_shadows(view: RoomCamera, object_name: str):
     shown = exposure(object_name)
     room = build_room(SceneCfg(), object_name, 0)
     with Renderer(room, shadows=False) as renderer:
@@ -63,7 +62,7 @@ def test_it_is_the_picture_of_the_room_without_shadows(view: RoomView, object_na
 
 
 @pytest.mark.parametrize("view", [STILL], indirect=True)
-def test_another_object_looks_different_and_an_empty_room_has_none(view: RoomView):
+def test_another_object_looks_different_and_an_empty_room_has_none(view: RoomCamera):
     cone, ball, none = (view.image(exposure(name)).astype(int) for name in ("cone_l", "sphere_s", None))
     assert np.array_equal(cone, view.image(exposure("cone_l")))
     for one, other in ((cone, ball), (cone, none), (ball, none)):
@@ -73,7 +72,7 @@ def test_another_object_looks_different_and_an_empty_room_has_none(view: RoomVie
 
 
 @pytest.mark.parametrize("view", [replace(STILL, exposure=0.02, part_length=8.0)], indirect=True)
-def test_what_moves_is_smeared_over_what_stands_still(view: RoomView):
+def test_what_moves_is_smeared_over_what_stands_still(view: RoomCamera):
     pos = np.array((1.5, 0.6, 1.2))  # nothing else moves there
     none, still, moving = (
         view.image(shown).astype(int)
@@ -89,9 +88,9 @@ def test_what_moves_is_smeared_over_what_stands_still(view: RoomView):
 
 
 @pytest.mark.parametrize("view", [CAMERA], indirect=True)
-def test_the_sensor_has_the_noise_of_the_evaluations_camera(view: RoomView):
-    with RoomCamera(build_room(SceneCfg(), "cone_l", 0), THROWER.bystanders, CAMERA, 0) as camera:
-        takers = (lambda: view.image(exposure()), lambda: camera.image(exposure().moment))
+def test_with_shadows_the_sensor_has_the_same_noise(view: RoomCamera):
+    with RoomCamera(SceneCfg(), 0, CAMERA, shadows=True) as camera:
+        takers = (lambda: view.image(exposure()), lambda: camera.image(exposure()))
         pairs = [[take().astype(float) for _ in range(2)] for take in takers]
     variances = []
     for first, second in pairs:

@@ -8,39 +8,39 @@ import torch
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, UnknownNameError
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.rendering import find_gl_backend
-from pixel2catch.evaluation.video import Take, draw_box, record_takes, write_video
+from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.rendering.renderer import find_gl_backend
+from pixel2catch.rendering.video import RecordedThrow, draw_box, write_video
 from pixel2catch.robot.constants import RGB_CAMERA
 from pixel2catch.robot.scene import SceneCfg
 
 
 @pytest.fixture(scope="module")
-def takes() -> list[Take]:
+def throws() -> list[RecordedThrow]:
     torch.manual_seed(0)
     policy = Policy(contract_of(PROPOSED, "left"), hidden=(16,))
-    return record_takes(EvaluationCfg(objects=("cube_l",), num_envs=2, seed=1), policy, PROPOSED)
+    return recorded_throws(EvaluationCfg(objects=("cube_l",), num_envs=2, seed=1), policy, PROPOSED)
 
 
-def test_the_box_belongs_to_the_object(takes: list[Take]):
+def test_the_box_belongs_to_the_object(throws: list[RecordedThrow]):
     """While the object hovers, its centre is in the box, but for the corners' noise; then both move on."""
-    for take in takes:
-        centers = torch.from_numpy(take.qpos[:, None, 19:22]).float()
+    for throw in throws:
+        centers = torch.from_numpy(throw.qpos[:, None, 19:22]).float()
         pixels = project(RGB_CAMERA, centers)[0][:, 0].numpy()
-        low, high = take.box[:, :2] - 6.0, take.box[:, 2:] + 6.0
+        low, high = throw.box[:, :2] - 6.0, throw.box[:, 2:] + 6.0
         assert ((low <= pixels) & (pixels <= high))[:5].all()
-        assert np.abs(take.box[-1] - take.box[0]).max() > 30.0
-        assert take.object_name == "cube_l"
+        assert np.abs(throw.box[-1] - throw.box[0]).max() > 30.0
+        assert throw.object_name == "cube_l"
 
 
-def test_a_take_ends_before_the_next_episode_begins(takes: list[Take]):
+def test_a_throw_ends_before_the_next_episode_begins(throws: list[RecordedThrow]):
     """A reset would move the object back to its release point, x > 2.4 m."""
-    for take in takes:
-        assert take.qpos[0, 19] > 2.3
-        assert take.qpos[-1, 19] < 1.5
-        assert (np.diff(take.qpos[:, 19]) < 0.5).all()
+    for throw in throws:
+        assert throw.qpos[0, 19] > 2.3
+        assert throw.qpos[-1, 19] < 1.5
+        assert (np.diff(throw.qpos[:, 19]) < 0.5).all()
 
 
 def test_drawn_box_by_hand():
@@ -57,23 +57,24 @@ def test_drawn_box_by_hand():
     assert drawn.sum() == image.any(axis=-1).sum()
 
 
-def test_unknown_view(takes: list[Take], tmp_path: Path):
+def test_unknown_view(throws: list[RecordedThrow], tmp_path: Path):
     with pytest.raises(UnknownNameError, match="outside"):
-        write_video(tmp_path / "video.mp4", takes, SceneCfg(), "inside")
+        write_video(tmp_path / "video.mp4", throws, SceneCfg(), "inside")
 
 
 @pytest.mark.parametrize("name", ["absent/video.mp4", "video.nonsense"])
-def test_a_file_that_cannot_be_written(name: str, takes: list[Take], tmp_path: Path):
+def test_a_file_that_cannot_be_written(name: str, throws: list[RecordedThrow], tmp_path: Path):
     with pytest.raises(InvalidValueError, match=name):
-        write_video(tmp_path / name, takes, SceneCfg())
+        write_video(tmp_path / name, throws, SceneCfg())
 
 
-def test_video_has_every_control_step(takes: list[Take], tmp_path: Path):
+def test_video_has_every_control_step(throws: list[RecordedThrow], tmp_path: Path):
     try:
         find_gl_backend()
     except DeviceUnavailableError as error:
         pytest.skip(str(error))
-    short = replace(takes[0], qpos=takes[0].qpos[:3], box=takes[0].box[:3])
+    first = {name: getattr(throws[0], name)[:3] for name in ("qpos", "qvel", "box")}
+    short = replace(throws[0], **first)
     path = tmp_path / "video.mp4"
     assert write_video(path, [short], SceneCfg()) == 3
     with av.open(str(path)) as container:

@@ -1,4 +1,4 @@
-"""The cells of the stress suite: every policy under every setting.
+"""The results of the stress suite: every policy under every setting.
 
 OUT/cells/POLICY/SETTING.json    metrics of a policy under a setting, and how they were obtained
 """
@@ -19,7 +19,7 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class StressCfg:
-    """How each cell is obtained.
+    """How each result is obtained.
 
     Attributes:
         objects: Names of the objects; each throw draws one.
@@ -39,13 +39,13 @@ class StressCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contestant:
+class PolicyEntry:
     """A policy of the suite.
 
     Attributes:
         name: Its name in tables and folders.
         folder: Where it is.
-        method: The method that it was trained with.
+        method: Name of the method that it was trained with.
         task: Name of the task that it was trained for.
     """
 
@@ -56,16 +56,10 @@ class Contestant:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
-    """A policy under a setting.
+class Result:
+    """A policy under a setting, and the file of its metrics."""
 
-    Attributes:
-        contestant: The policy.
-        setting: The setting.
-        file: Its metrics.
-    """
-
-    contestant: Contestant
+    policy: PolicyEntry
     setting: Setting
     file: Path
 
@@ -83,14 +77,14 @@ class Cell:
             raise StudyError(f"'{self.file}' is damaged ({error}); delete it.") from error
 
 
-def find_contestants(folders: Sequence[Path]) -> tuple[Contestant, ...]:
+def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
     """The policies in these folders, or all that are shipped if there are none.
 
     Raises:
         PolicyMismatchError: If a policy does not fit this code, or none is shipped.
         InvalidValueError: If two have the same name.
     """
-    found = [_contestant(folder) for folder in folders or shipped_policies().values()]
+    found = [_entry(folder) for folder in folders or shipped_policies().values()]
     if not folders:
         found.sort(key=lambda each: (list(METHODS).index(each.method.partition("+")[0]), each.name))
     names = [each.name for each in found]
@@ -100,22 +94,20 @@ def find_contestants(folders: Sequence[Path]) -> tuple[Contestant, ...]:
     return tuple(found)
 
 
-def plan_cells(contestants: Sequence[Contestant], settings: Sequence[Setting], out: Path) -> tuple[Cell, ...]:
-    """All cells, setting by setting."""
+def plan_results(
+    policies: Sequence[PolicyEntry], settings: Sequence[Setting], out: Path
+) -> tuple[Result, ...]:
+    """All results, setting by setting."""
     return tuple(
-        Cell(
-            contestant=contestant,
-            setting=setting,
-            file=out / "cells" / contestant.name / f"{setting.name}.json",
-        )
+        Result(policy=policy, setting=setting, file=out / "cells" / policy.name / f"{setting.name}.json")
         for setting in settings
-        for contestant in contestants
+        for policy in policies
     )
 
 
-def _contestant(folder: Path) -> Contestant:
+def _entry(folder: Path) -> PolicyEntry:
     """The policy in a folder or in the run folder around it; it is called as the folder of the run."""
     policy, method = load_policy(folder)
     resolved = folder.resolve()
     name = resolved.parent.name if resolved.name == "policy" else resolved.name
-    return Contestant(name=name, folder=folder, method=method.name, task=policy.contract.task)
+    return PolicyEntry(name=name, folder=folder, method=method.name, task=policy.contract.task)

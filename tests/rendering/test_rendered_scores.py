@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 import torch
+from box_scores import Phase, reacquisition, score, summary
+from rendered_throws import LabelledImage
 
-from pixel2catch.evaluation.rendered.film import Shot
-from pixel2catch.evaluation.rendered.scores import Phase, reacquisition, score, summary
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.gate import Verdict
 
@@ -11,9 +11,9 @@ IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)
 BOX = (100.0, 100.0, 120.0, 110.0)
 
 
-def shot(time: float, palm_distance: float = 2.0, num_pixels: int = 100) -> Shot:
+def shot(time: float, palm_distance: float = 2.0, num_pixels: int = 100) -> LabelledImage:
     box = torch.tensor([BOX]) * (num_pixels > 0)
-    return Shot(
+    return LabelledImage(
         image=IMAGE,
         joint_pos=np.zeros(19),
         time=time,

@@ -1,4 +1,4 @@
-"""Pictures of the scene without a display: the camera's image, the object's mask, an outside view, videos.
+"""Pictures of the scene without a display: the camera's image, the object's mask, an outside view.
 
 OpenGL comes from EGL or OSMesa, whichever works on this machine (`find_gl_backend`). MuJoCo's environment
 variable MUJOCO_GL is never set: with the library missing it makes `import mujoco` itself fail, even where
@@ -11,15 +11,12 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cache
-from pathlib import Path
-from typing import Any
 
-import av
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from mujoco.rendering.classic import gl_context
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.robot.constants import RGB_CAMERA
@@ -46,7 +43,7 @@ context.free()
 class View:
     """From where to draw.
 
-    Args:
+    Attributes:
         camera: Name of a camera of the model, or None for a free camera, which the next four place.
         lookat: Point in the middle of the picture, world frame [m].
         distance: From the camera to that point [m].
@@ -95,7 +92,6 @@ def find_gl_backend() -> str:
 
 
 def _draws(backend: str) -> bool:
-    """Return whether a process of its own can open a drawing context with this back end."""
     environment = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     command = [sys.executable, "-c", _PROBE, backend]
     try:
@@ -106,28 +102,31 @@ def _draws(backend: str) -> bool:
 
 
 class Renderer:
-    """Draws one model from one view; close it, or use it as a context manager.
+    """Draws one model from one view with `mujoco.Renderer`; close it, or use it as a context manager.
 
     Fast settings: no multisampling, a shadow map of 1024 pixels, and shadows only where asked for.
 
-    Args:
-        model: The model; it is copied, its drawing settings are not touched.
-        view: From where to draw.
-        shadows: Whether to draw shadows, about three times slower without a GPU.
-        sky: Whether to draw the sky; without it a pixel that shows nothing is black.
-
     Attributes:
         model: The copy, which is drawn; what its geoms are may be changed between two pictures.
-
-    Raises:
-        DeviceUnavailableError: If no OpenGL back end works.
     """
 
     def __init__(
         self, model: mujoco.MjModel, view: View = RGB_VIEW, *, shadows: bool = True, sky: bool = True
     ) -> None:
-        """Open the drawing context."""
-        gl_module = importlib.import_module(f"mujoco.{find_gl_backend()}")
+        """Open the drawing context.
+
+        Args:
+            model: The model; it is copied, its drawing settings are not touched.
+            view: From where to draw.
+            shadows: Whether to draw shadows, about three times slower without a GPU.
+            sky: Whether to draw the sky; without it a pixel that shows nothing is black.
+
+        Raises:
+            DeviceUnavailableError: If no OpenGL back end works.
+            InvalidValueError: If the model has no such camera.
+        """
+        # What `mujoco.Renderer` opens its context with; MUJOCO_GL, its own way to say so, is never set.
+        gl_context.GLContext = importlib.import_module(f"mujoco.{find_gl_backend()}").GLContext
         self.model = copy.copy(model)
         self.model.vis.quality.offsamples = 0
         self.model.vis.quality.shadowsize = 1024
@@ -138,42 +137,29 @@ class Renderer:
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = [group in DRAWN_GROUPS for group in range(mujoco.mjNGROUP)]
         self._option.sitegroup[:] = 0
-        self._scene = mujoco.MjvScene(self.model, maxgeom=1000)
-        self._flags = {
-            mujoco.mjtRndFlag.mjRND_SHADOW: shadows,
-            mujoco.mjtRndFlag.mjRND_SKYBOX: sky,
-            mujoco.mjtRndFlag.mjRND_REFLECTION: False,
-        }
-        self._rect = mujoco.MjrRect(0, 0, view.width, view.height)
-        self._gl: Any = gl_module.GLContext(view.width, view.height)
-        self._gl.make_current()
-        self._drawing: Any = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._drawing)
+        self._renderer = mujoco.Renderer(self.model, view.height, view.width, max_geom=1000)
+        flags = self._renderer.scene.flags
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
+        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
 
     def image(self, qpos: Float[np.ndarray, " nq"]) -> UInt8[np.ndarray, "height width 3"]:
         """Return the picture of the model at these joint positions, red, green, blue, upper row first."""
-        return self._draw(qpos, self._flags)
+        return self._draw(qpos)
 
     def object_mask(self, qpos: Float[np.ndarray, " nq"]) -> Bool[np.ndarray, "height width"]:
         """Return which pixels show the body `object` at these joint positions, upper row first."""
-        flags = {mujoco.mjtRndFlag.mjRND_SEGMENT: True, mujoco.mjtRndFlag.mjRND_IDCOLOR: True}
-        colors = self._draw(qpos, flags)
-        owner = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY.value, OBJECT_BODY)
-        mask = np.zeros(colors.shape[:2], dtype=bool)
-        for geom in self._scene.geoms[: self._scene.ngeom]:
-            is_geom = geom.objtype == mujoco.mjtObj.mjOBJ_GEOM.value
-            if is_geom and geom.segid >= 0 and self.model.geom_bodyid[geom.objid] == owner:
-                low, high = (geom.segid + 1) % 256, (geom.segid + 1) // 256
-                mask |= (colors[..., 0] == low) & (colors[..., 1] == high)
-        return mask
+        self._renderer.enable_segmentation_rendering()
+        try:
+            shown, kind = np.moveaxis(self._draw(qpos), -1, 0)
+        finally:
+            self._renderer.disable_segmentation_rendering()
+        geoms = np.flatnonzero(self.model.geom_bodyid == self.model.body(OBJECT_BODY).id)
+        return (kind == mujoco.mjtObj.mjOBJ_GEOM.value) & np.isin(shown, geoms)
 
     def close(self) -> None:
         """Free the drawing context; the renderer cannot draw any more."""
-        if self._drawing is not None:
-            self._gl.make_current()
-            self._drawing.free()
-            self._gl.free()
-        self._drawing = self._gl = None
+        self._renderer.close()
 
     def __enter__(self) -> "Renderer":
         """Return the renderer itself."""
@@ -183,29 +169,16 @@ class Renderer:
         """Close the renderer."""
         self.close()
 
-    def _draw(self, qpos: np.ndarray, flags: dict[mujoco.mjtRndFlag, bool]) -> np.ndarray:
-        """Draw with these flags on top of MuJoCo's own."""
+    def _draw(self, qpos: np.ndarray) -> np.ndarray:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_comPos(self.model, self._data)
         mujoco.mj_camlight(self.model, self._data)
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(
-            self.model, self._data, self._option, None, self._camera, everything, self._scene
-        )
-        before = self._scene.flags.copy()
-        for flag, value in flags.items():
-            self._scene.flags[flag.value] = value
-        self._gl.make_current()
-        mujoco.mjr_render(self._rect, self._scene, self._drawing)
-        pixels = np.empty((self._rect.height, self._rect.width, 3), dtype=np.uint8)
-        mujoco.mjr_readPixels(pixels, None, self._rect, self._drawing)
-        self._scene.flags[:] = before
-        return np.ascontiguousarray(pixels[::-1])
+        self._renderer.update_scene(self._data, self._camera, self._option)
+        return self._renderer.render()
 
 
 def _camera(model: mujoco.MjModel, view: View) -> mujoco.MjvCamera:
-    """Return MuJoCo's camera of a view."""
     camera = mujoco.MjvCamera()
     if view.camera is None:
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE.value
@@ -218,58 +191,3 @@ def _camera(model: mujoco.MjModel, view: View) -> mujoco.MjvCamera:
         names = [model.camera(i).name for i in range(model.ncam)]
         raise InvalidValueError(f"the model has no camera '{view.camera}'. Valid: {', '.join(names)}.")
     return camera
-
-
-class VideoWriter:
-    """Writes pictures of one size to an H.264 file; close it, or use it as a context manager.
-
-    Args:
-        path: The file; its ending names the container, such as .mp4.
-        fps: Pictures per second.
-        crf: Constant rate factor, lower is better and larger.
-    """
-
-    def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
-        """Open the file.
-
-        Raises:
-            InvalidValueError: If the folder does not exist, or the ending names no format.
-        """
-        if not path.parent.is_dir():
-            raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
-        try:
-            self._container = av.open(str(path), "w")
-        except ValueError as error:
-            raise InvalidValueError(f"cannot write '{path}': {error}; end its name in .mp4.") from error
-        options = {"crf": str(crf)}
-        self._stream: Any = self._container.add_stream("libx264", rate=Fraction(fps), options=options)
-        self._stream.pix_fmt = "yuv420p"
-        self._is_sized = False
-
-    def write(self, image: UInt8[np.ndarray, "height width 3"]) -> None:
-        """Append one picture (red, green, blue).
-
-        Raises:
-            InvalidValueError: If height or width is odd, which the format cannot store.
-        """
-        height, width = image.shape[:2]
-        if height % 2 or width % 2:
-            raise InvalidValueError(f"video pictures need an even width and height, got {width} x {height}.")
-        if not self._is_sized:
-            self._stream.width, self._stream.height = width, height
-            self._is_sized = True
-        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-
-    def close(self) -> None:
-        """Write what is left and close the file."""
-        if self._is_sized:
-            self._container.mux(self._stream.encode())
-        self._container.close()
-
-    def __enter__(self) -> "VideoWriter":
-        """Return the writer itself."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Close the file."""
-        self.close()

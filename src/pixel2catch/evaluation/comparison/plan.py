@@ -1,4 +1,4 @@
-"""A study: methods with several seeds each, trained and evaluated. What belongs to it, and where it lies."""
+"""A comparison of methods with several seeds each: what belongs to it, and where it lies."""
 
 import json
 import shutil
@@ -10,6 +10,7 @@ from typing import Any
 from pixel2catch.errors import StudyError
 from pixel2catch.evaluation.loading import fingerprint
 from pixel2catch.evaluation.metrics import Metrics
+from pixel2catch.evaluation.report import differences
 from pixel2catch.files import write_atomically
 
 GROUPS = ("seen", "unseen")
@@ -58,8 +59,8 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class StudyFolder:
-    """Files of a study.
+class ComparisonFolder:
+    """Files of a comparison.
 
     `study.json` what is asked, and every session that worked at it · `runs/METHOD-seedS/` trainings ·
     `evaluations/METHOD-seedS-GROUP.json` · `logs/` what the commands printed · `report/` tables and pictures.
@@ -162,14 +163,10 @@ class StudyFolder:
         """The plan with what the study asked before."""
         before = self.plan()
         asked = json.loads(json.dumps(plan.configuration))
-        changes = [
-            f"{name}: {before.configuration.get(name)} in the study, {asked.get(name)} now"
-            for name in sorted({*before.configuration, *asked})
-            if before.configuration.get(name) != asked.get(name)
-        ]
+        changes = differences(before.configuration, asked, "in the study")
         if changes:
             raise StudyError(
-                f"the study in '{self.path}' was begun with another configuration ({'; '.join(changes)}); "
+                f"the study in '{self.path}' was begun with another configuration ({changes}); "
                 "give the values that it has, or name another folder with --out."
             )
         longer, shorter = sorted((before.methods, plan.methods), key=len, reverse=True)

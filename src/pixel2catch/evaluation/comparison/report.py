@@ -1,32 +1,69 @@
-"""The report of a study: tables, pictures, and one page with all of them."""
+"""The report of a comparison: tables, pictures, and one page with all of them."""
 
-import csv
-import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from pixel2catch.evaluation.study.aggregate import (
+from pixel2catch.evaluation.comparison.plan import ComparisonFolder, Plan
+from pixel2catch.evaluation.comparison.summary import (
     Row,
+    all_curves,
+    curves_csv,
     mean_and_deviation,
     object_rows,
     summary_rows,
     training_rows,
 )
-from pixel2catch.evaluation.study.curves import curves_csv, study_curves
-from pixel2catch.evaluation.study.page import page
-from pixel2catch.evaluation.study.plan import Plan, StudyFolder
-from pixel2catch.evaluation.tables import CONTACT_RATES, MAIN_RATES
-from pixel2catch.files import write_atomically
+from pixel2catch.evaluation.report import (
+    CONTACT_RATES,
+    MAIN_RATES,
+    Cells,
+    csv_text,
+    latex,
+    markdown,
+    percent,
+    png,
+    write_files,
+)
 from pixel2catch.mdp.throws import ThrowCfg
-
-Cells = Mapping[str, str]
 
 DASH = "\N{EN DASH}"
 """What stands where there is no number."""
 
+PICTURES = {
+    "curves.png": (
+        "Learning curves",
+        "Rates in training against transitions: the policy is stochastic and all noise is on, so that they "
+        "lie below those of the tables. Line: mean over the seeds; shaded: one standard deviation. Each "
+        "point is the rate of all episodes that ended in a bin of transitions.",
+    ),
+    "objects.png": (
+        "Success by object",
+        "S.R. of the deterministic policies over the throws of all seeds, with 95 % Wilson intervals.",
+    ),
+    "throws.png": (
+        "Throws",
+        "Sampled throws from release to aim. Boxes: where they are released, and where they come down "
+        "through the catch height; grey: the arm in its start pose; dashed: edges of the camera's view, of "
+        "its middle column from the side, of its middle row from above.",
+    ),
+}
+"""Title and caption of every picture."""
 
-def write_report(folder: StudyFolder) -> None:
+RATES_NOTE = (
+    "T.R.: the palm within 8 cm of the object once; S.R.: for 20 control steps in a row. Mean ± sample "
+    "standard deviation over the seeds (no deviation of one seed); the 95 % Wilson intervals are over the "
+    "trials of all seeds, and do not know that seeds differ. Paper: mean ± deviation over 3 seeds. The "
+    "paper's unseen objects are not published; ours are stand-ins."
+)
+QUALITY_NOTE = (
+    "Verified hold: after the success the policy stops, two parts of the hand touch the object for 1 s, and "
+    "the hold survives half a second of shaking. Speed, torque and penetration are the largest of all throws."
+)
+TRAININGS_NOTE = "Trainings that run side by side on one device slow each other down."
+
+
+def write_report(folder: ComparisonFolder) -> None:
     """Write the report of what is there; what is missing is left out.
 
     Args:
@@ -39,9 +76,8 @@ def write_report(folder: StudyFolder) -> None:
     plan = folder.plan()
     tables, files = _tables(folder, plan)
     files |= _pictures(folder, plan)
-    files["README.md"] = page(plan, folder.sessions(), tables, files).encode()
-    folder.report.mkdir(parents=True, exist_ok=True)
-    write_atomically({folder.report / name: content for name, content in files.items()})
+    files["README.md"] = _page(plan, folder.sessions(), tables, files)
+    write_files(folder.report, files)
 
 
 def rates_table(rows: Sequence[Row]) -> list[Cells]:
@@ -106,62 +142,46 @@ def by_object_table(rows: Sequence[Row]) -> list[Cells]:
     for row in rows:
         cells = table.setdefault(row["object"], {"object": row["object"], "set": row["objects"], **methods})
         rate = row["success_rate"]
-        cells[row["method"]] = f"{100 * rate['pooled']:.1f} {_interval(rate)}"
+        cells[row["method"]] = percent(rate["pooled"], rate["interval"], digits=1)
     return list(table.values())
-
-
-def markdown(table: Sequence[Cells]) -> str:
-    """A table in Markdown; numbers to the right."""
-    if not table:
-        return "Nothing has been finished yet.\n"
-    columns = list(table[0])
-    lines = [columns, [("---:" if i > 1 else "---") for i in range(len(columns))]]
-    lines += [[row[column] for column in columns] for row in table]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def flat_csv(rows: Sequence[Row]) -> str:
     """Rows as CSV; what is nested becomes `outer_inner` columns, lists of seeds are left out."""
     flat = [_flattened(row) for row in rows]
-    columns = list(dict.fromkeys(name for row in flat for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(flat)
-    return text.getvalue()
+    return csv_text(list(dict.fromkeys(name for row in flat for name in row)), flat)
 
 
-def _tables(folder: StudyFolder, plan: Plan) -> tuple[dict[str, str], dict[str, bytes]]:
+def _tables(folder: ComparisonFolder, plan: Plan) -> tuple[dict[str, str], dict[str, str | bytes]]:
     """The tables of the page by name, and the files."""
     summary, objects = list(summary_rows(folder, plan)), list(object_rows(folder, plan))
     trainings = list(training_rows(folder, plan))
+    rates = rates_table(summary)
     tables = {
-        "rates": markdown(rates_table(summary)),
+        "rates": markdown(rates),
         "quality": markdown(quality_table(summary)),
         "trainings": markdown(trainings_table(trainings)),
         "by_object": markdown(by_object_table(objects)),
     }
     content = json.dumps({"results": summary, "objects": objects, "trainings": trainings}, indent=2)
-    files = {
+    return tables, {
         "table.md": "\n".join((tables["rates"], tables["quality"], tables["trainings"])),
+        "table.tex": latex(rates),
         "table.csv": flat_csv(summary),
         "table.json": content + "\n",
         "by_object.md": tables["by_object"],
         "by_object.csv": flat_csv(objects),
         "trainings.csv": flat_csv(trainings),
     }
-    return tables, {name: text.encode() for name, text in files.items()}
 
 
-def _pictures(folder: StudyFolder, plan: Plan) -> dict[str, bytes]:
+def _pictures(folder: ComparisonFolder, plan: Plan) -> dict[str, str | bytes]:
     """The pictures that there is something to draw for, with the numbers of the curves."""
-    from pixel2catch.evaluation.pictures import png
-    from pixel2catch.evaluation.study.figures import curves_figure, objects_figure
-    from pixel2catch.evaluation.study.throw_figure import throws_figure
+    from pixel2catch.evaluation.comparison.figures import curves_figure, objects_figure, throws_figure
 
-    files = {"throws.png": png(throws_figure(ThrowCfg()))}
-    if curves := study_curves(folder, plan):
-        files |= {"curves.png": png(curves_figure(curves)), "curves.csv": curves_csv(curves).encode()}
+    files: dict[str, str | bytes] = {"throws.png": png(throws_figure(ThrowCfg()))}
+    if curves := all_curves(folder, plan):
+        files |= {"curves.png": png(curves_figure(curves)), "curves.csv": curves_csv(curves)}
     if objects := list(object_rows(folder, plan)):
         files |= {"objects.png": png(objects_figure(objects))}
     return files
@@ -190,3 +210,50 @@ def _flattened(row: Row, prefix: str = "") -> dict[str, Any]:
         elif name != "values" and value is not None:
             flat[prefix + name] = value
     return flat
+
+
+def _page(
+    plan: Plan, sessions: Sequence[Mapping[str, Any]], tables: Mapping[str, str], files: Collection[str]
+) -> str:
+    """The page, with the tables in Markdown by name, and the pictures that are among the files."""
+    pictures = [
+        f"## {title}\n\n![{title}]({name})\n\n{caption}\n"
+        for name, (title, caption) in PICTURES.items()
+        if name in files
+    ]
+    parts = [
+        "# Study\n",
+        f"Methods: {', '.join(plan.methods)}. Seeds of each: {plan.seeds}. "
+        "This page is written by `pixel2catch reproduce`.\n",
+        f"## Results\n\n{tables['rates']}\n{RATES_NOTE}\n",
+        f"{tables['quality']}\n{QUALITY_NOTE}\n",
+        *pictures,
+        f"## S.R. by object\n\n{tables['by_object']}",
+        f"## Trainings\n\n{tables['trainings']}\n{TRAININGS_NOTE}\n",
+        f"## What was run\n\n{_sessions(sessions)}",
+        f"## Configuration\n\n{_configuration(plan)}",
+    ]
+    return "\n".join(parts)
+
+
+def _sessions(sessions: Sequence[Mapping[str, Any]]) -> str:
+    """Command, machine and versions of every session, one paragraph each."""
+    texts = []
+    for session in sessions:
+        gpus = ", ".join(session["gpus"]) or "no GPU"
+        versions = ", ".join(
+            f"{name} {version or '(version unknown)'}" for name, version in session["versions"].items()
+        )
+        texts.append(
+            f"- {session['started']}: `{session['command']}`\n"
+            f"  - revision {session['git_revision'] or 'unknown'}; {session['cpu_cores']} CPU cores, {gpus}; "
+            f"{session['platform']}\n"
+            f"  - Python {session['python']}, {versions}\n"
+        )
+    return "".join(texts)
+
+
+def _configuration(plan: Plan) -> str:
+    """Everything that changes results."""
+    lines = [f"| {name} | {value} |" for name, value in plan.configuration.items()]
+    return "\n".join(["| name | value |", "| --- | --- |", *lines]) + "\n"
