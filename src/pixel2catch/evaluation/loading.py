@@ -10,8 +10,9 @@ from typing import Any, cast
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import PolicyMismatchError
-from pixel2catch.methods import Method, find_method
+from pixel2catch.methods import Method
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.policy.own_methods import method_of
 from pixel2catch.robot.allegro import Handedness
 from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.robot.scene import SceneCfg
@@ -52,11 +53,11 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
         device: Device of the networks.
 
     Raises:
-        PolicyMismatchError: If there is no policy, or it is of another robot, image size, method or format.
-        UnknownNameError: If its method does not exist.
+        PolicyMismatchError: If there is no policy, or it is of another robot, image size or format, or of a
+            method that neither this package nor its contract defines.
     """
     policy = Policy.load(policy_folder(folder), device)
-    method = find_method(policy.contract.method)
+    method = method_of(policy.contract)
     expected, found = contract_of(method, policy.contract.handedness), policy.contract.camera
     size = {name: expected.camera[name] for name in ("width", "height")}
     camera = {name: found.get(name, value) for name, value in expected.camera.items()} | size

@@ -56,7 +56,8 @@ VIEW_LENGTH = 5.0
 
 def look(method: str) -> dict[str, Any]:
     """Colour and mark of a method, the same in every picture of every study."""
-    number = list(METHODS).index(method.partition("+")[0])
+    names, name = list(METHODS), method.partition("+")[0]
+    number = names.index(name) if name in names else len(names)
     return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
 
 
