@@ -151,14 +151,10 @@ def _escaped(text: str) -> str:
     return plain.replace("±", r"$\pm$").replace("\N{EN DASH}", "--").replace("°", r"$^\circ$")
 
 
-def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any] | Mapping[str, Any]]) -> str:
-    """Rows as CSV; what a mapping does not have stays empty."""
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Rows as CSV, under a line of names."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    for row in rows:
-        is_named = isinstance(row, Mapping)
-        writer.writerow([row.get(name, "") for name in columns] if is_named else row)
+    csv.writer(text, lineterminator="\n").writerows([columns, *rows])
     return text.getvalue()
 
 

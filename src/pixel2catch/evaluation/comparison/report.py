@@ -149,7 +149,8 @@ def by_object_table(rows: Sequence[Row]) -> list[Cells]:
 def flat_csv(rows: Sequence[Row]) -> str:
     """Rows as CSV; what is nested becomes `outer_inner` columns, lists of seeds are left out."""
     flat = [_flattened(row) for row in rows]
-    return csv_text(list(dict.fromkeys(name for row in flat for name in row)), flat)
+    columns = list(dict.fromkeys(name for row in flat for name in row))
+    return csv_text(columns, [[row.get(name, "") for name in columns] for row in flat])
 
 
 def _tables(folder: ComparisonFolder, plan: Plan) -> tuple[dict[str, str], dict[str, str | bytes]]:

@@ -10,6 +10,29 @@ Change = Callable[[CatchEnvCfg], CatchEnvCfg]
 """A task, changed; a change can be sent to another process."""
 
 
+@dataclass(frozen=True)
+class FieldChange:
+    """Sets fields of parts of a task, one part after the other: `(part, {field: value})`."""
+
+    steps: tuple[tuple[str, Mapping[str, Any]], ...] = ()
+
+    def __call__(self, cfg: CatchEnvCfg) -> CatchEnvCfg:
+        """The task with these fields."""
+        for name, values in self.steps:
+            cfg = replace(cfg, **{name: replace(getattr(cfg, name), **values)})
+        return cfg
+
+
+def part(name: str, **values: Any) -> FieldChange:
+    """Set fields of one part of the task, such as its `sensing`."""
+    return FieldChange(((name, values),))
+
+
+def together(*changes: FieldChange) -> FieldChange:
+    """Several changes, one after the other."""
+    return FieldChange(tuple(step for change in changes for step in change.steps))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Level:
     """One strength of a disturbance.
@@ -27,13 +50,7 @@ class Level:
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """One kind of disturbance.
-
-    Attributes:
-        name: Its name on the command line.
-        unit: Unit of the labels.
-        levels: Its strengths.
-    """
+    """One kind of disturbance: its name on the command line, the unit of the labels, its strengths."""
 
     name: str
     unit: str
@@ -42,12 +59,7 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """A level of an axis.
-
-    Attributes:
-        axis: The axis.
-        level: The level.
-    """
+    """A level of an axis."""
 
     axis: Axis
     level: Level
@@ -62,47 +74,3 @@ class Setting:
         """What people read."""
         space = "" if self.axis.unit == "°" else " "
         return f"{self.axis.name.replace('_', ' ')} {self.level.label}{space}{self.axis.unit}".strip()
-
-
-@dataclass(frozen=True)
-class Part:
-    """Sets fields of one part of a task.
-
-    Attributes:
-        name: The part, such as `sensing`.
-        values: Its fields and what they become.
-    """
-
-    name: str
-    values: Mapping[str, Any]
-
-    def __call__(self, cfg: CatchEnvCfg) -> CatchEnvCfg:
-        """The task with these fields."""
-        return replace(cfg, **{self.name: replace(getattr(cfg, self.name), **self.values)})
-
-
-@dataclass(frozen=True)
-class Together:
-    """Several changes, one after the other.
-
-    Attributes:
-        changes: The changes.
-    """
-
-    changes: tuple[Change, ...]
-
-    def __call__(self, cfg: CatchEnvCfg) -> CatchEnvCfg:
-        """The task after all of them."""
-        for change in self.changes:
-            cfg = change(cfg)
-        return cfg
-
-
-def part(name: str, **values: Any) -> Change:
-    """Set fields of one part of the task, such as its `sensing`."""
-    return Part(name, values)
-
-
-def together(*changes: Change) -> Change:
-    """Several changes, one after the other."""
-    return Together(changes)
