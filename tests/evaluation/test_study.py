@@ -63,12 +63,12 @@ def test_only_a_finished_training_is_done(content: str, tmp_path: Path):
 def test_a_result_counts_for_its_own_policy_only(tmp_path: Path):
     folder = ComparisonFolder(tmp_path)
     write_training(folder, RUN)
-    assert not folder.has_result(RUN, "seen")
+    assert folder.result(RUN, "seen") is None
     write_evaluation(folder, RUN, "seen", successes=3)
-    assert folder.has_result(RUN, "seen")
+    assert folder.result(RUN, "seen") is not None
     torch.manual_seed(0)
     Policy(contract_of(PROPOSED, "left"), hidden=(4,)).save(folder.run(RUN) / "policy")
-    assert not folder.has_result(RUN, "seen")
+    assert folder.result(RUN, "seen") is None
 
 
 def test_a_run_without_a_checkpoint_starts_anew(tmp_path: Path):

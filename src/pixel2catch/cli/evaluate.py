@@ -79,7 +79,6 @@ class Evaluate:
             self._print_tables(method.name, result)
 
     def _source(self) -> dict[str, str | None]:
-        """What the result is of."""
         from pixel2catch.evaluation.loading import fingerprint, sha256
 
         files = {"dynamics": self.dynamics, "camera": self.camera}

@@ -85,12 +85,8 @@ class Reproduce:
             )
 
     def _work(self, folder: "ComparisonFolder") -> list[str]:
-        """Train and evaluate; return what failed.
-
-        Raises:
-            KeyboardInterrupt: If it was asked to stop before everything was done.
-        """
-        from pixel2catch.cli.study_console import Board
+        """Train and evaluate; return what failed."""
+        from pixel2catch.cli.comparison_console import ProgressTable
         from pixel2catch.evaluation.comparison.jobs import Runner, Status, last_lines, locked, shared_gpus
         from pixel2catch.interruption import StopRequest
 
@@ -102,19 +98,15 @@ class Reproduce:
             runner = Runner(jobs, self._slots(devices, shared), folder.logs, lock)
             folder.open(plan, [_session()] if set(runner.status.values()) != {Status.DONE} else [])
             logs = {run.name: folder.metrics(run) for run in plan.runs()}
-            with StopRequest() as stop, Board(logs, training["transitions"]) as board:
-                runner.run(board.show, lambda: stop.is_set)
+            with StopRequest() as stop, ProgressTable(logs, training["transitions"]) as table:
+                runner.run(table.show, lambda: stop.is_set)
         if stop.is_set and set(runner.status.values()) != {Status.DONE}:
             raise KeyboardInterrupt
         failed = [name for name, status in runner.status.items() if status is Status.FAILED]
         return [f"{name} failed; {runner.log(name)} ends:\n{last_lines(runner.log(name))}" for name in failed]
 
     def _devices(self) -> tuple[str, ...]:
-        """Where to train.
-
-        Raises:
-            DeviceUnavailableError: If a CUDA device is asked for, to train or to evaluate, and absent.
-        """
+        """Where to train; CUDA devices that are asked for, to train or to evaluate, must be there."""
         import torch
 
         from pixel2catch.sim.devices import require_cuda
@@ -134,28 +126,21 @@ class Reproduce:
         """
         from pixel2catch.evaluation.comparison.jobs import Slot
 
-        def slot(kind: str, device: str) -> Slot:
-            is_cuda = device.startswith("cuda")
-            environment = {"OMP_NUM_THREADS": "1", **shared} if is_cuda else {}
-            return Slot(kind=kind, device=device, environment=environment)
-
-        on_cuda, slots = self.jobs_per_device or JOBS_ON_CUDA, []
+        slots = []
         on_cpu = {TRAINING: self.jobs_per_device or 1, EVALUATION: 1}
         for kind, places in ((TRAINING, devices), (EVALUATION, self.evaluation_device)):
-            numbers = {device: on_cuda if device.startswith("cuda") else on_cpu[kind] for device in places}
-            turns = [(turn, device) for device in places for turn in range(numbers[device])]
-            slots += [slot(kind, device) for _, device in sorted(turns, key=lambda entry: entry[0])]
+            for turn in range(max(JOBS_ON_CUDA, self.jobs_per_device or 1)):
+                for device in places:
+                    is_cuda = device.startswith("cuda")
+                    if turn < (self.jobs_per_device or JOBS_ON_CUDA if is_cuda else on_cpu[kind]):
+                        environment = {"OMP_NUM_THREADS": "1", **shared} if is_cuda else {}
+                        slots.append(Slot(kind=kind, device=device, environment=environment))
         return slots
 
     def _training_options(self, device: str) -> dict[str, Any]:
         """Resolved options of all trainings: those of `pixel2catch train` that the study does not set itself.
 
-        Args:
-            device: What the default preset is for.
-
-        Raises:
-            UnknownNameError: If a training has no such option, or the study sets it itself.
-            InvalidValueError: If no training is possible with the values.
+        The default preset is that for the device.
         """
         import tyro
 
@@ -180,12 +165,7 @@ class Reproduce:
         return {name: value for name, value in asdict(cfg).items() if name not in OWN}
 
     def _plan(self, training: dict[str, Any]) -> "Plan":
-        """What is asked, with everything that changes results.
-
-        Raises:
-            UnknownNameError: If a method does not exist.
-            InvalidValueError: If there is nothing to do.
-        """
+        """What is asked, with everything that changes results."""
         from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.comparison.plan import Plan
         from pixel2catch.methods import find_method
@@ -225,6 +205,9 @@ class Reproduce:
             }
             return [*PROGRAM, "evaluate", str(folder.run(run)), *_options(options)]
 
+        def is_evaluated(group: str) -> bool:
+            return folder.result(run, group) is not None
+
         return [
             Job(name=run.name, kind=TRAINING, command=train, is_done=lambda: folder.is_trained(run)),
             *(
@@ -232,7 +215,7 @@ class Reproduce:
                     name=f"{run.name}-{group}",
                     kind=EVALUATION,
                     command=partial(evaluate, group),
-                    is_done=partial(folder.has_result, run, group),
+                    is_done=partial(is_evaluated, group),
                     after=(run.name,),
                 )
                 for group in GROUPS
@@ -241,7 +224,6 @@ class Reproduce:
 
 
 def _session() -> dict[str, Any]:
-    """When, how and where this process works."""
     from pixel2catch.circumstances import circumstances
 
     session = circumstances()
@@ -249,7 +231,6 @@ def _session() -> dict[str, Any]:
 
 
 def _options(options: Mapping[str, Any]) -> list[str]:
-    """The options as arguments of a command."""
     args: list[str] = []
     for name, value in options.items():
         values = value if isinstance(value, tuple | list) else [value]

@@ -66,23 +66,12 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
 
 
 def fingerprint(folder: Path | None) -> str:
-    """SHA-256 of a policy's networks, to tell of which policy a result is.
-
-    Args:
-        folder: As for `load_policy`.
-
-    Raises:
-        OSError: If there is no policy.
-    """
+    """SHA-256 of the networks of the policy that `load_policy` reads, to tell of which policy a result is."""
     return sha256(policy_folder(folder) / "policy.safetensors")
 
 
 def sha256(file: Path) -> str:
-    """SHA-256 of a file.
-
-    Raises:
-        OSError: If it cannot be read.
-    """
+    """SHA-256 of a file."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
@@ -119,15 +108,11 @@ def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
 
 
 def _camera_of(policy: Policy) -> CameraSpec:
-    """The camera that a policy was trained for."""
     return CameraSpec(**cast(dict[str, Any], policy.contract.camera))
 
 
 def policy_folder(folder: Path | None) -> Path:
-    """The policy's own folder.
-
-    Args:
-        folder: As for `load_policy`.
+    """The own folder of the policy that `load_policy` reads.
 
     Raises:
         PolicyMismatchError: If there is none.

@@ -32,6 +32,12 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def pooled_counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
+    """How often what a rate counts happened in how many trials, over several metrics."""
+    trials = sum(each["trials"] for each in rates)
+    return sum(round(each[name] * each["trials"]) for each in rates), trials
+
+
 def assess(
     actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
 ) -> Metrics:
@@ -95,7 +101,6 @@ def _rates(trials: Trials, rows: Bool[Tensor, " num_trials"]) -> Metrics:
 
 
 def _maxima(record: EpisodeRecord) -> dict[str, float]:
-    """Extremes over all physics steps of all trials."""
     maxima = {name: float(getattr(record, name).max()) for name in MAXIMA}
     for name, value in maxima.items():
         if not isfinite(value):

@@ -100,12 +100,7 @@ class Actor(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Trials:
-    """How trials ended.
-
-    Attributes:
-        record: What happened in each of them, tests of the hold included.
-        is_verified: Whether the object was held to the end of the tests.
-    """
+    """What happened in trials, tests of the hold included, and which held the object to their end."""
 
     record: EpisodeRecord
     is_verified: Bool[Tensor, " num_trials"]
@@ -185,10 +180,32 @@ def evaluate(
         cfg: What is thrown.
         on_round: Called with the trials of every round.
     """
-    env = cfg.make_env(method)
+    return play_rounds(cfg.make_env(method), actor, cfg.trials, on_round)
+
+
+def play_rounds(
+    env: CatchEnv,
+    actor: Actor,
+    num_rounds: int,
+    on_round: Callable[[Trials], None] = lambda _: None,
+    seed: int | None = None,
+) -> Trials:
+    """Play rounds and close the environments.
+
+    Args:
+        env: The environments, made by `EvaluationCfg.make_env`.
+        actor: The policy.
+        num_rounds: How many.
+        on_round: Called with the trials of every round.
+        seed: Seed of the first round; the next round has the next one. Then all policies get the same throws:
+            without it, rounds end when every hold is decided, and the throws of the second depend on the
+            policy.
+    """
     rounds = []
     try:
-        for _ in range(cfg.trials):
+        for number in range(num_rounds):
+            if seed is not None:
+                env.seed(seed + number)
             rounds.append(run_round(env, actor))
             on_round(rounds[-1])
     finally:
@@ -197,13 +214,7 @@ def evaluate(
 
 
 def recorded_throws(cfg: EvaluationCfg, actor: Actor, method: Method) -> list[RecordedThrow]:
-    """Play one round and keep what every environment went through.
-
-    Args:
-        cfg: What is thrown; one round of it.
-        actor: The policy.
-        method: The method that it was trained with.
-    """
+    """Play one round and keep what every environment went through; arguments as of `evaluate`."""
     env = cfg.make_env(method)
     qpos, qvel = (env.world.simulation.bind(name) for name in ("qpos", "qvel"))
     states: list[tuple[Tensor, ...]] = []
@@ -264,7 +275,6 @@ def shake_action(test_steps: Int[Tensor, " num_envs"]) -> Float[Tensor, "num_env
 
 
 def _round_start(env: CatchEnv) -> RoundState:
-    """The state of a round that has just begun."""
     yes = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
     return RoundState(
         record=EpisodeRecord.start(torch.zeros_like(yes, dtype=torch.long), env.world.joint_pos[:, :3] * 0.0),

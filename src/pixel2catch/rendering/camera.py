@@ -182,7 +182,6 @@ class RoomCamera:
         return exposure.moment
 
     def _sensed(self, light: Float[np.ndarray, "num_pixels 3"]) -> UInt8[np.ndarray, "num_pixels 3"]:
-        """The light with the sensor's noise."""
         start = self._rng.integers(NOISE_LENGTH - light.size)
         deviation = np.sqrt(self._cfg.read_noise**2 + self._cfg.shot_noise * light)
         deviation *= self._noise[start : start + light.size].reshape(light.shape)
@@ -233,7 +232,6 @@ def _without_object(moment: Moment) -> Moment:
 
 
 def _without(room: mujoco.MjModel, is_left_out: Bool[np.ndarray, " num_geoms"]) -> mujoco.MjModel:
-    """The room without some of what is in it."""
     other = copy.copy(room)
     other.geom_group[is_left_out] = UNDRAWN_GROUP
     return other

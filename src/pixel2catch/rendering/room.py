@@ -97,7 +97,6 @@ def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
 def _texture(
     level: tuple[float, float, float], rng: np.random.Generator
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Grey patterns of several sizes about a mean colour, without seams."""
     size = (TEXTURE_SIZE, TEXTURE_SIZE)
     pattern = np.zeros(size)
     for grain, deviation in GRAINS:
@@ -107,7 +106,6 @@ def _texture(
 
 
 def _paint(texture: mujoco.MjsTexture, pixels: UInt8[np.ndarray, "height width 3"]) -> None:
-    """Give a texture these pixels."""
     texture.height, texture.width, texture.nchannel = pixels.shape
     texture.data = pixels.tobytes()
 
@@ -162,7 +160,6 @@ def _add_capsule(
     radius: float,
     rgba: tuple[float, float, float, float],
 ) -> None:
-    """A part that is only seen."""
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
         fromto=(*start, *end),

@@ -91,7 +91,6 @@ def draw_box(image: UInt8[ndarray, "height width 3"], box: Float[ndarray, "4"]) 
 def _pictures(
     throw: RecordedThrow, scene: SceneCfg, views: tuple[View, ...], shadows: bool
 ) -> Iterator[UInt8[ndarray, "height width 3"]]:
-    """Pictures of one throw, the views side by side."""
     model = build_model(replace(scene, visuals=True), throw.object_name)
     with ExitStack() as stack:
         renderers = [stack.enter_context(Renderer(model, view, shadows=shadows)) for view in views]

@@ -102,7 +102,6 @@ def objects_figure(rows: Sequence[Row]) -> Figure:
 
 
 def _draw_curve(axes: Axes, curves: Curves, method: str, name: str) -> None:
-    """Draw the curve of one method."""
     mean, deviation = (100.0 * values for values in curves.mean_and_deviation(method, name))
     millions, color = curves.transitions / 1e6, look(method)["color"]
     axes.fill_between(millions, mean - deviation, mean + deviation, color=color, alpha=0.2, linewidth=0)
@@ -137,7 +136,6 @@ def _draw_objects(axes: Axes, rows: Sequence[Row], methods: Sequence[str]) -> No
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
-    """One legend above all panels."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(6, len(labels)))
 
@@ -218,7 +216,6 @@ def _view_edges(view: tuple[int, int]) -> Float[ndarray, "2 2 2"]:
 
 
 def _box(horizontal: Range, vertical: Range, color: str) -> Rectangle:
-    """A filled box with these bounds [m]."""
     corner, size = (horizontal[0], vertical[0]), (horizontal[1] - horizontal[0], vertical[1] - vertical[0])
     return Rectangle(corner, *size, facecolor=color, edgecolor=color, alpha=0.55, linewidth=1.5)
 
@@ -226,7 +223,6 @@ def _box(horizontal: Range, vertical: Range, color: str) -> Rectangle:
 def _label(
     axes: Axes, arm: Float[ndarray, "num_points 3"], ranges: dict[str, tuple[Range, Range, Range]]
 ) -> None:
-    """Name what is seen from the side."""
     (release_x, _, release_z), (aim_x, _, aim_z) = ranges["release"], ranges["aim"]
     texts = (
         ("camera and its view", (RGB_CAMERA.pos[0] + 0.1, RGB_CAMERA.pos[2] + 0.03), "left", VIEW),

@@ -16,17 +16,14 @@ from pixel2catch.files import write_atomically
 GROUPS = ("seen", "unseen")
 """Sets of objects that every policy is evaluated on. Source: paper, Sec. V."""
 
+FILE = "study.json"
+
 Json = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One training.
-
-    Attributes:
-        method: Name of the method.
-        seed: Seed of the training, and of the evaluations of its policy.
-    """
+    """One training: name of the method, and seed of the training and of the evaluations of its policy."""
 
     method: str
     seed: int
@@ -105,10 +102,6 @@ class ComparisonFolder:
             shutil.rmtree(self.run(run), ignore_errors=True)
         return has_checkpoint
 
-    def has_result(self, run: Run, group: str) -> bool:
-        """Whether a policy has been evaluated on a set of objects."""
-        return self.result(run, group) is not None
-
     def result(self, run: Run, group: str) -> Metrics | None:
         """Metrics of a policy on a set of objects, or nothing if they are not there or of another policy."""
         result = _read(self.evaluation(run, group))
@@ -125,7 +118,7 @@ class ComparisonFolder:
         """
         content = self._content()
         if content is None:
-            raise StudyError(f"'{self.path}' holds no study.json; name another folder with --out.")
+            raise StudyError(f"'{self.path}' holds no {FILE}; name another folder with --out.")
         return Plan(**(content["plan"] | {"methods": tuple(content["plan"]["methods"])}))
 
     def sessions(self) -> list[Json]:
@@ -147,16 +140,13 @@ class ComparisonFolder:
         asked = {"methods": plan.methods, "seeds": plan.seeds, "configuration": plan.configuration}
         content = {"plan": asked, "sessions": [*self.sessions(), *sessions]}
         self.path.mkdir(parents=True, exist_ok=True)
-        write_atomically({self._file: (json.dumps(content, indent=2) + "\n").encode()})
-
-    @property
-    def _file(self) -> Path:
-        return self.path / "study.json"
+        write_atomically({self.path / FILE: (json.dumps(content, indent=2) + "\n").encode()})
 
     def _content(self) -> Json | None:
-        content = _read(self._file)
-        if content is None and self._file.exists():
-            raise StudyError(f"'{self._file}' is damaged; mend it, or name another folder with --out.")
+        file = self.path / FILE
+        content = _read(file)
+        if content is None and file.exists():
+            raise StudyError(f"'{file}' is damaged; mend it, or name another folder with --out.")
         return content
 
     def _extended(self, plan: Plan) -> Plan:

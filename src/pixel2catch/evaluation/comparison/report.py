@@ -154,7 +154,6 @@ def flat_csv(rows: Sequence[Row]) -> str:
 
 
 def _tables(folder: ComparisonFolder, plan: Plan) -> tuple[dict[str, str], dict[str, str | bytes]]:
-    """The tables of the page by name, and the files."""
     summary, objects = list(summary_rows(folder, plan)), list(object_rows(folder, plan))
     trainings = list(training_rows(folder, plan))
     rates = rates_table(summary)
@@ -238,7 +237,6 @@ def _page(
 
 
 def _sessions(sessions: Sequence[Mapping[str, Any]]) -> str:
-    """Command, machine and versions of every session, one paragraph each."""
     texts = []
     for session in sessions:
         gpus = ", ".join(session["gpus"]) or "no GPU"
@@ -255,6 +253,5 @@ def _sessions(sessions: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _configuration(plan: Plan) -> str:
-    """Everything that changes results."""
     lines = [f"| {name} | {value} |" for name, value in plan.configuration.items()]
     return "\n".join(["| name | value |", "| --- | --- |", *lines]) + "\n"

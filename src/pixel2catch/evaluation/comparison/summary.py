@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.evaluation.comparison.plan import GROUPS, ComparisonFolder, Plan, Run
-from pixel2catch.evaluation.metrics import Metrics, wilson_interval
+from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interval
 from pixel2catch.evaluation.report import MAIN_RATES, PAPER, RATES, csv_text
 from pixel2catch.robot.objects import OBJECT_GROUPS
 
@@ -44,7 +44,7 @@ def pooled(rates: Sequence[Metrics], name: str) -> Row:
     """
     values = [result[name] for result in rates]
     mean, deviation = mean_and_deviation(values)
-    interval = wilson_interval(*_counts(rates, name))
+    interval = wilson_interval(*pooled_counts(rates, name))
     return {"mean": mean, "deviation": deviation, "interval": list(interval), "values": values}
 
 
@@ -91,25 +91,17 @@ def training_rows(folder: ComparisonFolder, plan: Plan) -> Iterator[Row]:
 
 
 def _results(folder: ComparisonFolder, plan: Plan, method: str, group: str) -> list[Metrics]:
-    """Metrics of the seeds that have been evaluated."""
     found = (folder.result(Run(method=method, seed=seed), group) for seed in range(plan.seeds))
     return [result for result in found if result is not None]
 
 
 def _overall(rates: Sequence[Metrics], name: str) -> Row:
     """Rate over all trials with its interval: seeds have thrown an object unequally often."""
-    successes, trials = _counts(rates, name)
+    successes, trials = pooled_counts(rates, name)
     return {"pooled": successes / trials, "interval": list(wilson_interval(successes, trials))}
 
 
-def _counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
-    """How often it happened in how many trials, over all seeds."""
-    trials = sum(result["trials"] for result in rates)
-    return sum(round(result[name] * result["trials"]) for result in rates), trials
-
-
 def _paper(method: str, group: str) -> Row | None:
-    """The paper's T.R. and S.R. as mean and deviation, if it has them."""
     numbers = PAPER.get((method, OBJECT_GROUPS[group]))
     if numbers is None:
         return None

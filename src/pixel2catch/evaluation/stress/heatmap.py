@@ -51,7 +51,6 @@ def heatmap(table: dict[str, Any]) -> bytes:
 
 
 def _label(axes: Axes, titles: list[str], names: list[str]) -> None:
-    """Name rows and columns."""
     axes.set_yticks(np.arange(len(titles)) + 0.5, titles)
     axes.set_xticks(np.arange(len(names)) + 0.5, [name.replace("_", "\n") for name in names])
     axes.set_ylim(len(titles), 0)
@@ -61,7 +60,6 @@ def _label(axes: Axes, titles: list[str], names: list[str]) -> None:
 
 
 def _write_numbers(axes: Axes, rates: list[list[float]], marks: list[list[str]]) -> None:
-    """Write every rate into its cell, and its mark beside it."""
     for i, row in enumerate(rates):
         for j, rate in enumerate(row):
             color = "white" if rate < DARK else "black"

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
+from itertools import starmap
 from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import Any, TypeVar
@@ -20,7 +21,7 @@ from typing import Any, TypeVar
 from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
-from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, run_round
+from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_rounds
 from pixel2catch.evaluation.report import differences
 from pixel2catch.evaluation.stress.results import Json, Result, StressCfg
 from pixel2catch.files import plain, write_atomically
@@ -60,7 +61,10 @@ def measure(
         _require_same(each, origin)
     contents = [each.read() for each in results]
     missing = [number for number, content in enumerate(contents) if content is None]
-    for index, found in _measured([results[number] for number in missing], cfg, jobs):
+    jobs = min(jobs, len(missing))
+    calls = [(results[number], cfg, jobs <= 1) for number in missing]
+    measured = in_processes(jobs, _measure, calls) if jobs > 1 else enumerate(starmap(_measure, calls))
+    for index, found in measured:
         number = missing[index]
         each, content = results[number], origins[number] | {"metrics": found}
         each.file.parent.mkdir(parents=True, exist_ok=True)
@@ -73,8 +77,7 @@ def measure(
 def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
     """Evaluate a policy, each round with a seed of its own: then all policies get the same throws.
 
-    Rounds end when every hold is decided, so that without this the throws of the second would depend on the
-    policy. What a setting disturbs is drawn after the throws, so that they are those of the nominal setting.
+    What a setting disturbs is drawn after the throws, so that they are those of the nominal setting.
 
     Args:
         actor: The policy.
@@ -84,25 +87,10 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     """
     with nullcontext() if is_alone else _one_processor():
         env = cfg.make_env(method)
-    rounds = []
-    try:
-        for number in range(cfg.trials):
-            env.seed(cfg.seed + number)
-            rounds.append(run_round(env, actor))
-    finally:
-        env.close()
-    return Trials.concatenate(rounds)
+    return play_rounds(env, actor, cfg.trials, seed=cfg.seed)
 
 
-def _measured(results: Sequence[Result], cfg: StressCfg, jobs: int) -> Iterator[tuple[int, Metrics]]:
-    """Numbers and metrics of results as they come."""
-    if jobs > 1 and len(results) > 1:
-        yield from in_processes(jobs, _measure, [(each, cfg, False) for each in results])
-    else:
-        yield from ((number, _measure(each, cfg)) for number, each in enumerate(results))
-
-
-def _measure(result: Result, cfg: StressCfg, is_alone: bool = True) -> Metrics:
+def _measure(result: Result, cfg: StressCfg, is_alone: bool) -> Metrics:
     return metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=is_alone))
 
 
@@ -118,7 +106,6 @@ def _one_processor() -> Iterator[None]:
 
 
 def _evaluation(result: Result, cfg: StressCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
-    """The policy and what is thrown at it."""
     policy, method = load_policy(result.policy.folder, device)
     evaluation = EvaluationCfg(
         objects=cfg.objects,
@@ -145,11 +132,7 @@ def _origin(result: Result, cfg: StressCfg) -> Json:
 
 
 def _require_same(result: Result, origin: Json) -> None:
-    """See that a result that is there was obtained as it would be now.
-
-    Raises:
-        StudyError: With the fields that differ.
-    """
+    """Refuse a result that is there and was obtained otherwise than it would be now."""
     found = result.read()
     if found is None:
         return
@@ -177,7 +160,7 @@ def in_processes(
         StudyError: If a process was ended from outside.
     """
     context = get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(calls)), mp_context=context, initializer=_begin)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin)
     try:
         with _one_thread_each():
             numbers = {pool.submit(function, *call): number for number, call in enumerate(calls)}
@@ -193,7 +176,6 @@ def in_processes(
 
 
 def _begin() -> None:
-    """Prepare a process."""
     import torch
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a word of its own
@@ -210,7 +192,6 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes that begin here load libraries with one thread each."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:

@@ -11,7 +11,7 @@ from statistics import fmean
 from scipy.stats import kendalltau
 
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.evaluation.metrics import pooled_counts, wilson_interval
 from pixel2catch.evaluation.report import Cells, csv_text, latex, markdown, percent, write_files
 from pixel2catch.evaluation.stress.heatmap import UNTRAINED, heatmap
 from pixel2catch.evaluation.stress.results import Json, Result
@@ -111,13 +111,11 @@ def _rows(table: Json) -> list[Cells]:
 
 
 def _sources(table: Json) -> str:
-    """Where the numbers of every setting come from."""
     lines = [f"- {row['title']}: {row['source']}\n" for row in table["settings"].values()]
     return "\n## Where the numbers come from\n\n" + "".join(lines)
 
 
 def _kept(metrics: Json) -> Json:
-    """The part of the metrics that the tables keep."""
     intervals = [f"{name}_interval" for name in SHOWN]
     return {name: metrics[name] for name in ("trials", *SHOWN, *intervals)}
 
@@ -137,18 +135,15 @@ def _reality(policies: Json, settings: Json) -> Json:
         by_method.setdefault(policies[name]["method"], []).append(rates)
     order = compare_orders(
         {method: [each["success_rate"] for each in several] for method, several in by_method.items()},
-        {method: _pooled_interval(several) for method, several in by_method.items()},
+        {
+            method: wilson_interval(*pooled_counts(several, "success_rate"))
+            for method, several in by_method.items()
+        },
     )
     if order is None:
         return {"sentence": "Fewer than two methods that the real robot tried: no order to compare."}
     real = {method: REAL_ROBOT[method] for method in order.real}
     return {**asdict(order), "real_success_percent": real, "sentence": order.sentence()}
-
-
-def _pooled_interval(several: Sequence[Json]) -> tuple[float, float]:
-    """The interval of all throws at all policies of a method."""
-    successes = sum(round(each["success_rate"] * each["trials"]) for each in several)
-    return wilson_interval(successes, sum(each["trials"] for each in several))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,19 +187,14 @@ def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str,
     if len(methods) < 2:
         return None
     simulated = {method: fmean(rates[method]) for method in methods}
+    result = kendalltau(list(simulated.values()), [REAL_ROBOT[method] for method in methods])
+    tau = float(result.statistic)  # pyright: ignore[reportAttributeAccessIssue] (made at run time)
     return Order(
         simulated=tuple(sorted(methods, key=lambda method: -simulated[method])),
         real=tuple(methods),
-        tau=_kendall_tau([simulated[m] for m in methods], [REAL_ROBOT[m] for m in methods]),
+        tau=0.0 if isnan(tau) else tau,
         num_settled=sum(_is_apart(intervals[a], intervals[b]) for a, b in combinations(methods, 2)),
     )
-
-
-def _kendall_tau(first: Sequence[float], second: Sequence[float]) -> float:
-    """Kendall's tau-b of two rankings of the same things; 0 where one of them tells nothing apart."""
-    result = kendalltau(first, second)
-    tau = float(result.statistic)  # pyright: ignore[reportAttributeAccessIssue] (made at run time)
-    return 0.0 if isnan(tau) else tau
 
 
 def _is_apart(first: Interval, second: Interval) -> bool:

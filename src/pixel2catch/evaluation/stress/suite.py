@@ -136,7 +136,6 @@ def _level(label: str, change: Change, source: str) -> Level:
 def _levels(
     values: Iterable[float], change: Callable[[float], Change], source: str, label: str = "{:g}"
 ) -> tuple[Level, ...]:
-    """A level for every value."""
     return tuple(_level(label.format(value), change(value), source) for value in values)
 
 

@@ -106,7 +106,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_amount(value: Any) -> bool:
-    """Whether it is a number or a range of numbers."""
     is_range = isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
     return _is_number(value) or is_range
 

@@ -1,8 +1,9 @@
-"""What a person sees of a study: a live table on a terminal, else a line for every part that ends."""
+"""What a person sees of a comparison: a live table on a terminal, else a line for every job that ends."""
 
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf, isinf, isnan, nan
 from pathlib import Path
 
 from rich.console import Console
@@ -27,39 +28,30 @@ class Progress:
 
     Attributes:
         transitions: Transitions learnt from.
-        per_second: Transitions a second of the last update.
+        transitions_per_second: Transitions a second of the last update.
         success_rate: S.R. of the last update's episodes, with the stochastic policy; NaN if none had ended.
     """
 
     transitions: float = 0.0
-    per_second: float = 0.0
-    success_rate: float = float("nan")
+    transitions_per_second: float = 0.0
+    success_rate: float = nan
 
     @classmethod
     def read(cls, log: Path) -> "Progress":
         """Progress from the last row of a training's `metrics.csv`; that of the start if there is none."""
         lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
         row = dict(zip(lines[0].split(","), lines[-1].split(","), strict=False)) if len(lines) > 1 else {}
-        names = {
-            "transitions": "transitions",
-            "per_second": "transitions_per_second",
-            "success_rate": "success_rate",
-        }
-        return cls(**{field: float(row[name]) for field, name in names.items() if row.get(name)})
-
-    def describe(self, total: int) -> str:
-        """In a few words: share of the transitions, S.R. and time left."""
-        return f"{100 * self.transitions / total:.0f} %, S.R. {percent(self.success_rate)}"
+        return cls(**{name: float(row[name]) for name in vars(cls()) if row.get(name)})
 
 
-class Board:
-    """Shows a study on standard error while it runs; use as a context."""
+class ProgressTable:
+    """Shows a comparison on standard error while it runs; use as a context."""
 
     def __init__(self, logs: Mapping[str, Path], total: int) -> None:
         """Prepare to show.
 
         Args:
-            logs: The `metrics.csv` of every training, by name of the part.
+            logs: The `metrics.csv` of every training, by name of the job.
             total: Transitions of a training.
         """
         self._console = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -68,7 +60,7 @@ class Board:
         self._shown: dict[str, Status] = {}
         self._next = 0.0
 
-    def __enter__(self) -> "Board":
+    def __enter__(self) -> "ProgressTable":
         """Begin to show."""
         if self._live:
             self._live.start()
@@ -80,7 +72,7 @@ class Board:
             self._live.stop()
 
     def show(self, status: Mapping[str, Status]) -> None:
-        """Show the status of all parts, as often as it is worth it."""
+        """Show the status of all jobs, as often as it is worth it."""
         changes = {name: now for name, now in status.items() if self._shown.get(name) is not now}
         self._shown = dict(status)
         if self._live and (changes or time.monotonic() >= self._next):
@@ -90,39 +82,40 @@ class Board:
             self._print(status, changes)
 
     def _print(self, status: Mapping[str, Status], changes: Mapping[str, Status]) -> None:
-        """Print a line for every part that has ended, and a summary now and then."""
-        num_done = sum(now is Status.DONE for now in status.values())
+        done = f"{sum(now is Status.DONE for now in status.values())}/{len(status)}"
         for name, now in changes.items():
             if now not in (Status.WAITING, Status.RUNNING):
-                self._say(f"{num_done}/{len(status)} · {name} {now.value}")
-        if time.monotonic() >= self._next:
-            self._next = time.monotonic() + SUMMARY_SECONDS
-            progress = self._progress()
-            running = [name for name, now in status.items() if now is Status.RUNNING]
-            parts = [
-                f"{name} {progress[name].describe(self._total)}" if name in progress else name
-                for name in running
-            ]
-            left = duration(self._seconds_left(status, progress))
-            self._say(f"{num_done}/{len(status)} · {' · '.join(parts) or 'nothing runs'} · trainings: {left}")
+                self._console.print(f"{done} · {name} {now.value}", markup=False)
+        if time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + SUMMARY_SECONDS
+        progress = self._progress()
+        running = []
+        for name in (name for name, now in status.items() if now is Status.RUNNING):
+            if each := progress.get(name):
+                name += f" {100 * each.transitions / self._total:.0f} %, S.R. {_percent(each.success_rate)}"
+            running.append(name)
+        left = _duration(self._seconds_left(status, progress))
+        text = f"{done} · {' · '.join(running) or 'nothing runs'} · trainings: {left}"
+        self._console.print(text, markup=False)
 
     def _table(self, status: Mapping[str, Status]) -> Table:
-        """One row for every training, with the evaluations of its policy."""
         progress = self._progress()
-        left = duration(self._seconds_left(status, progress))
+        left = _duration(self._seconds_left(status, progress))
         table = Table(caption=f"trainings: {left}", caption_justify="left")
         for column in ("training", "state", "transitions [M]", "S.R. in training", "left", *GROUPS):
-            table.add_column(column, justify="right" if "t" in column and "[" in column else "left")
+            table.add_column(column, justify="right" if "[" in column else "left")
         for name, each in progress.items():
-            seconds = (self._total - each.transitions) / each.per_second if each.per_second else float("inf")
-            is_running = status[name] is Status.RUNNING
+            speed = each.transitions_per_second
             table.add_row(
                 name,
-                colored(status[name]),
+                _colored(status[name]),
                 f"{each.transitions / 1e6:.1f} / {self._total / 1e6:.1f}",
-                percent(each.success_rate),
-                duration(seconds) if is_running else "",
-                *(colored(status[f"{name}-{group}"]) for group in GROUPS),
+                _percent(each.success_rate),
+                _duration((self._total - each.transitions) / speed if speed else inf)
+                if status[name] is Status.RUNNING
+                else "",
+                *(_colored(status[f"{name}-{group}"]) for group in GROUPS),
             )
         return table
 
@@ -131,30 +124,23 @@ class Board:
 
     def _seconds_left(self, status: Mapping[str, Status], progress: Mapping[str, Progress]) -> float:
         """Time that the trainings still take at the present speed of those that run [s]."""
-        open_parts = [name for name in progress if status[name] in (Status.WAITING, Status.RUNNING)]
-        speed = sum(progress[name].per_second for name in open_parts if status[name] is Status.RUNNING)
-        rest = sum(max(0.0, self._total - progress[name].transitions) for name in open_parts)
-        if rest == 0.0:
-            return 0.0
-        return rest / speed if speed else float("inf")
-
-    def _say(self, text: str) -> None:
-        self._console.print(text, markup=False)
+        running = [each for name, each in progress.items() if status[name] is Status.RUNNING]
+        waiting = [each for name, each in progress.items() if status[name] is Status.WAITING]
+        speed = sum(each.transitions_per_second for each in running)
+        rest = sum(max(0.0, self._total - each.transitions) for each in (*running, *waiting))
+        return (rest / speed if speed else inf) if rest else 0.0
 
 
-def percent(rate: float) -> str:
-    """A rate for people; a dash for NaN."""
-    return "-" if rate != rate else f"{100 * rate:.1f} %"
+def _percent(rate: float) -> str:
+    return "-" if isnan(rate) else f"{100 * rate:.1f} %"
 
 
-def duration(seconds: float) -> str:
-    """A time for people [s]."""
-    if seconds == float("inf"):
+def _duration(seconds: float) -> str:
+    if isinf(seconds):
         return "time left unknown"
     return f"{seconds:.0f} s left" if seconds < 100 else f"{seconds / 60:.0f} min left"
 
 
-def colored(status: Status) -> str:
-    """A status in its colour."""
+def _colored(status: Status) -> str:
     color = COLORS.get(status)
     return f"[{color}]{status.value}[/{color}]" if color else status.value
