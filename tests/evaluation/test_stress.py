@@ -18,10 +18,14 @@ from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError, StudyError, UnknownNameError
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.stress.axes import Setting
-from pixel2catch.evaluation.stress.measuring import in_processes, measure, throw_rounds
-from pixel2catch.evaluation.stress.results import StressCfg, find_policies
-from pixel2catch.evaluation.stress.suite import AXES, select_settings
+from pixel2catch.evaluation.stress.measuring import (
+    StressCfg,
+    find_policies,
+    in_processes,
+    measure,
+    throw_rounds,
+)
+from pixel2catch.evaluation.stress.suite import AXES, Setting, select_settings
 from pixel2catch.methods import METHODS, PROPOSED, Method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.objects import SEEN

@@ -7,16 +7,16 @@ import pytest
 
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.stress.heatmap import heatmap
+from pixel2catch.evaluation.stress.measuring import PolicyEntry, plan_results
 from pixel2catch.evaluation.stress.report import (
     REAL_ROBOT,
     SHOWN,
     as_csv,
     as_markdown,
     compare_orders,
+    heatmap,
     make_table,
 )
-from pixel2catch.evaluation.stress.results import PolicyEntry, plan_results
 from pixel2catch.evaluation.stress.suite import select_settings
 
 SURE = {method: (rate / 100 - 0.01, rate / 100 + 0.01) for method, rate in REAL_ROBOT.items()}

@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
-    from pixel2catch.evaluation.stress.results import Result
+    from pixel2catch.evaluation.stress.measuring import Result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +46,8 @@ class Stress:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.stress.measuring import measure
+        from pixel2catch.evaluation.stress.measuring import StressCfg, find_policies, measure, plan_results
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
-        from pixel2catch.evaluation.stress.results import StressCfg, find_policies, plan_results
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.robot.objects import select_objects
 

@@ -3,9 +3,10 @@
 A result is written all at once. Results that are there are not computed again; results that were obtained
 otherwise are refused before anything is computed, and never overwritten. None depends on the number of
 processes: it has seeds of its own, and the physics is the same on any number of threads.
+
+OUT/cells/POLICY/SETTING.json    metrics of a policy under a setting, and how they were obtained
 """
 
-import dataclasses
 import json
 import os
 import signal
@@ -13,25 +14,116 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass, replace
 from itertools import starmap
 from multiprocessing import get_context, parent_process
+from pathlib import Path
 from threading import Thread
 from typing import Any, TypeVar
 
 from pixel2catch.errors import InvalidValueError, StudyError
-from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
+from pixel2catch.evaluation.loading import fingerprint, load_policy, shipped_policies, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_rounds
 from pixel2catch.evaluation.report import differences
-from pixel2catch.evaluation.stress.results import Json, Result, StressCfg
+from pixel2catch.evaluation.stress.suite import Setting
 from pixel2catch.files import plain, write_atomically
-from pixel2catch.methods import Method
+from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
 
+Json = dict[str, Any]
 Returned = TypeVar("Returned")
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """What libraries read, as they are loaded, for the number of their threads."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StressCfg:
+    """How each result is obtained.
+
+    Attributes:
+        objects: Names of the objects; each throw draws one.
+        num_envs: Throws in a round.
+        trials: Rounds.
+        seed: Seed of the first round; the next round has the next one.
+        device: "cpu" or a CUDA device.
+        physics_hz: Physics steps in a second.
+    """
+
+    objects: tuple[str, ...]
+    num_envs: int = 100
+    trials: int = 2
+    seed: int = 0
+    device: str = "cpu"
+    physics_hz: float = 600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyEntry:
+    """A policy of the suite.
+
+    Attributes:
+        name: Its name in tables and folders.
+        folder: Where it is.
+        method: Name of the method that it was trained with.
+        task: Name of the task that it was trained for.
+    """
+
+    name: str
+    folder: Path
+    method: str
+    task: str = "nominal"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A policy under a setting, and the file of its metrics."""
+
+    policy: PolicyEntry
+    setting: Setting
+    file: Path
+
+    def read(self) -> Json | None:
+        """Its metrics, if they are there.
+
+        Raises:
+            StudyError: If the file is damaged.
+        """
+        try:
+            return json.loads(self.file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except ValueError as error:
+            raise StudyError(f"'{self.file}' is damaged ({error}); delete it.") from error
+
+
+def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
+    """The policies in these folders, or all that are shipped if there are none.
+
+    Raises:
+        PolicyMismatchError: If a policy does not fit this code, or none is shipped.
+        InvalidValueError: If two have the same name.
+    """
+    found = [_entry(folder) for folder in folders or shipped_policies().values()]
+    if not folders:
+        found.sort(key=lambda each: (list(METHODS).index(each.method.partition("+")[0]), each.name))
+    names = [each.name for each in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise InvalidValueError(f"two policies are called '{name}'; rename one of their folders.")
+    return tuple(found)
+
+
+def plan_results(
+    policies: Sequence[PolicyEntry], settings: Sequence[Setting], out: Path
+) -> tuple[Result, ...]:
+    """All results, setting by setting."""
+    return tuple(
+        Result(policy=policy, setting=setting, file=out / "cells" / policy.name / f"{setting.name}.json")
+        for setting in settings
+        for policy in policies
+    )
 
 
 def measure(
@@ -105,6 +197,14 @@ def _one_processor() -> Iterator[None]:
         os.sched_setaffinity(0, processors)
 
 
+def _entry(folder: Path) -> PolicyEntry:
+    """The policy in a folder or in the run folder around it; it is called as the folder of the run."""
+    policy, method = load_policy(folder)
+    resolved = folder.resolve()
+    name = resolved.parent.name if resolved.name == "policy" else resolved.name
+    return PolicyEntry(name=name, folder=folder, method=method.name, task=policy.contract.task)
+
+
 def _evaluation(result: Result, cfg: StressCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
     policy, method = load_policy(result.policy.folder, device)
     evaluation = EvaluationCfg(
@@ -121,13 +221,13 @@ def _evaluation(result: Result, cfg: StressCfg, device: str) -> tuple[Actor, Met
 def _origin(result: Result, cfg: StressCfg) -> Json:
     """Everything that decides a result's metrics, as JSON."""
     _, method, evaluation = _evaluation(result, cfg, "cpu")
-    evaluation = dataclasses.replace(evaluation, device=cfg.device)
+    evaluation = replace(evaluation, device=cfg.device)
     return {
         "policy": result.policy.name,
         "method": method.name,
         "policy_sha256": fingerprint(result.policy.folder),
         "setting": result.setting.name,
-        "evaluation": json.loads(json.dumps(dataclasses.asdict(evaluation), default=plain)),
+        "evaluation": json.loads(json.dumps(asdict(evaluation), default=plain)),
     }
 
 

@@ -1,16 +1,21 @@
 """What the real world does and the training does not: the axes of disturbances, with their sources.
 
-The values were chosen from the sources before any result was seen, and are not tuned. A step is a control
-step of 33 ms.
+Kinds and strengths are data: each level is a pure function from a task to a task. The values were chosen from
+the sources before any result was seen, and are not tuned. A step is a control step of 33 ms.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import radians
+from typing import Any
 
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import UnknownNameError
-from pixel2catch.evaluation.stress.axes import Axis, Change, FieldChange, Level, Setting, part, together
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robot.constants import JOINTS
+
+Change = Callable[[CatchEnvCfg], CatchEnvCfg]
+"""A task, changed; a change can be sent to another process."""
 
 AIR_DENSITY = 1.2
 """Density of air at 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded."""
@@ -69,6 +74,72 @@ SIZE_SOURCE = "ours: the two scales of the training objects differ by 1.12 to 1.
 NEAR_SOURCE = "ours: released 1.0 to 1.9 m away; 2.4 to 2.9 in training"
 SHAKE_SOURCE = "ours: a laboratory table on legs under an arm's jerks; 1.6 to 1.8 m/s² at the base"
 TOGETHER_SOURCE = "levels of the axes above"
+
+
+@dataclass(frozen=True)
+class FieldChange:
+    """Sets fields of parts of a task, one part after the other: `(part, {field: value})`."""
+
+    steps: tuple[tuple[str, Mapping[str, Any]], ...] = ()
+
+    def __call__(self, cfg: CatchEnvCfg) -> CatchEnvCfg:
+        """The task with these fields."""
+        for name, values in self.steps:
+            cfg = replace(cfg, **{name: replace(getattr(cfg, name), **values)})
+        return cfg
+
+
+def part(name: str, **values: Any) -> FieldChange:
+    """Set fields of one part of the task, such as its `sensing`."""
+    return FieldChange(((name, values),))
+
+
+def together(*changes: FieldChange) -> FieldChange:
+    """Several changes, one after the other."""
+    return FieldChange(tuple(step for change in changes for step in change.steps))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """One strength of a disturbance.
+
+    Attributes:
+        label: What the tables call it, without the unit.
+        change: What it does to the task.
+        source: Where the number comes from.
+    """
+
+    label: str
+    change: Change
+    source: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """One kind of disturbance: its name on the command line, the unit of the labels, its strengths."""
+
+    name: str
+    unit: str
+    levels: tuple[Level, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """A level of an axis."""
+
+    axis: Axis
+    level: Level
+
+    @property
+    def name(self) -> str:
+        """Name of its files: letters, digits, dots and hyphens."""
+        return f"{self.axis.name}-{self.level.label}".replace(" ", "_").replace("±", "").rstrip("-")
+
+    @property
+    def title(self) -> str:
+        """What people read."""
+        space = "" if self.axis.unit == "°" else " "
+        return f"{self.axis.name.replace('_', ' ')} {self.level.label}{space}{self.axis.unit}".strip()
 
 
 def _latency(steps: float) -> FieldChange:

@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.stress.axes import Change
+from pixel2catch.evaluation.stress.suite import Change
 
 PARTS = ("scene", "throws", "randomization", "sensing", "shake")
 """Parts of a task that are compared; a setting that changes anything else is not trained on."""
