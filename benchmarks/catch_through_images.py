@@ -16,17 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from box_scores import Score, score, summary
+from rendered_throws import FilmCfg, PerceptionRunner, RenderedDetector
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.step import Step
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.rendered.eye import ImageEye
-from pixel2catch.evaluation.rendered.film import FilmCfg
-from pixel2catch.evaluation.rendered.scores import Score, score, summary
-from pixel2catch.evaluation.rendered.watcher import Watcher
-from pixel2catch.evaluation.rounds import Actor, RoundState, Trials, run_round
+from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, Trials, run_round
 from pixel2catch.files import write_atomically
 from pixel2catch.methods import Method
 from pixel2catch.perception.background import BackgroundSubtraction
@@ -51,8 +48,8 @@ class Duel:
 
     def __init__(self, cfg: EvaluationCfg, film: FilmCfg, actor: Actor, method: Method) -> None:
         self._env, self._actor = cfg.make_env(method), actor
-        self._watcher = Watcher(BackgroundSubtraction(), film.scene.handedness)
-        self.eye = ImageEye(self._env.eye, self._env.world, film, self._watcher)
+        perception = PerceptionRunner(BackgroundSubtraction(), film.scene.handedness)
+        self.eye = RenderedDetector(self._env.eye, self._env.world, film, perception)
         self._env.eye = self.eye
 
     def throw(self, seed: int) -> Pair:

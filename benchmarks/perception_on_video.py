@@ -17,19 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from box_scores import GOOD, NEAR_HAND, Score, reacquisition, score, summary
+from rendered_throws import FilmCfg, LabelledImage, PerceptionRunner, ThrowFilm, moments
 
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.rendered.camera import OBJECT, CameraCfg
-from pixel2catch.evaluation.rendered.film import FilmCfg, Shot, ThrowFilm, without_object
-from pixel2catch.evaluation.rendered.scores import GOOD, NEAR_HAND, Score, reacquisition, score, summary
-from pixel2catch.evaluation.rendered.takes import ThrowTake, record_throws
-from pixel2catch.evaluation.rendered.watcher import Watcher
+from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.segmenter import Segmenter
+from pixel2catch.rendering.camera import OBJECT, CameraCfg, Moment
+from pixel2catch.rendering.video import RecordedThrow
 from pixel2catch.robot.objects import select_objects
 
 RED = ColorRange(hue=(350.0, 16.0), saturation=(0.55, 1.0))
@@ -60,7 +59,7 @@ def main() -> None:
     for number, group in enumerate(("seen", "unseen")):
         objects, seed = select_objects(group), options.seed + number
         cfg = EvaluationCfg(objects=objects, num_envs=options.throws, trials=1, seed=seed)
-        takes = record_throws(replace(cfg, task=task_of(policy)), policy, method)
+        takes = recorded_throws(replace(cfg, task=task_of(policy)), policy, method)
         rooms = [replace(filming, room=i) for i in range(options.throws)]
         with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
             every = list(pool.map(watch, takes, rooms, range(options.throws)))
@@ -80,18 +79,19 @@ def main() -> None:
         write_atomically({options.out: json.dumps(report, indent=1).encode()})
 
 
-def watch(take: ThrowTake, cfg: FilmCfg, seed: int) -> dict[str, tuple[list[Score], int | None, float]]:
+def watch(take: RecordedThrow, cfg: FilmCfg, seed: int) -> dict[str, tuple[list[Score], int | None, float]]:
     """What each segmenter makes of a throw: scores, images until it is back after a gap, time of an image."""
-    plain, gapped = ({name: Watcher(each) for name, each in segmenters().items()} for _ in range(2))
-    shots: list[Shot] = []
+    plain, gapped = ({name: PerceptionRunner(each) for name, each in segmenters().items()} for _ in range(2))
+    shots: list[LabelledImage] = []
     seen: dict[str, list[Extraction]] = {name: [] for name in plain}
     seen_gapped: dict[str, list[Extraction]] = {name: [] for name in plain}
-    release_pos = take.moments[0].qpos[OBJECT]
-    first = next(i for i, moment in enumerate(take.moments) if moment.time > 0.0) + GAP_START
+    states = moments(take)
+    release_pos = states[0].qpos[OBJECT]
+    first = next(i for i, moment in enumerate(states) if moment.time > 0.0) + GAP_START
     with ThrowFilm(cfg, take.object_name, release_pos, seed) as film:
         for watcher in (*plain.values(), *gapped.values()):
             watcher.begin()
-        for number, (shot, hidden) in enumerate(images(film, take, cfg, first)):
+        for number, (shot, hidden) in enumerate(images(film, states, cfg, first)):
             found = {name: watcher.see(shot) for name, watcher in plain.items()}
             found_gapped = {name: watcher.see(hidden) for name, watcher in gapped.items()}
             if number < cfg.num_empty:
@@ -111,15 +111,17 @@ def watch(take: ThrowTake, cfg: FilmCfg, seed: int) -> dict[str, tuple[list[Scor
     }
 
 
-def images(film: ThrowFilm, take: ThrowTake, cfg: FilmCfg, first: int) -> Iterator[tuple[Shot, Shot]]:
+def images(
+    film: ThrowFilm, states: list[Moment], cfg: FilmCfg, first: int
+) -> Iterator[tuple[LabelledImage, LabelledImage]]:
     """Yield each image, and what is shown to those from whom the object is hidden for a while."""
-    for shot in film.lead_in(take.moments[0], cfg.num_empty):
+    for shot in film.lead_in(states[0], cfg.num_empty):
         yield shot, shot
     num_near = 0
-    for i, moment in enumerate(take.moments):
+    for i, moment in enumerate(states):
         shot = film.shot(moment)
         is_hidden = first <= i < first + GAP_IMAGES
-        yield shot, film.shot(without_object(moment)) if is_hidden else shot
+        yield shot, film.shot(moment, is_empty=True) if is_hidden else shot
         num_near += num_near > 0 or shot.palm_distance < NEAR_HAND
         if num_near > AFTER_REACH:
             return

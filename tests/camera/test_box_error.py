@@ -2,10 +2,10 @@
 
 import pytest
 import torch
+from box_error import BoxErrors, compare, sample_frames
 
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.evaluation.box_error import BoxErrors, compare, sample_frames
-from pixel2catch.evaluation.rendering import find_gl_backend
+from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.robot.objects import OBJECTS
 
 NUM_POINTS = 64

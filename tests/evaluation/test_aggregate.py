@@ -1,17 +1,17 @@
 from pathlib import Path
 
 import pytest
-from studies import plan, rates, write_evaluation, write_study
+from made_up import plan, rates, write_evaluation, write_study
 
-from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.study.aggregate import (
+from pixel2catch.evaluation.comparison.plan import Run
+from pixel2catch.evaluation.comparison.summary import (
     mean_and_deviation,
     object_rows,
     pooled,
     summary_rows,
     training_rows,
 )
-from pixel2catch.evaluation.study.plan import Run
+from pixel2catch.evaluation.metrics import wilson_interval
 
 
 def test_mean_and_sample_deviation_by_hand():

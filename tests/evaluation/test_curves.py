@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_up import plan, write_study
 from numpy import ndarray
-from studies import plan, write_study
 
-from pixel2catch.evaluation.study.curves import Columns, binned, curves_csv, gather, study_curves
-from pixel2catch.evaluation.study.plan import StudyFolder
+from pixel2catch.evaluation.comparison.plan import ComparisonFolder
+from pixel2catch.evaluation.comparison.summary import Columns, all_curves, binned, curves_csv, gather
 
 
 def log(transitions: list[float], episodes: list[float], rate: list[float]) -> Columns:
@@ -56,7 +56,7 @@ def test_mean_and_deviation_over_seeds_by_hand():
 
 
 def test_curves_of_a_study(tmp_path: Path):
-    curves = study_curves(write_study(tmp_path), plan())
+    curves = all_curves(write_study(tmp_path), plan())
     assert curves is not None
     assert curves.edges.tolist() == [0, 100, 200, 300]
     assert curves.seeds == {"only_wh": (0, 1), "proposed": (0, 1)}
@@ -67,4 +67,4 @@ def test_curves_of_a_study(tmp_path: Path):
 
 
 def test_a_study_without_logs_has_no_curves(tmp_path: Path):
-    assert study_curves(StudyFolder(tmp_path), plan()) is None
+    assert all_curves(ComparisonFolder(tmp_path), plan()) is None

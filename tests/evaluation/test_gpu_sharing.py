@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pixel2catch.evaluation.study.gpu_sharing import CONTROL, shared_gpus
+from pixel2catch.evaluation.comparison.jobs import MPS_CONTROL, shared_gpus
 
 RECORDER = """#!/bin/sh
 echo "$CUDA_MPS_PIPE_DIRECTORY [$*] $(if [ "$1" != -d ]; then cat; fi)" >> "$RECORD"
@@ -16,7 +16,7 @@ exit "${STATUS:-0}"
 @pytest.fixture
 def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A control program that writes down how it was called; the real one needs a GPU."""
-    program = tmp_path / CONTROL
+    program = tmp_path / MPS_CONTROL
     program.write_text(RECORDER)
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")

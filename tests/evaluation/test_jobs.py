@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 
 from pixel2catch.errors import StudyError
-from pixel2catch.evaluation.study.jobs import Lane, Part, Runner, Status, last_lines, locked
+from pixel2catch.evaluation.comparison.jobs import Job, Runner, Slot, Status, last_lines, locked
 
 DONE, FAILED, WAITING, STOPPED = Status.DONE, Status.FAILED, Status.WAITING, Status.STOPPED
 
 
-def part(folder: Path, name: str, *after: str, script: str | None = None, kind: str = "any") -> Part:
-    """A part that notes that it ran, and on which device, unless it does something else."""
+def job(folder: Path, name: str, *after: str, script: str | None = None, kind: str = "any") -> Job:
+    """A job that notes that it ran, and on which device, unless it does something else."""
     note = f"echo {name} >> order; echo $DEVICE > {name}"
     command = f"cd '{folder}'; export DEVICE=$0; {script or note}"
-    return Part(
+    return Job(
         name=name,
         kind=kind,
         command=lambda device: ["sh", "-c", command, device],
@@ -29,8 +29,8 @@ def part(folder: Path, name: str, *after: str, script: str | None = None, kind: 
     )
 
 
-def lanes(number: int = 1, kind: str = "any") -> list[Lane]:
-    return [Lane(kind=kind, device=f"device{i}") for i in range(number)]
+def slots(number: int = 1, kind: str = "any") -> list[Slot]:
+    return [Slot(kind=kind, device=f"device{i}") for i in range(number)]
 
 
 def order(folder: Path) -> list[str]:
@@ -38,13 +38,13 @@ def order(folder: Path) -> list[str]:
 
 
 def test_parts_run_in_order_behind_what_they_need(tmp_path: Path):
-    parts = [
-        part(tmp_path, "train-a", kind="train"),
-        part(tmp_path, "judge-a", "train-a", kind="judge"),
-        part(tmp_path, "train-b", kind="train"),
-        part(tmp_path, "judge-b", "train-b", kind="judge"),
+    jobs = [
+        job(tmp_path, "train-a", kind="train"),
+        job(tmp_path, "judge-a", "train-a", kind="judge"),
+        job(tmp_path, "train-b", kind="train"),
+        job(tmp_path, "judge-b", "train-b", kind="judge"),
     ]
-    runner = Runner(parts, [*lanes(kind="train"), *lanes(kind="judge")], tmp_path / "logs")
+    runner = Runner(jobs, [*slots(kind="train"), *slots(kind="judge")], tmp_path / "logs")
     runner.run()
     assert set(runner.status.values()) == {DONE}
     ran = order(tmp_path)
@@ -54,7 +54,7 @@ def test_parts_run_in_order_behind_what_they_need(tmp_path: Path):
 
 def test_what_is_done_is_not_done_again(tmp_path: Path):
     (tmp_path / "a").touch()
-    runner = Runner([part(tmp_path, "a"), part(tmp_path, "b", "a")], lanes(), tmp_path / "logs")
+    runner = Runner([job(tmp_path, "a"), job(tmp_path, "b", "a")], slots(), tmp_path / "logs")
     assert runner.status == {"a": DONE, "b": WAITING}
     runner.run()
     assert order(tmp_path) == ["b"]
@@ -62,7 +62,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path):
 
 def test_what_follows_an_unfinished_part_is_done_anew(tmp_path: Path):
     (tmp_path / "b").touch()
-    runner = Runner([part(tmp_path, "a"), part(tmp_path, "b", "a")], lanes(), tmp_path / "logs")
+    runner = Runner([job(tmp_path, "a"), job(tmp_path, "b", "a")], slots(), tmp_path / "logs")
     runner.run()
     assert order(tmp_path) == ["a", "b"]
 
@@ -70,35 +70,35 @@ def test_what_follows_an_unfinished_part_is_done_anew(tmp_path: Path):
 @pytest.mark.parametrize("script", ["echo broken >&2; exit 3", "true", "touch a; exit 1"])
 def test_a_failure_holds_up_only_what_depends_on_it(script: str, tmp_path: Path):
     """Failed: an exit status, no result, or a result and an exit status."""
-    parts = [part(tmp_path, "a", script=script), part(tmp_path, "b", "a"), part(tmp_path, "c")]
-    runner = Runner(parts, lanes(), tmp_path / "logs")
+    jobs = [job(tmp_path, "a", script=script), job(tmp_path, "b", "a"), job(tmp_path, "c")]
+    runner = Runner(jobs, slots(), tmp_path / "logs")
     runner.run()
     assert runner.status == {"a": FAILED, "b": WAITING, "c": DONE}
     assert last_lines(runner.log("a")) == ("broken" if "broken" in script else "")
 
 
 def test_lanes_run_side_by_side_each_on_its_device(tmp_path: Path):
-    """Each waits for the other: with one lane they would never end."""
+    """Each waits for the other: with one slot they would never end."""
     meet = "echo $DEVICE > {0}; while [ ! -e {1} ]; do sleep 0.01; done"
-    parts = [
-        part(tmp_path, "a", script=meet.format("a", "b")),
-        part(tmp_path, "b", script=meet.format("b", "a")),
+    jobs = [
+        job(tmp_path, "a", script=meet.format("a", "b")),
+        job(tmp_path, "b", script=meet.format("b", "a")),
     ]
-    runner = Runner(parts, lanes(2), tmp_path / "logs")
+    runner = Runner(jobs, slots(2), tmp_path / "logs")
     runner.run()
     assert {(tmp_path / name).read_text().strip() for name in "ab"} == {"device0", "device1"}
 
 
 def test_a_lane_gives_its_environment(tmp_path: Path):
-    lane = Lane(kind="any", device="x", environment={"OMP_NUM_THREADS": "7"})
-    Runner([part(tmp_path, "a", script="echo $OMP_NUM_THREADS > a")], [lane], tmp_path / "logs").run()
+    slot = Slot(kind="any", device="x", environment={"OMP_NUM_THREADS": "7"})
+    Runner([job(tmp_path, "a", script="echo $OMP_NUM_THREADS > a")], [slot], tmp_path / "logs").run()
     assert (tmp_path / "a").read_text() == "7\n"
 
 
 def test_stopping_lets_parts_end_in_order(tmp_path: Path):
     script = "trap 'echo saved > checkpoint; exit 0' TERM; touch ready; while true; do sleep 0.01; done"
-    parts = [part(tmp_path, "a", script=script), part(tmp_path, "b")]
-    runner = Runner(parts, lanes(), tmp_path / "logs")
+    jobs = [job(tmp_path, "a", script=script), job(tmp_path, "b")]
+    runner = Runner(jobs, slots(), tmp_path / "logs")
     runner.run(is_stopped=lambda: (tmp_path / "ready").exists())
     assert runner.status == {"a": STOPPED, "b": WAITING}
     assert (tmp_path / "checkpoint").read_text() == "saved\n"
@@ -109,7 +109,7 @@ def test_an_error_while_watching_leaves_nothing_running(tmp_path: Path):
         if (tmp_path / "pid").exists():
             raise RuntimeError("the terminal is gone")
 
-    runner = Runner([part(tmp_path, "a", script="echo $$ > pid; sleep 60")], lanes(), tmp_path / "logs")
+    runner = Runner([job(tmp_path, "a", script="echo $$ > pid; sleep 60")], slots(), tmp_path / "logs")
     with pytest.raises(RuntimeError, match="terminal"):
         runner.run(watch)
     with pytest.raises(ProcessLookupError):
@@ -126,12 +126,12 @@ def wait_for(condition: Callable[[], bool]) -> None:
 ORPHANING = """
 import sys
 from pathlib import Path
-from pixel2catch.evaluation.study.jobs import Lane, Part, Runner, locked
+from pixel2catch.evaluation.comparison.jobs import Slot, Job, Runner, locked
 folder = Path(sys.argv[1])
 command = ["sh", "-c", f"echo $$ > '{folder}/pid.tmp'; mv '{folder}/pid.tmp' '{folder}/pid'; exec sleep 60"]
 with locked(folder) as lock:
-    part = Part(name="a", kind="any", command=lambda _: command, is_done=lambda: False)
-    Runner([part], [Lane(kind="any", device="x")], folder / "logs", lock).run()
+    job = Job(name="a", kind="any", command=lambda _: command, is_done=lambda: False)
+    Runner([job], [Slot(kind="any", device="x")], folder / "logs", lock).run()
 """
 
 

@@ -8,8 +8,8 @@ from rich.console import Console
 from pixel2catch.envs.episodes import FAILURES, EpisodeRecord
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.metrics import metrics, wilson_interval
-from pixel2catch.evaluation.rounds import Trials
-from pixel2catch.evaluation.tables import objects_table, quality_table, results_table
+from pixel2catch.evaluation.protocol import Trials
+from pixel2catch.evaluation.report import objects_table, quality_table, results_table
 from pixel2catch.robot.objects import SEEN, UNSEEN
 
 NAMES = ("ball", "box")

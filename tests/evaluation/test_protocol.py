@@ -9,14 +9,16 @@ from torch import Tensor
 
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.evaluation.protocol import EvaluationCfg, assess, evaluate
-from pixel2catch.evaluation.rounds import (
+from pixel2catch.evaluation.metrics import assess
+from pixel2catch.evaluation.protocol import (
     HOLD_TEST_STEPS,
     ROUND_STEPS,
     SHAKE_STEPS,
     TEST_STEPS,
     TRIAL_STEPS,
+    EvaluationCfg,
     RoundState,
+    evaluate,
     run_round,
     shake_action,
 )

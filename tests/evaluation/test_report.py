@@ -4,32 +4,36 @@ import json
 from pathlib import Path
 
 import pytest
+from made_up import SESSION, plan, write_study, write_training
 from PIL import Image
-from studies import SESSION, plan, write_study, write_training
 
 from pixel2catch.errors import StudyError
-from pixel2catch.evaluation.study.aggregate import object_rows, summary_rows, training_rows
-from pixel2catch.evaluation.study.plan import Run, StudyFolder
-from pixel2catch.evaluation.study.report import (
+from pixel2catch.evaluation.comparison.plan import ComparisonFolder, Run
+from pixel2catch.evaluation.comparison.report import (
     by_object_table,
     flat_csv,
-    markdown,
     quality_table,
     rates_table,
     trainings_table,
     write_report,
 )
+from pixel2catch.evaluation.comparison.summary import object_rows, summary_rows, training_rows
+from pixel2catch.evaluation.report import markdown
 
-TABLES = {"table.md", "table.csv", "table.json", "by_object.md", "by_object.csv", "trainings.csv"}
+TABLES = {f"table.{ending}" for ending in ("md", "tex", "csv", "json")} | {
+    "by_object.md",
+    "by_object.csv",
+    "trainings.csv",
+}
 PICTURES = {"curves.png", "objects.png", "throws.png"}
 
 
 @pytest.fixture
-def study(tmp_path: Path) -> StudyFolder:
+def study(tmp_path: Path) -> ComparisonFolder:
     return write_study(tmp_path)
 
 
-def test_rates_stand_beside_the_paper(study: StudyFolder):
+def test_rates_stand_beside_the_paper(study: ComparisonFolder):
     row = rates_table(list(summary_rows(study, plan())))[2]
     assert row == {
         "method": "proposed",
@@ -44,7 +48,7 @@ def test_rates_stand_beside_the_paper(study: StudyFolder):
     }
 
 
-def test_dashes_for_one_seed_and_for_what_the_paper_does_not_have(study: StudyFolder):
+def test_dashes_for_one_seed_and_for_what_the_paper_does_not_have(study: ComparisonFolder):
     for name in ("proposed", "object_position"):
         source = study.evaluation(Run(method="proposed", seed=0), "seen").read_text()
         study.evaluation(Run(method=name, seed=0), "seen").write_text(source)
@@ -53,7 +57,7 @@ def test_dashes_for_one_seed_and_for_what_the_paper_does_not_have(study: StudyFo
     assert row["S.R., paper"] == "\N{EN DASH}"
 
 
-def test_quality_has_units(study: StudyFolder):
+def test_quality_has_units(study: ComparisonFolder):
     row = quality_table(list(summary_rows(study, plan())))[0]
     assert row["trials"] == "200"
     assert row["largest joint speed [rad/s]"] == "3.00"
@@ -61,7 +65,7 @@ def test_quality_has_units(study: StudyFolder):
     assert row["deepest penetration [mm]"] == "4.0"
 
 
-def test_trainings_by_method(study: StudyFolder):
+def test_trainings_by_method(study: ComparisonFolder):
     """1 and 2 minutes: 1.5 with a sample deviation of 0.7."""
     rows = trainings_table(list(training_rows(study, plan())))
     assert [row["method"] for row in rows] == ["only_wh", "proposed"]
@@ -69,7 +73,7 @@ def test_trainings_by_method(study: StudyFolder):
     assert rows[0]["transitions of a seed"] == "300"
 
 
-def test_objects_down_methods_across(study: StudyFolder):
+def test_objects_down_methods_across(study: ComparisonFolder):
     study.evaluation(Run(method="only_wh", seed=0), "unseen").unlink()
     study.evaluation(Run(method="only_wh", seed=1), "unseen").unlink()
     table = {row["object"]: row for row in by_object_table(list(object_rows(study, plan())))}
@@ -77,20 +81,20 @@ def test_objects_down_methods_across(study: StudyFolder):
     assert table["cross"]["only_wh"] == "\N{EN DASH}"
 
 
-def test_markdown_lines_have_equal_columns(study: StudyFolder):
+def test_markdown_lines_have_equal_columns(study: ComparisonFolder):
     lines = markdown(rates_table(list(summary_rows(study, plan())))).splitlines()
     assert len(lines) == 2 + 4
     assert len({line.count("|") for line in lines}) == 1
 
 
-def test_csv_has_all_numbers_unrounded(study: StudyFolder):
+def test_csv_has_all_numbers_unrounded(study: ComparisonFolder):
     rows = list(csv.DictReader(io.StringIO(flat_csv(list(summary_rows(study, plan()))))))
     assert float(rows[2]["success_rate_mean"]) == pytest.approx(0.3, abs=1e-12)
     assert float(rows[2]["success_rate_low"]) == pytest.approx(0.24074, abs=1e-5)
     assert rows[2]["paper_success_rate_mean"] == "0.8413"
 
 
-def test_report_of_a_whole_study(study: StudyFolder):
+def test_report_of_a_whole_study(study: ComparisonFolder):
     write_report(study)
     names = {path.name for path in study.report.iterdir()}
     assert names == TABLES | PICTURES | {"curves.csv", "README.md"}
@@ -106,7 +110,7 @@ def test_report_of_a_whole_study(study: StudyFolder):
 
 
 def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
-    folder = StudyFolder(tmp_path)
+    folder = ComparisonFolder(tmp_path)
     folder.open(plan(), [SESSION])
     write_report(folder)
     names = {path.name for path in folder.report.iterdir()}
@@ -115,7 +119,7 @@ def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
 
 
 def test_curves_before_the_first_evaluation(tmp_path: Path):
-    folder = StudyFolder(tmp_path)
+    folder = ComparisonFolder(tmp_path)
     folder.open(plan(), [SESSION])
     write_training(folder, Run(method="proposed", seed=1))
     write_report(folder)
@@ -124,5 +128,5 @@ def test_curves_before_the_first_evaluation(tmp_path: Path):
 
 def test_report_of_nothing(tmp_path: Path):
     with pytest.raises(StudyError, match=r"no study\.json"):
-        write_report(StudyFolder(tmp_path))
+        write_report(ComparisonFolder(tmp_path))
     assert not list(tmp_path.iterdir())

@@ -18,11 +18,14 @@ from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError, StudyError, UnknownNameError
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.stress.axes import Setting
-from pixel2catch.evaluation.stress.cells import StressCfg, find_contestants
-from pixel2catch.evaluation.stress.measuring import run_cells, throw_rounds
-from pixel2catch.evaluation.stress.processes import in_processes
-from pixel2catch.evaluation.stress.suite import AXES, select_settings
+from pixel2catch.evaluation.stress.measuring import (
+    StressCfg,
+    find_policies,
+    in_processes,
+    measure,
+    throw_rounds,
+)
+from pixel2catch.evaluation.stress.suite import AXES, Setting, select_settings
 from pixel2catch.methods import METHODS, PROPOSED, Method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.objects import SEEN
@@ -157,7 +160,7 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pyt
     assert "not asked for" in table["reality"]["sentence"]
     before = files(tmp_path)
     cells = {f"cells/{policy}/{name}.json" for policy in table["policies"] for name in table["settings"]}
-    assert set(before) == cells | {"table.json", "table.csv", "table.md", "heatmap.png"}
+    assert set(before) == cells | {"table.json", "table.csv", "table.md", "table.tex", "heatmap.png"}
     assert json.loads(before["table.json"]) == table
     rows = list(csv.DictReader(before["table.csv"].decode().splitlines()))
     assert [(row["setting"], row["policy"], row["trials"]) for row in rows[:2]] == [
@@ -231,7 +234,7 @@ def fail(reason: str) -> None:
 @pytest.mark.parametrize(("jobs", "device"), [(0, "cpu"), (2, "cuda")])
 def test_impossible_numbers_of_jobs_are_refused(jobs: int, device: str):
     with pytest.raises(InvalidValueError, match="--jobs 1"):
-        run_cells([], StressCfg(objects=SEEN, device=device), jobs=jobs)
+        measure([], StressCfg(objects=SEEN, device=device), jobs=jobs)
 
 
 def test_a_damaged_cell_and_another_policy_are_refused(
@@ -250,8 +253,8 @@ def test_a_damaged_cell_and_another_policy_are_refused(
 
 def test_two_policies_of_one_name_are_refused(policies: list[str]):
     with pytest.raises(InvalidValueError, match="'first'"):
-        find_contestants([Path(policies[0]), Path(policies[0]) / "policy"])
+        find_policies([Path(policies[0]), Path(policies[0]) / "policy"])
 
 
 def test_shipped_policies_are_the_default():
-    assert "proposed" in {each.method for each in find_contestants([])}
+    assert "proposed" in {each.method for each in find_policies([])}

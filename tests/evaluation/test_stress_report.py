@@ -7,10 +7,16 @@ import pytest
 
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.evaluation.stress.cells import Contestant, plan_cells
-from pixel2catch.evaluation.stress.heatmap import heatmap
-from pixel2catch.evaluation.stress.order import REAL_ROBOT, compare_orders
-from pixel2catch.evaluation.stress.report import SHOWN, as_csv, as_markdown, make_table
+from pixel2catch.evaluation.stress.measuring import PolicyEntry, plan_results
+from pixel2catch.evaluation.stress.report import (
+    REAL_ROBOT,
+    SHOWN,
+    as_csv,
+    as_markdown,
+    compare_orders,
+    heatmap,
+    make_table,
+)
 from pixel2catch.evaluation.stress.suite import select_settings
 
 SURE = {method: (rate / 100 - 0.01, rate / 100 + 0.01) for method, rate in REAL_ROBOT.items()}
@@ -24,10 +30,10 @@ def rates(successes: int, trials: int = 200) -> dict[str, Any]:
 
 def table(successes: dict[str, list[int]], *axes: str, task: str = "nominal") -> dict[str, Any]:
     """Successes by method, setting by setting."""
-    contestants = [Contestant(name=f"{m}-seed0", folder=Path("."), method=m, task=task) for m in successes]
-    cells = plan_cells(contestants, select_settings(axes), Path("out"))
+    policies = [PolicyEntry(name=f"{m}-seed0", folder=Path("."), method=m, task=task) for m in successes]
+    results = plan_results(policies, select_settings(axes), Path("out"))
     rows = zip(*successes.values(), strict=True)
-    return make_table(cells, [{"metrics": rates(number)} for row in rows for number in row])
+    return make_table(results, [{"metrics": rates(number)} for row in rows for number in row])
 
 
 def test_the_same_order():

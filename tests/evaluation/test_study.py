@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from studies import SESSION, plan, write_evaluation, write_study, write_training
+from made_up import SESSION, plan, write_evaluation, write_study, write_training
 
 from pixel2catch.errors import StudyError
-from pixel2catch.evaluation.study.plan import Run, StudyFolder
+from pixel2catch.evaluation.comparison.plan import ComparisonFolder, Run
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
 
@@ -35,7 +35,7 @@ def test_methods_and_seeds_may_be_added(tmp_path: Path):
 
 
 def test_configuration_may_change_as_long_as_nothing_is_there(tmp_path: Path):
-    folder = StudyFolder(tmp_path)
+    folder = ComparisonFolder(tmp_path)
     folder.open(plan(), [])
     folder.open(plan(configuration={"training lr": 0.2}), [])
     assert folder.plan().configuration == {"training lr": 0.2}
@@ -53,7 +53,7 @@ def test_results_without_a_readable_study_are_left_alone(content: str | None, tm
 
 @pytest.mark.parametrize("content", ["", "{", json.dumps({"status": "interrupted"})])
 def test_only_a_finished_training_is_done(content: str, tmp_path: Path):
-    folder = StudyFolder(tmp_path)
+    folder = ComparisonFolder(tmp_path)
     write_training(folder, RUN)
     assert folder.is_trained(RUN)
     (folder.run(RUN) / "summary.json").write_text(content)
@@ -61,18 +61,18 @@ def test_only_a_finished_training_is_done(content: str, tmp_path: Path):
 
 
 def test_a_result_counts_for_its_own_policy_only(tmp_path: Path):
-    folder = StudyFolder(tmp_path)
+    folder = ComparisonFolder(tmp_path)
     write_training(folder, RUN)
-    assert not folder.has_result(RUN, "seen")
+    assert folder.result(RUN, "seen") is None
     write_evaluation(folder, RUN, "seen", successes=3)
-    assert folder.has_result(RUN, "seen")
+    assert folder.result(RUN, "seen") is not None
     torch.manual_seed(0)
     Policy(contract_of(PROPOSED, "left"), hidden=(4,)).save(folder.run(RUN) / "policy")
-    assert not folder.has_result(RUN, "seen")
+    assert folder.result(RUN, "seen") is None
 
 
 def test_a_run_without_a_checkpoint_starts_anew(tmp_path: Path):
-    folder = StudyFolder(tmp_path)
+    folder = ComparisonFolder(tmp_path)
     write_training(folder, RUN)
     other = replace(RUN, seed=1)
     write_training(folder, other)

@@ -2,7 +2,7 @@ import numpy as np
 import torch
 from pixel2catch.robot.kinematics import palm_pose
 
-from pixel2catch.evaluation.study.throw_figure import arm_points, sample_paths
+from pixel2catch.evaluation.comparison.figures import arm_points, sample_paths
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, ROBOT_BASE_POS
 

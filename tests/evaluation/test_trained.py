@@ -7,8 +7,7 @@ import pytest
 
 from pixel2catch.envs.cfg import CatchEnvCfg, TaskVariant
 from pixel2catch.envs.tasks import TASKS
-from pixel2catch.evaluation.stress.axes import Change, part, together
-from pixel2catch.evaluation.stress.suite import select_settings
+from pixel2catch.evaluation.stress.suite import Change, part, select_settings, together
 from pixel2catch.evaluation.stress.trained import is_trained_on
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robot.constants import JOINTS

@@ -12,8 +12,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.evaluation.rendering import VideoWriter
 from pixel2catch.perception.segmenter import Image
+from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.robot.constants import RGB_CAMERA
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

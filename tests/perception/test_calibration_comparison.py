@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import NO_POSE_ERROR, CameraFile
-from pixel2catch.evaluation.study.throw_figure import sample_paths
+from pixel2catch.evaluation.comparison.figures import sample_paths
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.perception.calibration.comparison import Comparison, advice, compare
 from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec

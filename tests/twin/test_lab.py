@@ -11,8 +11,7 @@ import torch
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.rounds import TRIAL_STEPS
+from pixel2catch.evaluation.protocol import TRIAL_STEPS, EvaluationCfg
 from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.robot.objects import SEEN

@@ -7,7 +7,7 @@ import pytest
 
 from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.evaluation.rendering import find_gl_backend
+from pixel2catch.rendering.renderer import find_gl_backend
 
 
 def test_a_throw_is_rehearsed_and_reported(

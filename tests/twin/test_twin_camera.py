@@ -5,9 +5,8 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from pixel2catch.evaluation.rendered.camera import Moment
+from pixel2catch.rendering.camera import Exposure, Image, Moment
 from pixel2catch.twin.camera import Camera
-from pixel2catch.twin.view import Exposure, Image
 
 
 class SlowDrawing:

@@ -17,7 +17,7 @@ from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.network import make_transport
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.evaluation.rendering import find_gl_backend
+from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.twin.wires import COMMAND, STATE
 
 RATE = 0.5

@@ -12,10 +12,10 @@ from pixel2catch.deployment.clock import RealClock
 from pixel2catch.deployment.memory import Broker
 from pixel2catch.deployment.profile import Profile
 from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.rendering.camera import Exposure, Image
 from pixel2catch.robot.constants import JOINTS
 from pixel2catch.twin.camera import Camera
 from pixel2catch.twin.lab import Lab
-from pixel2catch.twin.view import Exposure, Image
 from pixel2catch.twin.wires import COMMAND, STATE, Wires
 
 PROFILE = Profile.load("ur5e_allegro_v4")

@@ -77,7 +77,8 @@ class Calibrate:
 
     def _calibrate(self) -> None:
         from pixel2catch.cli.console import say
-        from pixel2catch.evaluation.study.throw_figure import sample_paths
+        from pixel2catch.evaluation.comparison.figures import sample_paths
+        from pixel2catch.files import require_free_file
         from pixel2catch.mdp.throws import ThrowCfg
         from pixel2catch.perception.calibration.comparison import compare
         from pixel2catch.perception.calibration.extrinsics import calibrate, pose_matrix

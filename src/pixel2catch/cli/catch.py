@@ -34,8 +34,9 @@ class Catch:
         from pixel2catch.cli.console import results_console, round_reporter, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import load_policy, task_of
-        from pixel2catch.evaluation.protocol import EvaluationCfg, assess
-        from pixel2catch.evaluation.tables import quality_table, results_table
+        from pixel2catch.evaluation.metrics import assess
+        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.report import quality_table, results_table
         from pixel2catch.robot.objects import OBJECT_GROUPS
 
         prepare("cpu")
@@ -64,8 +65,9 @@ class Catch:
         """Write the video, or say in one line what is missing for it."""
         from pixel2catch.cli.console import say
         from pixel2catch.errors import DeviceUnavailableError
-        from pixel2catch.evaluation.rendering import find_gl_backend
-        from pixel2catch.evaluation.video import record_takes, write_video
+        from pixel2catch.evaluation.protocol import recorded_throws
+        from pixel2catch.rendering.renderer import find_gl_backend
+        from pixel2catch.rendering.video import write_video
 
         try:
             find_gl_backend()
@@ -73,5 +75,5 @@ class Catch:
             print(f"no video: {error}")
             return
         say(f"drawing {VIDEO_THROWS} throws ...")
-        write_video(self.video, record_takes(cfg, policy, method), cfg.task.scene, shadows=False)
+        write_video(self.video, recorded_throws(cfg, policy, method), cfg.task.scene, shadows=False)
         print(f"wrote {self.video}: {VIDEO_THROWS} throws")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.rounds import Trials
+    from pixel2catch.evaluation.protocol import Trials
 
 TABLE_WIDTH = 100
 """Width of tables where there is no terminal [characters]."""

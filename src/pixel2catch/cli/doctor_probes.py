@@ -144,7 +144,7 @@ def disk() -> str:
 def rendering() -> str:
     """OpenGL without a display."""
     from pixel2catch.errors import DeviceUnavailableError
-    from pixel2catch.evaluation.rendering import find_gl_backend
+    from pixel2catch.rendering.renderer import find_gl_backend
 
     try:
         return find_gl_backend()

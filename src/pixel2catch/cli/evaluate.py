@@ -48,7 +48,8 @@ class Evaluate:
         from pixel2catch.cli.console import round_reporter, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
-        from pixel2catch.evaluation.protocol import EvaluationCfg, assess
+        from pixel2catch.evaluation.metrics import assess
+        from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.files import write_atomically
         from pixel2catch.robot.objects import select_objects
 
@@ -78,7 +79,6 @@ class Evaluate:
             self._print_tables(method.name, result)
 
     def _source(self) -> dict[str, str | None]:
-        """What the result is of."""
         from pixel2catch.evaluation.loading import fingerprint, sha256
 
         files = {"dynamics": self.dynamics, "camera": self.camera}
@@ -91,7 +91,7 @@ class Evaluate:
     def _print_tables(self, method: str, result: "Metrics") -> None:
         """Print the metrics as tables, beside the paper's."""
         from pixel2catch.cli.console import results_console
-        from pixel2catch.evaluation.tables import objects_table, quality_table, results_table
+        from pixel2catch.evaluation.report import objects_table, quality_table, results_table
 
         console, named = results_console(), {" ".join(self.objects): result}
         console.print(results_table(named, method))

@@ -27,6 +27,7 @@ from pixel2catch.cli.track import Track
 from pixel2catch.cli.train import Train
 from pixel2catch.cli.twin import Twin
 from pixel2catch.errors import Pixel2CatchError
+from pixel2catch.own_files import import_files, take_option
 
 COMMANDS = (
     Train,
@@ -52,7 +53,8 @@ COMMANDS = (
 
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
-'pixel2catch COMMAND --help' explains a command, 'pixel2catch --version' prints the version."""
+'pixel2catch COMMAND --help' explains a command, 'pixel2catch --version' prints the version.
+'pixel2catch --import FILE.py COMMAND ...' knows the methods that a Python file of yours registers."""
 
 EXIT_ERROR = 2
 """Exit status of an error that the user can mend."""
@@ -67,12 +69,14 @@ def main(args: Sequence[str] | None = None) -> int:
     Args:
         args: Arguments; those of the process if absent.
     """
-    args = sys.argv[1:] if args is None else args
-    if list(args) == ["--version"]:
+    args = take_option(sys.argv[1:] if args is None else args)
+    if args == ["--version"]:
         print(f"pixel2catch {importlib.metadata.version('pixel2catch')}")
         return 0
     try:
-        parse(args).run()
+        command = parse(args)
+        import_files()
+        command.run()
     except (Pixel2CatchError, OSError) as error:
         if isinstance(error, BrokenPipeError):
             return 0

@@ -38,9 +38,9 @@ class Play:
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
-        from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.evaluation.rendering import find_gl_backend
-        from pixel2catch.evaluation.video import record_takes, write_video
+        from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+        from pixel2catch.rendering.renderer import find_gl_backend
+        from pixel2catch.rendering.video import write_video
         from pixel2catch.robot.objects import select_objects
 
         prepare("cpu")
@@ -52,7 +52,7 @@ class Play:
         cfg = EvaluationCfg(
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )
-        takes = record_takes(cfg, policy, method)
+        throws = recorded_throws(cfg, policy, method)
         say(f"drawing {self.throws} throws ...")
-        num_pictures = write_video(self.out, takes, task.scene, self.view)
+        num_pictures = write_video(self.out, throws, task.scene, self.view)
         print(f"wrote {self.out}: {num_pictures} pictures")

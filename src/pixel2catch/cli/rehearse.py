@@ -88,7 +88,7 @@ class Rehearse:
         """Refuse what cannot be rehearsed, before anything starts."""
         from pixel2catch.deployment.clock import RealClock
         from pixel2catch.errors import InvalidValueError
-        from pixel2catch.evaluation.rendering import find_gl_backend
+        from pixel2catch.rendering.renderer import find_gl_backend
 
         RealClock(self.clock)  # refuses what is no rate
         if self.throws < 1:

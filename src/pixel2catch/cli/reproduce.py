@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.study.jobs import Lane, Part
-    from pixel2catch.evaluation.study.plan import Plan, Run, StudyFolder
+    from pixel2catch.evaluation.comparison.jobs import Job, Slot
+    from pixel2catch.evaluation.comparison.plan import ComparisonFolder, Plan, Run
 
 METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "object_position")
 """Methods that are compared, in the order of the paper's table; the last is ours, an oracle."""
@@ -23,7 +23,7 @@ NEUTRAL = ("checkpoint_seconds", "report_seconds")
 """Fields of a training's configuration that change no result."""
 
 JOBS_ON_CUDA = 3
-"""Trainings that share a GPU. Source: ours; one alone does not fill it, see `study.gpu_sharing`."""
+"""Trainings that share a GPU. Source: ours; one alone does not fill it, see `comparison.jobs`."""
 
 TRAINING, EVALUATION = "training", "evaluation"
 
@@ -71,10 +71,10 @@ class Reproduce:
         """Do what is left to do, and write the report."""
         from pixel2catch.cli.console import say
         from pixel2catch.errors import StudyError
-        from pixel2catch.evaluation.study.plan import StudyFolder
-        from pixel2catch.evaluation.study.report import write_report
+        from pixel2catch.evaluation.comparison.plan import ComparisonFolder
+        from pixel2catch.evaluation.comparison.report import write_report
 
-        folder = StudyFolder(self.out)
+        folder = ComparisonFolder(self.out)
         failures = [] if self.report_only else self._work(folder)
         write_report(folder)
         print((folder.report / "table.md").read_text(encoding="utf-8"), end="")
@@ -84,38 +84,29 @@ class Reproduce:
                 "\n".join(failures) + "\nthe other parts were done; the same command tries these again."
             )
 
-    def _work(self, folder: "StudyFolder") -> list[str]:
-        """Train and evaluate; return what failed.
-
-        Raises:
-            KeyboardInterrupt: If it was asked to stop before everything was done.
-        """
-        from pixel2catch.cli.study_console import Board
-        from pixel2catch.evaluation.study.gpu_sharing import shared_gpus
-        from pixel2catch.evaluation.study.jobs import Runner, Status, last_lines, locked
+    def _work(self, folder: "ComparisonFolder") -> list[str]:
+        """Train and evaluate; return what failed."""
+        from pixel2catch.cli.comparison_console import ProgressTable
+        from pixel2catch.evaluation.comparison.jobs import Runner, Status, last_lines, locked, shared_gpus
         from pixel2catch.interruption import StopRequest
 
         devices = self._devices()
         training = self._training_options(devices[0])
         plan = self._plan(training)
         with locked(folder.path) as lock, shared_gpus() as shared:
-            parts = [part for run in plan.runs() for part in self._parts(folder, run, training)]
-            runner = Runner(parts, self._lanes(devices, shared), folder.logs, lock)
+            jobs = [job for run in plan.runs() for job in self._jobs(folder, run, training)]
+            runner = Runner(jobs, self._slots(devices, shared), folder.logs, lock)
             folder.open(plan, [_session()] if set(runner.status.values()) != {Status.DONE} else [])
             logs = {run.name: folder.metrics(run) for run in plan.runs()}
-            with StopRequest() as stop, Board(logs, training["transitions"]) as board:
-                runner.run(board.show, lambda: stop.is_set)
+            with StopRequest() as stop, ProgressTable(logs, training["transitions"]) as table:
+                runner.run(table.show, lambda: stop.is_set)
         if stop.is_set and set(runner.status.values()) != {Status.DONE}:
             raise KeyboardInterrupt
         failed = [name for name, status in runner.status.items() if status is Status.FAILED]
         return [f"{name} failed; {runner.log(name)} ends:\n{last_lines(runner.log(name))}" for name in failed]
 
     def _devices(self) -> tuple[str, ...]:
-        """Where to train.
-
-        Raises:
-            DeviceUnavailableError: If a CUDA device is asked for, to train or to evaluate, and absent.
-        """
+        """Where to train; CUDA devices that are asked for, to train or to evaluate, must be there."""
         import torch
 
         from pixel2catch.sim.devices import require_cuda
@@ -126,37 +117,30 @@ class Reproduce:
                 require_cuda(device)
         return devices
 
-    def _lanes(self, devices: tuple[str, ...], shared: Mapping[str, str]) -> "list[Lane]":
-        """Lanes of trainings and evaluations, in turn on every device; a CPU does one evaluation at a time.
+    def _slots(self, devices: tuple[str, ...], shared: Mapping[str, str]) -> "list[Slot]":
+        """Slots of trainings and evaluations, in turn on every device; a CPU does one evaluation at a time.
 
         Args:
             devices: Where to train.
             shared: Environment variables with which processes share a GPU.
         """
-        from pixel2catch.evaluation.study.jobs import Lane
+        from pixel2catch.evaluation.comparison.jobs import Slot
 
-        def lane(kind: str, device: str) -> Lane:
-            is_cuda = device.startswith("cuda")
-            environment = {"OMP_NUM_THREADS": "1", **shared} if is_cuda else {}
-            return Lane(kind=kind, device=device, environment=environment)
-
-        on_cuda, lanes = self.jobs_per_device or JOBS_ON_CUDA, []
+        slots = []
         on_cpu = {TRAINING: self.jobs_per_device or 1, EVALUATION: 1}
         for kind, places in ((TRAINING, devices), (EVALUATION, self.evaluation_device)):
-            numbers = {device: on_cuda if device.startswith("cuda") else on_cpu[kind] for device in places}
-            turns = [(turn, device) for device in places for turn in range(numbers[device])]
-            lanes += [lane(kind, device) for _, device in sorted(turns, key=lambda entry: entry[0])]
-        return lanes
+            for turn in range(max(JOBS_ON_CUDA, self.jobs_per_device or 1)):
+                for device in places:
+                    is_cuda = device.startswith("cuda")
+                    if turn < (self.jobs_per_device or JOBS_ON_CUDA if is_cuda else on_cpu[kind]):
+                        environment = {"OMP_NUM_THREADS": "1", **shared} if is_cuda else {}
+                        slots.append(Slot(kind=kind, device=device, environment=environment))
+        return slots
 
     def _training_options(self, device: str) -> dict[str, Any]:
         """Resolved options of all trainings: those of `pixel2catch train` that the study does not set itself.
 
-        Args:
-            device: What the default preset is for.
-
-        Raises:
-            UnknownNameError: If a training has no such option, or the study sets it itself.
-            InvalidValueError: If no training is possible with the values.
+        The default preset is that for the device.
         """
         import tyro
 
@@ -181,14 +165,9 @@ class Reproduce:
         return {name: value for name, value in asdict(cfg).items() if name not in OWN}
 
     def _plan(self, training: dict[str, Any]) -> "Plan":
-        """What is asked, with everything that changes results.
-
-        Raises:
-            UnknownNameError: If a method does not exist.
-            InvalidValueError: If there is nothing to do.
-        """
+        """What is asked, with everything that changes results."""
         from pixel2catch.errors import InvalidValueError
-        from pixel2catch.evaluation.study.plan import Plan
+        from pixel2catch.evaluation.comparison.plan import Plan
         from pixel2catch.methods import find_method
 
         for name in ("seeds", "num_envs", "trials", "jobs_per_device"):
@@ -207,10 +186,10 @@ class Reproduce:
             | {f"evaluation {n}": value for n, value in evaluation.items()},
         )
 
-    def _parts(self, folder: "StudyFolder", run: "Run", training: dict[str, Any]) -> "list[Part]":
+    def _jobs(self, folder: "ComparisonFolder", run: "Run", training: dict[str, Any]) -> "list[Job]":
         """The training of a run, and the evaluations of its policy."""
-        from pixel2catch.evaluation.study.jobs import Part
-        from pixel2catch.evaluation.study.plan import GROUPS
+        from pixel2catch.evaluation.comparison.jobs import Job
+        from pixel2catch.evaluation.comparison.plan import GROUPS
 
         def train(device: str) -> list[str]:
             options = training | {"seed": run.seed, "device": device, "out": folder.run(run)}
@@ -226,14 +205,17 @@ class Reproduce:
             }
             return [*PROGRAM, "evaluate", str(folder.run(run)), *_options(options)]
 
+        def is_evaluated(group: str) -> bool:
+            return folder.result(run, group) is not None
+
         return [
-            Part(name=run.name, kind=TRAINING, command=train, is_done=lambda: folder.is_trained(run)),
+            Job(name=run.name, kind=TRAINING, command=train, is_done=lambda: folder.is_trained(run)),
             *(
-                Part(
+                Job(
                     name=f"{run.name}-{group}",
                     kind=EVALUATION,
                     command=partial(evaluate, group),
-                    is_done=partial(folder.has_result, run, group),
+                    is_done=partial(is_evaluated, group),
                     after=(run.name,),
                 )
                 for group in GROUPS
@@ -242,7 +224,6 @@ class Reproduce:
 
 
 def _session() -> dict[str, Any]:
-    """When, how and where this process works."""
     from pixel2catch.circumstances import circumstances
 
     session = circumstances()
@@ -250,7 +231,6 @@ def _session() -> dict[str, Any]:
 
 
 def _options(options: Mapping[str, Any]) -> list[str]:
-    """The options as arguments of a command."""
     args: list[str] = []
     for name, value in options.items():
         values = value if isinstance(value, tuple | list) else [value]

@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
-    from pixel2catch.evaluation.stress.cells import Cell
+    from pixel2catch.evaluation.stress.measuring import Result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +46,7 @@ class Stress:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.stress.cells import StressCfg, find_contestants, plan_cells
-        from pixel2catch.evaluation.stress.measuring import run_cells
+        from pixel2catch.evaluation.stress.measuring import StressCfg, find_policies, measure, plan_results
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.robot.objects import select_objects
@@ -62,13 +61,13 @@ class Stress:
             physics_hz=self.physics_hz,
         )
         prepare(self.device)
-        cells = plan_cells(find_contestants(self.policies), settings, self.out)
+        results = plan_results(find_policies(self.policies), settings, self.out)
 
-        def report(number: int, cell: "Cell", metrics: "Metrics") -> None:
-            name, rate = f"{cell.contestant.name}, {cell.setting.title}", 100 * metrics["success_rate"]
-            say(f"{number} of {len(cells)}: {name}: success rate {rate:.1f} %")
+        def report(number: int, result: "Result", metrics: "Metrics") -> None:
+            name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
+            say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
 
-        table = make_table(cells, run_cells(cells, cfg, report, self.jobs))
+        table = make_table(results, measure(results, cfg, report, self.jobs))
         write_report(self.out, table)
         print(json.dumps(table, indent=2) if self.json else as_markdown(table), end="\n" if self.json else "")
-        say(f"wrote {self.out}: table.md, table.csv, table.json, heatmap.png")
+        say(f"wrote {self.out}: table.md, table.tex, table.csv, table.json, heatmap.png")

@@ -116,9 +116,9 @@ class Track:
     def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
         """Write a picture and a row for every sighting."""
         from pixel2catch.cli.console import say
-        from pixel2catch.evaluation.rendering import VideoWriter
         from pixel2catch.perception.annotate import Annotator
         from pixel2catch.perception.tracking import COLUMNS
+        from pixel2catch.rendering.video import VideoWriter
 
         annotator = Annotator(camera)
         self.out.mkdir(parents=True, exist_ok=True)

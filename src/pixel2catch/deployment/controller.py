@@ -15,8 +15,9 @@ from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.observations import Frame, pixel_columns
 from pixel2catch.mdp.snapshot import History, Measurement
-from pixel2catch.methods import Method, find_method
+from pixel2catch.methods import Method
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.policy.own_methods import method_of
 from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.kinematics import palm_pose
 
@@ -49,7 +50,7 @@ class Controller:
             PolicyMismatchError: It was trained for another robot, hand or camera, or needs what no camera
                 sees.
         """
-        self.method = find_method(policy.contract.method)
+        self.method = method_of(policy.contract)
         policy.contract.require(contract_of(self.method, handedness, camera))
         self._policy = policy
         self._action_map = ActionMap.of(COMMANDS, torch.device("cpu"))

@@ -1,1 +1,1 @@
-"""Protocol, metrics, tables and pictures of policies; `study` compares methods, `stress` disturbs them."""
+"""How often policies catch: protocol, metrics, report; `comparison` of methods, `stress` by disturbances."""

@@ -10,8 +10,9 @@ from typing import Any, cast
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import PolicyMismatchError
-from pixel2catch.methods import Method, find_method
+from pixel2catch.methods import Method
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.policy.own_methods import method_of
 from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.robot.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
@@ -52,12 +53,12 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
         device: Device of the networks.
 
     Raises:
-        PolicyMismatchError: If there is no policy, or it is of another robot, image size, method or format.
-        UnknownNameError: If its method does not exist.
+        PolicyMismatchError: If there is no policy, or it is of another robot, image size or format, or of a
+            method that neither this package nor its contract defines.
     """
     policy = Policy.load(policy_folder(folder), device)
     workcell = find_workcell(policy.contract.workcell)
-    method = find_method(policy.contract.method, workcell)
+    method = method_of(policy.contract)
     expected, found = contract_of(method, workcell), policy.contract.camera
     size = {name: expected.camera[name] for name in ("width", "height")}
     camera = {name: found.get(name, value) for name, value in expected.camera.items()} | size
@@ -66,23 +67,12 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
 
 
 def fingerprint(folder: Path | None) -> str:
-    """SHA-256 of a policy's networks, to tell of which policy a result is.
-
-    Args:
-        folder: As for `load_policy`.
-
-    Raises:
-        OSError: If there is no policy.
-    """
+    """SHA-256 of the networks of the policy that `load_policy` reads, to tell of which policy a result is."""
     return sha256(policy_folder(folder) / "policy.safetensors")
 
 
 def sha256(file: Path) -> str:
-    """SHA-256 of a file.
-
-    Raises:
-        OSError: If it cannot be read.
-    """
+    """SHA-256 of a file."""
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
@@ -118,15 +108,11 @@ def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
 
 
 def _camera_of(policy: Policy) -> CameraSpec:
-    """The camera that a policy was trained for."""
     return CameraSpec(**cast(dict[str, Any], policy.contract.camera))
 
 
 def policy_folder(folder: Path | None) -> Path:
-    """The policy's own folder.
-
-    Args:
-        folder: As for `load_policy`.
+    """The own folder of the policy that `load_policy` reads.
 
     Raises:
         PolicyMismatchError: If there is none.

@@ -1,21 +1,22 @@
 """What a set of trials amounts to: rates with their intervals, failure modes, contact quality."""
 
-from collections.abc import Sequence
-from math import isfinite, sqrt
+import time
+from collections.abc import Callable, Sequence
+from math import isfinite
 from statistics import median
 from typing import Any
 
 import torch
 from jaxtyping import Bool
+from scipy.stats import binomtest
 from torch import Tensor
 
 from pixel2catch.envs.episodes import FAILURES, EpisodeRecord, failure
 from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
-from pixel2catch.evaluation.rounds import Trials
-
-NORMAL_QUANTILE = 1.959964
-"""97.5 % quantile of the normal distribution: both tails together make 95 %."""
+from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
+from pixel2catch.methods import Method
+from pixel2catch.robot.objects import OBJECTS
 
 Metrics = dict[str, Any]
 
@@ -27,13 +28,36 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
         successes: How often it happened.
         trials: Out of how many; positive.
     """
-    rate, z2 = successes / trials, NORMAL_QUANTILE**2
-    center = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = NORMAL_QUANTILE * sqrt(rate * (1 - rate) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
-    return max(0.0, center - half), min(1.0, center + half)
+    low, high = binomtest(successes, trials).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
-def metrics(trials: Trials, object_names: Sequence[str]) -> Metrics:
+def pooled_counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
+    """How often what a rate counts happened in how many trials, over several metrics."""
+    trials = sum(each["trials"] for each in rates)
+    return sum(round(each[name] * each["trials"]) for each in rates), trials
+
+
+def assess(
+    actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
+) -> Metrics:
+    """Evaluate a policy and return its metrics, with how they were obtained; arguments as of `evaluate`."""
+    started = time.perf_counter()
+    trials = evaluate(actor, method, cfg, on_round)
+    return {
+        "method": method.name,
+        "objects_thrown": list(cfg.objects),
+        "num_envs": cfg.num_envs,
+        "rounds": cfg.trials,
+        "seed": cfg.seed,
+        "device": cfg.device,
+        "physics_hz": cfg.task.scene.physics_hz,
+        **metrics(trials),
+        "seconds": time.perf_counter() - started,
+    }
+
+
+def metrics(trials: Trials, object_names: Sequence[str] = tuple(OBJECTS)) -> Metrics:
     """Metrics of all trials by name, and the rates of each object under `objects`.
 
     Args:
@@ -77,7 +101,6 @@ def _rates(trials: Trials, rows: Bool[Tensor, " num_trials"]) -> Metrics:
 
 
 def _maxima(record: EpisodeRecord) -> dict[str, float]:
-    """Extremes over all physics steps of all trials."""
     maxima = {name: float(getattr(record, name).max()) for name in MAXIMA}
     for name, value in maxima.items():
         if not isfinite(value):

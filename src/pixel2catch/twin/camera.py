@@ -8,10 +8,10 @@ from multiprocessing import get_context
 
 import torch
 
-from pixel2catch.evaluation.rendering import find_gl_backend
+from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
+from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.robot.scene import SceneCfg
 from pixel2catch.twin.children import SECOND, obey_parent
-from pixel2catch.twin.view import Exposure, Image, RoomView
 
 LATENCY = 0.015
 """Time from the middle of the exposure to the image on the wire [s].
@@ -91,14 +91,14 @@ def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure],
         yield lambda exposure: process.submit(_draw, exposure)
 
 
-_VIEWS: list[RoomView] = []
+_VIEWS: list[RoomCamera] = []
 """The view of a process that draws."""
 
 
 def _open(scene: SceneCfg, seed: int) -> None:
     obey_parent(SECOND)
     torch.set_num_threads(1)
-    _VIEWS.append(RoomView(scene, seed))
+    _VIEWS.append(RoomCamera(scene, seed))
 
 
 def _is_open() -> bool:

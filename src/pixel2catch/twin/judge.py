@@ -7,7 +7,7 @@ import torch
 from pixel2catch.envs.draws import Episode
 from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.physics_log import PhysicsLog
-from pixel2catch.evaluation.rounds import TRIAL_STEPS
+from pixel2catch.evaluation.protocol import TRIAL_STEPS
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_near
 

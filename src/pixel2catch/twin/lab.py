@@ -16,15 +16,14 @@ from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import DeploymentError
-from pixel2catch.evaluation.rendered.bystanders import Bystanders
-from pixel2catch.evaluation.rendered.camera import OBJECT, ROBOT, Moment
 from pixel2catch.mdp.sensing import detect
+from pixel2catch.rendering.camera import OBJECT, ROBOT, Exposure, Moment
+from pixel2catch.rendering.room import Bystanders
 from pixel2catch.robot.constants import CameraSpec
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.twin.drivers import Motion
 from pixel2catch.twin.judge import Judge
 from pixel2catch.twin.thrower import Thrower
-from pixel2catch.twin.view import Exposure
 
 EMPTY_TIME = 0.5
 """How long the room is empty between two throws [s]: what lay there is taken away. Source: ours."""

@@ -20,12 +20,12 @@ from pixel2catch.deployment.stepwise import Nodes, PerceptionTime, StepClock, St
 from pixel2catch.deployment.tape import Tape
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.segmenter import Image
+from pixel2catch.rendering.camera import Exposure
 from pixel2catch.twin.camera import Camera
 from pixel2catch.twin.drivers import CYCLE
 from pixel2catch.twin.lab import Lab
 from pixel2catch.twin.operator import Operator
 from pixel2catch.twin.running import PROFILE
-from pixel2catch.twin.view import Exposure
 from pixel2catch.twin.wires import Wires
 
 HOP = 0.0005

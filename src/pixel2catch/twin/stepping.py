@@ -19,10 +19,10 @@ from pixel2catch.perception.prompt import MotionPrompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image, Segmenter
 from pixel2catch.policy import Policy
+from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.twin.lab import Lab
 from pixel2catch.twin.lockstep import PERCEPTION_TIME, Draw, Lockstep, LockstepCfg
 from pixel2catch.twin.trials import Outcome, of_twin, rates, run_trial
-from pixel2catch.twin.view import Exposure, RoomView
 
 GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))
 """Colours of plain images."""
@@ -110,7 +110,7 @@ def in_step(cfg: SteppingCfg, policy: Policy) -> Iterator[Lockstep]:
 def _rendered(cfg: SteppingCfg, policy: Policy, stack: ExitStack) -> tuple[Draw, Brain]:
     """What `pixel2catch twin` shows, and what `pixel2catch deploy` sees in it."""
     scene = cfg.task.scene
-    view = stack.enter_context(RoomView(scene, cfg.seed))
+    view = stack.enter_context(RoomCamera(scene, cfg.seed))
     robot = make_robot_mask(scene.camera, scene.handedness)
     return lambda _, exposure: view.image(exposure), _brain(cfg, policy, BackgroundSubtraction(), robot)
 

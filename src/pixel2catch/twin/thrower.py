@@ -6,9 +6,9 @@ from math import inf
 import numpy as np
 from jaxtyping import Float
 
-from pixel2catch.evaluation.rendered.bystanders import JOINTS, Bystanders
+from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
 
-ARM = JOINTS.index("thrower_arm")
+ARM = BYSTANDER_JOINTS.index("thrower_arm")
 
 
 @dataclass(frozen=True, kw_only=True)

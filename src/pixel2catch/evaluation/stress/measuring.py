@@ -1,71 +1,175 @@
-"""Measuring the cells of the stress suite: the same throws for all, in one process or in several.
+"""Measuring the results of the stress suite: the same throws for all, in one process or in several.
 
-A cell is written all at once. Cells that are there are not computed again; cells that were obtained otherwise
-are refused before anything is computed, and never overwritten. No cell depends on the number of processes: it
-has seeds of its own, and the physics is the same on any number of threads.
+A result is written all at once. Results that are there are not computed again; results that were obtained
+otherwise are refused before anything is computed, and never overwritten. None depends on the number of
+processes: it has seeds of its own, and the physics is the same on any number of threads.
+
+OUT/cells/POLICY/SETTING.json    metrics of a policy under a setting, and how they were obtained
 """
 
-import dataclasses
 import json
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass, replace
+from itertools import starmap
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from threading import Thread
+from typing import Any, TypeVar
 
 from pixel2catch.errors import InvalidValueError, StudyError
-from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
+from pixel2catch.evaluation.loading import fingerprint, load_policy, shipped_policies, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
-from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.rounds import Actor, Trials, run_round
-from pixel2catch.evaluation.stress.cells import Cell, Json, StressCfg
-from pixel2catch.evaluation.stress.processes import in_processes
+from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_rounds
+from pixel2catch.evaluation.report import differences
+from pixel2catch.evaluation.stress.suite import Setting
 from pixel2catch.files import plain, write_atomically
-from pixel2catch.methods import Method
+from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
-from pixel2catch.robot.objects import OBJECTS
+
+Json = dict[str, Any]
+Returned = TypeVar("Returned")
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What libraries read, as they are loaded, for the number of their threads."""
 
 
-def run_cells(
-    cells: Sequence[Cell],
+@dataclass(frozen=True, kw_only=True)
+class StressCfg:
+    """How each result is obtained.
+
+    Attributes:
+        objects: Names of the objects; each throw draws one.
+        num_envs: Throws in a round.
+        trials: Rounds.
+        seed: Seed of the first round; the next round has the next one.
+        device: "cpu" or a CUDA device.
+        physics_hz: Physics steps in a second.
+    """
+
+    objects: tuple[str, ...]
+    num_envs: int = 100
+    trials: int = 2
+    seed: int = 0
+    device: str = "cpu"
+    physics_hz: float = 600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyEntry:
+    """A policy of the suite.
+
+    Attributes:
+        name: Its name in tables and folders.
+        folder: Where it is.
+        method: Name of the method that it was trained with.
+        task: Name of the task that it was trained for.
+    """
+
+    name: str
+    folder: Path
+    method: str
+    task: str = "nominal"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A policy under a setting, and the file of its metrics."""
+
+    policy: PolicyEntry
+    setting: Setting
+    file: Path
+
+    def read(self) -> Json | None:
+        """Its metrics, if they are there.
+
+        Raises:
+            StudyError: If the file is damaged.
+        """
+        try:
+            return json.loads(self.file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except ValueError as error:
+            raise StudyError(f"'{self.file}' is damaged ({error}); delete it.") from error
+
+
+def find_policies(folders: Sequence[Path]) -> tuple[PolicyEntry, ...]:
+    """The policies in these folders, or all that are shipped if there are none.
+
+    Raises:
+        PolicyMismatchError: If a policy does not fit this code, or none is shipped.
+        InvalidValueError: If two have the same name.
+    """
+    found = [_entry(folder) for folder in folders or shipped_policies().values()]
+    if not folders:
+        found.sort(key=lambda each: (list(METHODS).index(each.method.partition("+")[0]), each.name))
+    names = [each.name for each in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise InvalidValueError(f"two policies are called '{name}'; rename one of their folders.")
+    return tuple(found)
+
+
+def plan_results(
+    policies: Sequence[PolicyEntry], settings: Sequence[Setting], out: Path
+) -> tuple[Result, ...]:
+    """All results, setting by setting."""
+    return tuple(
+        Result(policy=policy, setting=setting, file=out / "cells" / policy.name / f"{setting.name}.json")
+        for setting in settings
+        for policy in policies
+    )
+
+
+def measure(
+    results: Sequence[Result],
     cfg: StressCfg,
-    on_cell: Callable[[int, Cell, Metrics], None] = lambda *_: None,
+    on_result: Callable[[int, Result, Metrics], None] = lambda *_: None,
     jobs: int = 1,
 ) -> tuple[Json, ...]:
-    """Compute the cells that are not there, and return all.
+    """Compute the results that are not there, and return all.
 
     Args:
-        cells: The cells.
+        results: The results.
         cfg: How they are obtained.
-        on_cell: Called with number, cell and metrics of every cell that was computed, as soon as it was.
-        jobs: Cells that are computed at once, each in a process of its own; only on the CPU more than one.
+        on_result: Called with number, result and metrics of every one that was computed, as soon as it was.
+        jobs: Results that are computed at once, each in a process of its own; only on the CPU more than one.
 
     Raises:
         InvalidValueError: If there can not be so many.
-        StudyError: If a cell was obtained otherwise, nothing was computed then; or if a process was ended.
+        StudyError: If a result was obtained otherwise, nothing was computed then; or if a process was ended.
     """
     if jobs < 1 or (jobs > 1 and cfg.device != "cpu"):
         raise InvalidValueError(
             f"{jobs} jobs were asked for on '{cfg.device}'; give --jobs 1, or more with --device cpu"
         )
-    origins = [_origin(cell, cfg) for cell in cells]
-    for cell, origin in zip(cells, origins, strict=True):
-        _require_same(cell, origin)
-    results = [cell.read() for cell in cells]
-    missing = [number for number, result in enumerate(results) if result is None]
-    for number, found in _measured([cells[number] for number in missing], cfg, jobs):
-        number = missing[number]
-        cell, result = cells[number], origins[number] | {"metrics": found}
-        cell.file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically({cell.file: (json.dumps(result, indent=2) + "\n").encode()})
-        results[number] = result
-        on_cell(number + 1, cell, found)
-    return tuple(result for result in results if result is not None)
+    origins = [_origin(each, cfg) for each in results]
+    for each, origin in zip(results, origins, strict=True):
+        _require_same(each, origin)
+    contents = [each.read() for each in results]
+    missing = [number for number, content in enumerate(contents) if content is None]
+    jobs = min(jobs, len(missing))
+    calls = [(results[number], cfg, jobs <= 1) for number in missing]
+    measured = in_processes(jobs, _measure, calls) if jobs > 1 else enumerate(starmap(_measure, calls))
+    for index, found in measured:
+        number = missing[index]
+        each, content = results[number], origins[number] | {"metrics": found}
+        each.file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically({each.file: (json.dumps(content, indent=2) + "\n").encode()})
+        contents[number] = content
+        on_result(number + 1, each, found)
+    return tuple(content for content in contents if content is not None)
 
 
 def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
     """Evaluate a policy, each round with a seed of its own: then all policies get the same throws.
 
-    Rounds end when every hold is decided, so that without this the throws of the second would depend on the
-    policy. What a setting disturbs is drawn after the throws, so that they are those of the nominal setting.
+    What a setting disturbs is drawn after the throws, so that they are those of the nominal setting.
 
     Args:
         actor: The policy.
@@ -75,28 +179,11 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     """
     with nullcontext() if is_alone else _one_processor():
         env = cfg.make_env(method)
-    rounds = []
-    try:
-        for number in range(cfg.trials):
-            env.seed(cfg.seed + number)
-            rounds.append(run_round(env, actor))
-    finally:
-        env.close()
-    return Trials.concatenate(rounds)
+    return play_rounds(env, actor, cfg.trials, seed=cfg.seed)
 
 
-def _measured(cells: Sequence[Cell], cfg: StressCfg, jobs: int) -> Iterator[tuple[int, Metrics]]:
-    """Numbers and metrics of cells as they come."""
-    if jobs > 1 and len(cells) > 1:
-        yield from in_processes(jobs, _measure, [(cell, cfg, False) for cell in cells])
-    else:
-        yield from ((number, _measure(cell, cfg)) for number, cell in enumerate(cells))
-
-
-def _measure(cell: Cell, cfg: StressCfg, is_alone: bool = True) -> Metrics:
-    """Metrics of a cell."""
-    trials = throw_rounds(*_evaluation(cell, cfg, cfg.device), is_alone=is_alone)
-    return metrics(trials, tuple(OBJECTS))
+def _measure(result: Result, cfg: StressCfg, is_alone: bool) -> Metrics:
+    return metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=is_alone))
 
 
 @contextmanager
@@ -110,53 +197,108 @@ def _one_processor() -> Iterator[None]:
         os.sched_setaffinity(0, processors)
 
 
-def _evaluation(cell: Cell, cfg: StressCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
-    """The policy and what is thrown at it."""
-    policy, method = load_policy(cell.contestant.folder, device)
-    return (
-        policy,
-        method,
-        EvaluationCfg(
-            objects=cfg.objects,
-            num_envs=cfg.num_envs,
-            trials=cfg.trials,
-            seed=cfg.seed,
-            device=device,
-            task=cell.setting.level.change(task_of(policy, cfg.physics_hz)),
-        ),
+def _entry(folder: Path) -> PolicyEntry:
+    """The policy in a folder or in the run folder around it; it is called as the folder of the run."""
+    policy, method = load_policy(folder)
+    resolved = folder.resolve()
+    name = resolved.parent.name if resolved.name == "policy" else resolved.name
+    return PolicyEntry(name=name, folder=folder, method=method.name, task=policy.contract.task)
+
+
+def _evaluation(result: Result, cfg: StressCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
+    policy, method = load_policy(result.policy.folder, device)
+    evaluation = EvaluationCfg(
+        objects=cfg.objects,
+        num_envs=cfg.num_envs,
+        trials=cfg.trials,
+        seed=cfg.seed,
+        device=device,
+        task=result.setting.level.change(task_of(policy, cfg.physics_hz)),
     )
+    return policy, method, evaluation
 
 
-def _origin(cell: Cell, cfg: StressCfg) -> Json:
-    """Everything that decides a cell's metrics, as JSON."""
-    _, method, evaluation = _evaluation(cell, cfg, "cpu")
-    evaluation = dataclasses.replace(evaluation, device=cfg.device)
+def _origin(result: Result, cfg: StressCfg) -> Json:
+    """Everything that decides a result's metrics, as JSON."""
+    _, method, evaluation = _evaluation(result, cfg, "cpu")
+    evaluation = replace(evaluation, device=cfg.device)
     return {
-        "policy": cell.contestant.name,
+        "policy": result.policy.name,
         "method": method.name,
-        "policy_sha256": fingerprint(cell.contestant.folder),
-        "setting": cell.setting.name,
-        "evaluation": json.loads(json.dumps(dataclasses.asdict(evaluation), default=plain)),
+        "policy_sha256": fingerprint(result.policy.folder),
+        "setting": result.setting.name,
+        "evaluation": json.loads(json.dumps(asdict(evaluation), default=plain)),
     }
 
 
-def _require_same(cell: Cell, origin: Json) -> None:
-    """See that a cell that is there was obtained as it would be now.
-
-    Raises:
-        StudyError: With the fields that differ.
-    """
-    found = cell.read()
+def _require_same(result: Result, origin: Json) -> None:
+    """Refuse a result that is there and was obtained otherwise than it would be now."""
+    found = result.read()
     if found is None:
         return
-    before, now = dict(leaves(found | {"metrics": None})), dict(leaves(origin | {"metrics": None}))
-    changes = [
-        f"{name}: {before.get(name)} there, {now.get(name)} now"
-        for name in sorted({*before, *now})
-        if before.get(name) != now.get(name)
-    ]
-    if changes:
+    before, now = (dict(leaves(each | {"metrics": None})) for each in (found, origin))
+    if changes := differences(before, now, "there"):
         raise StudyError(
-            f"'{cell.file}' was obtained otherwise ({'; '.join(changes)}); give the values that it has, or "
+            f"'{result.file}' was obtained otherwise ({changes}); give the values that it has, or "
             "name another folder with --out."
         )
+
+
+def in_processes(
+    jobs: int, function: Callable[..., Returned], calls: Sequence[tuple[Any, ...]]
+) -> Iterator[tuple[int, Returned]]:
+    """Yield number and returned value of every call as soon as it is done.
+
+    The processes are new ones of one thread each, and end with this one or with the first error.
+
+    Args:
+        jobs: Most processes.
+        function: What is called: a function of a module.
+        calls: Its arguments.
+
+    Raises:
+        StudyError: If a process was ended from outside.
+    """
+    context = get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin)
+    try:
+        with _one_thread_each():
+            numbers = {pool.submit(function, *call): number for number, call in enumerate(calls)}
+        for future in as_completed(numbers):
+            yield numbers[future], future.result()
+    except BrokenProcessPool as error:
+        raise StudyError(
+            f"one of {jobs} processes was ended from outside; if memory was short, give fewer --jobs. What "
+            "was finished is kept: the same command goes on from there."
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _begin() -> None:
+    import torch
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a word of its own
+    torch.set_num_threads(1)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.stress.axes import Change
+from pixel2catch.evaluation.stress.suite import Change
 
 PARTS = ("scene", "throws", "randomization", "sensing", "shake")
 """Parts of a task that are compared; a setting that changes anything else is not trained on."""
@@ -106,7 +106,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_amount(value: Any) -> bool:
-    """Whether it is a number or a range of numbers."""
     is_range = isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
     return _is_number(value) or is_range
 

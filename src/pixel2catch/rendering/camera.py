@@ -1,0 +1,237 @@
+"""A camera in the furnished room, with an exposure time and a noisy sensor."""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import ceil
+
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+
+from pixel2catch.camera.pinhole import project
+from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer
+from pixel2catch.rendering.room import build_room
+from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
+from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.robot.object_table import GEOM_FIELDS, object_indices, object_table
+from pixel2catch.robot.scene import SceneCfg
+
+ARM, ROBOT = slice(len(ARM_JOINTS)), slice(len(JOINTS))
+OBJECT = slice(len(JOINTS), len(JOINTS) + 3)
+"""Where the arm, the robot and the object's position or linear velocity are in `qpos` and `qvel`."""
+
+UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
+
+SURROUNDINGS = ("world", "floor")
+"""Bodies that nothing can hide behind but the sky: walls, posters, floor, and the table's pedestal."""
+
+AWAY = (-9.0, 0.0, 1.0)
+"""Where an object is that is not in the room: behind the camera [m]."""
+
+COARSE = (16, 8)
+"""Slices and stacks of round geoms; MuJoCo's own 28 and 16 take half as long again."""
+
+NOISE_LENGTH = 1 << 21
+"""Numbers in the stock of noise; every image begins somewhere else in it."""
+
+Image = UInt8[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraCfg:
+    """What the camera does to an image.
+
+    Attributes:
+        exposure: Time in which an image gathers light [s]. Source: ours, short for a room, as one sets it to
+            film throws; the fastest objects pass 15 px in it.
+        part_length: Furthest that object and palm move between two of the pictures that are averaged over the
+            exposure [px]. Source: ours, less than half an object.
+        read_noise: Standard deviation of the noise in the dark [levels]. Source: ours.
+        shot_noise: Variance that light adds [levels²] per level. Source: ours; with the other 3 levels at
+            mid grey.
+    """
+
+    exposure: float = 0.008
+    part_length: float = 4.0
+    read_noise: float = 1.5
+    shot_noise: float = 0.05
+
+
+FAST_CAMERA = CameraCfg(part_length=8.0)
+"""The camera, with fewer pictures in an exposure: two of the fastest objects."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """What the camera looks at, in the middle of the exposure.
+
+    Attributes:
+        qpos: Positions of the simulation: robot, then object.
+        qvel: Its velocities, taken as constant during the exposure.
+        time: Time [s], of the clock by which the bystanders move.
+    """
+
+    qpos: Float[np.ndarray, " nq"]
+    qvel: Float[np.ndarray, " nv"]
+    time: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposure:
+    """What there is to see.
+
+    Attributes:
+        moment: The middle of the exposure.
+        object_name: What the thrower has, or has thrown; none in an empty room.
+        thrower: Positions of the bystanders' joints at a time [s].
+    """
+
+    moment: Moment
+    object_name: str | None
+    thrower: Callable[[float], Float[np.ndarray, "6"]]
+
+
+class RoomCamera:
+    """Takes images in a room; close it, or use it as a context manager, in the thread that made it.
+
+    Without shadows it draws 30 images a second on a share of one core: what never moves is drawn once, and in
+    every image only robot, thrower, object and table are drawn over it. Shadows cost three times as much as
+    everything else without a GPU, and fall on what does not move.
+    """
+
+    def __init__(
+        self,
+        scene: SceneCfg,
+        seed: int,
+        cfg: CameraCfg = FAST_CAMERA,
+        *,
+        room: int | None = None,
+        shadows: bool = False,
+    ) -> None:
+        """Furnish the room and draw what stays.
+
+        Args:
+            scene: The scene of the simulation.
+            seed: Of the sensor's noise.
+            cfg: Exposure and noise of the camera.
+            room: Seed of the room's looks; that of the noise if absent.
+            shadows: Whether there are shadows.
+
+        Raises:
+            DeviceUnavailableError: If no OpenGL back end works.
+        """
+        self._cfg, self._objects = cfg, object_table(scene)
+        self._rng = np.random.default_rng(seed)
+        self._noise = self._rng.standard_normal(NOISE_LENGTH, dtype=np.float32)
+        self._room = build_room(scene, self._objects.names[0], seed if room is None else room)
+        self._geoms = object_indices(self._room).geoms
+        self._room.geom_sameframe[self._geoms] = 0  # as in the scene, so that objects can be exchanged
+        self._background = None
+        if shadows:
+            self._renderer = Renderer(self._room)
+            return
+        self._room.vis.quality.numslices, self._room.vis.quality.numstacks = COARSE
+        fixed = [self._room.body(name).id for name in SURROUNDINGS]
+        is_fixed = np.isin(self._room.geom_bodyid, fixed)
+        with Renderer(_without(self._room, ~is_fixed), shadows=False) as renderer:
+            self._background = renderer.image(self._room.qpos0).reshape(-1, 3)
+        self._renderer = Renderer(_without(self._room, is_fixed), shadows=False, sky=False)
+
+    def image(self, exposure: Exposure) -> Image:
+        """The image, with motion blur and noise."""
+        moment = self._shown(exposure)
+        times = part_times(moment, self._cfg).tolist()
+        positions = [room_positions(self._room, moment, time, exposure.thrower) for time in times]
+        pictures = (self._renderer.image(qpos) for qpos in positions)
+        if self._background is None:
+            light = np.mean(list(pictures), axis=0, dtype=np.float32).reshape(-1, 3)
+        else:
+            light = self._background.astype(np.float32)
+            for picture in pictures:
+                shown = np.flatnonzero(picture[..., 0] | picture[..., 1] | picture[..., 2])
+                change = picture.reshape(-1, 3)[shown] - self._background[shown].astype(np.float32)
+                light[shown] += change / len(times)
+        return self._sensed(light).reshape(RGB_CAMERA.height, RGB_CAMERA.width, 3)
+
+    def object_mask(self, exposure: Exposure) -> Bool[np.ndarray, "height width"]:
+        """Which pixels show the object in the middle of the exposure."""
+        moment = self._shown(exposure)
+        return self._renderer.object_mask(room_positions(self._room, moment, 0.0, exposure.thrower))
+
+    def close(self) -> None:
+        """Free the drawing context."""
+        self._renderer.close()
+
+    def __enter__(self) -> "RoomCamera":
+        """Return the camera itself."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close it."""
+        self.close()
+
+    def _shown(self, exposure: Exposure) -> Moment:
+        """Let the object look like the one that is there, or be away."""
+        if exposure.object_name is None:
+            return _without_object(exposure.moment)
+        row, model = self._objects.names.index(exposure.object_name), self._renderer.model
+        for name in GEOM_FIELDS:
+            getattr(model, name)[self._geoms] = self._objects.fields[name][row]
+        return exposure.moment
+
+    def _sensed(self, light: Float[np.ndarray, "num_pixels 3"]) -> UInt8[np.ndarray, "num_pixels 3"]:
+        start = self._rng.integers(NOISE_LENGTH - light.size)
+        deviation = np.sqrt(self._cfg.read_noise**2 + self._cfg.shot_noise * light)
+        deviation *= self._noise[start : start + light.size].reshape(light.shape)
+        light += deviation
+        return np.clip(np.rint(light, out=light), 0.0, 255.0, out=light).astype(np.uint8)
+
+
+def part_times(moment: Moment, cfg: CameraCfg) -> Float[np.ndarray, " num_parts"]:
+    """When the pictures are taken that are averaged over an exposure, from its middle [s]."""
+    num_parts = max(ceil(_smear(moment, cfg.exposure) / cfg.part_length), 1)
+    return cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
+
+
+def room_positions(
+    room: mujoco.MjModel,
+    moment: Moment,
+    offset: float,
+    bystanders: Callable[[float], Float[np.ndarray, " num_bystanders"]],
+) -> Float[np.ndarray, " num_positions"]:
+    """All positions of the room so long after the middle of an exposure.
+
+    Args:
+        room: From `build_room`.
+        moment: The middle of the exposure.
+        offset: Time from there [s].
+        bystanders: Positions of their joints at a time.
+    """
+    qpos, qvel = room.qpos0.copy(), np.zeros(room.nv)
+    qpos[: len(moment.qpos)], qvel[: len(moment.qvel)] = moment.qpos, moment.qvel
+    mujoco.mj_integratePos(room, qpos, qvel, offset)
+    qpos[len(moment.qpos) :] = bystanders(moment.time + offset)
+    return qpos
+
+
+def _smear(moment: Moment, exposure: float) -> float:
+    """How far object and palm move in the image during an exposure, the farther of the two [px]."""
+    times = exposure * np.array(((-0.5,), (0.5,)))
+    palm_pos, _ = palm_pose(torch.from_numpy(moment.qpos[ARM] + times * moment.qvel[ARM]))
+    object_pos = torch.from_numpy(moment.qpos[OBJECT] + times * moment.qvel[OBJECT])
+    pixels, _ = project(RGB_CAMERA, torch.stack((palm_pos, object_pos), dim=1))
+    return float((pixels[1] - pixels[0]).norm(dim=-1).max())
+
+
+def _without_object(moment: Moment) -> Moment:
+    qpos, qvel = moment.qpos.copy(), moment.qvel.copy()
+    qpos[OBJECT], qvel[OBJECT] = AWAY, 0.0
+    return replace(moment, qpos=qpos, qvel=qvel)
+
+
+def _without(room: mujoco.MjModel, is_left_out: Bool[np.ndarray, " num_geoms"]) -> mujoco.MjModel:
+    other = copy.copy(room)
+    other.geom_group[is_left_out] = UNDRAWN_GROUP
+    return other

@@ -1,0 +1,193 @@
+"""Pictures of the scene without a display: the camera's image, the object's mask, an outside view.
+
+OpenGL comes from EGL or OSMesa, whichever works on this machine (`find_gl_backend`). MuJoCo's environment
+variable MUJOCO_GL is never set: with the library missing it makes `import mujoco` itself fail, even where
+nothing is drawn.
+"""
+
+import copy
+import importlib
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from mujoco.rendering.classic import gl_context
+
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
+from pixel2catch.robot.constants import RGB_CAMERA
+
+GL_BACKENDS = ("egl", "osmesa")
+"""MuJoCo's back ends that need no display, in the order of preference: EGL also draws on a GPU."""
+
+OBJECT_BODY = "object"
+
+DRAWN_GROUPS = (0, 1, 2, 3)
+"""Geom groups in a picture: table and floor, object, what is only seen, robot."""
+
+_PROBE = """
+import importlib, sys, mujoco
+context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(8, 8)
+context.make_current()
+drawing = mujoco.MjrContext(mujoco.MjSpec().compile(), mujoco.mjtFontScale.mjFONTSCALE_100.value)
+drawing.free()
+context.free()
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """From where to draw.
+
+    Attributes:
+        camera: Name of a camera of the model, or None for a free camera, which the next four place.
+        lookat: Point in the middle of the picture, world frame [m].
+        distance: From the camera to that point [m].
+        azimuth: Direction of sight about the vertical, 0 along +x, 90 along +y [degrees].
+        elevation: Direction of sight above the horizontal [degrees].
+        width: Of the picture [px], even.
+        height: Of the picture [px], even.
+    """
+
+    camera: str | None = None
+    lookat: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    distance: float = 1.0
+    azimuth: float = 0.0
+    elevation: float = 0.0
+    width: int = RGB_CAMERA.width
+    height: int = RGB_CAMERA.height
+
+
+RGB_VIEW = View(camera="rgb")
+"""What the robot's camera sees."""
+
+OUTSIDE_VIEW = View(lookat=(1.3, 0.0, 1.05), distance=3.6, azimuth=105.0, elevation=-12.0)
+"""Robot, table and the whole throw, from the side."""
+
+
+@cache
+def find_gl_backend() -> str:
+    """Return the first back end of `GL_BACKENDS` that draws, tried in a process of its own.
+
+    A back end named by MUJOCO_GL or PYOPENGL_PLATFORM is tried first; the latter excludes the other, because
+    PyOpenGL binds one platform per process.
+
+    Raises:
+        DeviceUnavailableError: If none works; the message names the Debian packages to install.
+    """
+    bound = os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    wished = bound or os.environ.get("MUJOCO_GL", "").lower()
+    candidates = sorted(GL_BACKENDS, key=lambda name: name != wished)
+    for name in candidates[:1] if bound in GL_BACKENDS else candidates:
+        if _draws(name):
+            return name
+    raise DeviceUnavailableError(
+        "no OpenGL without a display: neither EGL nor OSMesa works here. Install one, on Debian: "
+        "'apt-get install libegl1 libgl1' (EGL) or 'apt-get install libosmesa6' (OSMesa)."
+    )
+
+
+def _draws(backend: str) -> bool:
+    environment = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    command = [sys.executable, "-c", _PROBE, backend]
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, timeout=60, check=False)
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+class Renderer:
+    """Draws one model from one view with `mujoco.Renderer`; close it, or use it as a context manager.
+
+    Fast settings: no multisampling, a shadow map of 1024 pixels, and shadows only where asked for.
+
+    Attributes:
+        model: The copy, which is drawn; what its geoms are may be changed between two pictures.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, view: View = RGB_VIEW, *, shadows: bool = True, sky: bool = True
+    ) -> None:
+        """Open the drawing context.
+
+        Args:
+            model: The model; it is copied, its drawing settings are not touched.
+            view: From where to draw.
+            shadows: Whether to draw shadows, about three times slower without a GPU.
+            sky: Whether to draw the sky; without it a pixel that shows nothing is black.
+
+        Raises:
+            DeviceUnavailableError: If no OpenGL back end works.
+            InvalidValueError: If the model has no such camera.
+        """
+        # What `mujoco.Renderer` opens its context with; MUJOCO_GL, its own way to say so, is never set.
+        gl_context.GLContext = importlib.import_module(f"mujoco.{find_gl_backend()}").GLContext
+        self.model = copy.copy(model)
+        self.model.vis.quality.offsamples = 0
+        self.model.vis.quality.shadowsize = 1024
+        self.model.vis.global_.offwidth = view.width
+        self.model.vis.global_.offheight = view.height
+        self._data = mujoco.MjData(self.model)
+        self._camera = _camera(self.model, view)
+        self._option = mujoco.MjvOption()
+        self._option.geomgroup[:] = [group in DRAWN_GROUPS for group in range(mujoco.mjNGROUP)]
+        self._option.sitegroup[:] = 0
+        self._renderer = mujoco.Renderer(self.model, view.height, view.width, max_geom=1000)
+        flags = self._renderer.scene.flags
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
+        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+
+    def image(self, qpos: Float[np.ndarray, " nq"]) -> UInt8[np.ndarray, "height width 3"]:
+        """Return the picture of the model at these joint positions, red, green, blue, upper row first."""
+        return self._draw(qpos)
+
+    def object_mask(self, qpos: Float[np.ndarray, " nq"]) -> Bool[np.ndarray, "height width"]:
+        """Return which pixels show the body `object` at these joint positions, upper row first."""
+        self._renderer.enable_segmentation_rendering()
+        try:
+            shown, kind = np.moveaxis(self._draw(qpos), -1, 0)
+        finally:
+            self._renderer.disable_segmentation_rendering()
+        geoms = np.flatnonzero(self.model.geom_bodyid == self.model.body(OBJECT_BODY).id)
+        return (kind == mujoco.mjtObj.mjOBJ_GEOM.value) & np.isin(shown, geoms)
+
+    def close(self) -> None:
+        """Free the drawing context; the renderer cannot draw any more."""
+        self._renderer.close()
+
+    def __enter__(self) -> "Renderer":
+        """Return the renderer itself."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close the renderer."""
+        self.close()
+
+    def _draw(self, qpos: np.ndarray) -> np.ndarray:
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, self._data)
+        mujoco.mj_comPos(self.model, self._data)
+        mujoco.mj_camlight(self.model, self._data)
+        self._renderer.update_scene(self._data, self._camera, self._option)
+        return self._renderer.render()
+
+
+def _camera(model: mujoco.MjModel, view: View) -> mujoco.MjvCamera:
+    camera = mujoco.MjvCamera()
+    if view.camera is None:
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE.value
+        camera.lookat[:] = view.lookat
+        camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
+        return camera
+    camera.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
+    camera.fixedcamid = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA.value, view.camera)
+    if camera.fixedcamid < 0:
+        names = [model.camera(i).name for i in range(model.ncam)]
+        raise InvalidValueError(f"the model has no camera '{view.camera}'. Valid: {', '.join(names)}.")
+    return camera

@@ -1,0 +1,107 @@
+"""Methods of one's own: what a contract tells of them, and a Python file that registers them."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.methods import MEMORIES, METHODS, find_method
+from pixel2catch.own_files import VARIABLE, take_option
+from pixel2catch.policy import contract_of
+from pixel2catch.policy.own_methods import method_of
+
+FILE = """
+from dataclasses import replace
+from pixel2catch.mdp.observations import PAPER_TERMS
+from pixel2catch.methods import METHODS, PROPOSED
+
+def palm_height(frame):
+    return frame.now.palm_pos[:, 2:]
+
+METHODS["size_alone"] = replace(PROPOSED, name="size_alone", pixel_features=("w", "h"))
+seeing = tuple(replace(agent, observation=(*PAPER_TERMS, palm_height)) for agent in PROPOSED.agents)
+METHODS["with_height"] = replace(PROPOSED, name="with_height", agents=seeing)
+"""
+SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
+TRAINING = (*SIZE, "--hidden", "8", "--device", "cpu")
+THROWS = ("--num-envs", "2", "--trials", "1", "--physics-hz", "30", "--objects", "cube_s")
+
+
+@pytest.mark.parametrize("memory", ["", *(f"+{name}" for name in MEMORIES)])
+@pytest.mark.parametrize("name", METHODS)
+def test_a_contract_tells_what_a_method_of_package_terms_observes(name: str, memory: str):
+    method = find_method(name + memory)
+    own = replace(method, name=f"mine{memory}")
+    found = method_of(contract_of(own, "left"))
+    assert contract_of(found, "left") == contract_of(own, "left")
+    assert (found.pixel_features, found.num_boxes) == (method.pixel_features, method.num_boxes)
+    for mine, theirs in zip(found.agents, method.agents, strict=True):
+        assert (mine.observation, mine.memory) == (theirs.observation, theirs.memory)
+        assert (mine.name, mine.joints) == (theirs.name, theirs.joints)
+
+
+def test_a_method_of_the_package_is_its_own():
+    for method in METHODS.values():
+        assert method_of(contract_of(method, "left")) is method
+
+
+def test_how_many_boxes_an_own_memory_holds_is_not_told():
+    remembering = replace(find_method("proposed+fit"), name="mine", num_boxes=4)
+    with pytest.raises(PolicyMismatchError, match=r"remembers.*--import"):
+        method_of(contract_of(remembering, "left"))
+
+
+def test_the_option_is_taken_wherever_it_stands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(VARIABLE, "")
+    assert take_option(["--import", "a.py", "evaluate", "run", "--import=b.py"]) == ["evaluate", "run"]
+    assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / name) for name in ("a.py", "b.py"))
+
+
+def pixel2catch(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pixel2catch.cli.main", *args]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the file and a training of each of its methods."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "my_methods.py").write_text(FILE)
+    for name in ("size_alone", "with_height"):
+        done = pixel2catch(folder, "train", name, "--import", "my_methods.py", *TRAINING, "--out", name)
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_a_run_of_an_own_method_is_evaluated_with_and_without_its_file(runs: Path):
+    command = ("evaluate", "size_alone", *THROWS, "--json")
+    results = [pixel2catch(runs, *command), pixel2catch(runs, *command, "--import", "my_methods.py")]
+    first, second = (json.loads(result.stdout) | {"seconds": 0} for result in results)
+    assert first == second
+    assert first["method"] == "size_alone"
+
+
+def test_a_term_of_ones_own_needs_its_file(runs: Path):
+    refused = pixel2catch(runs, "evaluate", "with_height", *THROWS)
+    assert refused.returncode == 2
+    assert "observes 'palm_height'" in refused.stderr
+    assert "--import FILE.py" in refused.stderr
+    absent = pixel2catch(runs, "--import", "absent.py", "evaluate", "with_height")
+    assert (absent.returncode, "cannot import" in absent.stderr) == (2, True)
+
+
+def test_child_processes_know_the_file(runs: Path):
+    options = ("--axes", "nominal", "--jobs", "2", "--out", "stress", "--json")
+    command = ("stress", "size_alone", "with_height", *THROWS, *options, "--import", "my_methods.py")
+    result = pixel2catch(runs, *command)
+    assert result.returncode == 0, result.stderr
+    policies = json.loads(result.stdout)["policies"]
+    assert {name: each["method"] for name, each in policies.items()} == {
+        name: name for name in ("size_alone", "with_height")
+    }

@@ -1,0 +1,100 @@
+"""What the fast camera without shadows sees, against plain pictures of the room and the one with shadows."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
+from pixel2catch.rendering.camera import OBJECT, CameraCfg, Exposure, Moment, RoomCamera, room_positions
+from pixel2catch.rendering.renderer import Renderer, find_gl_backend
+from pixel2catch.rendering.room import Bystanders, build_room
+from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.twin.thrower import Thrower
+
+RELEASE = np.array((2.6, 0.1, 0.8))
+MODEL = build_model(SceneCfg())
+THROWER = Thrower(bystanders=Bystanders(release_pos=RELEASE, phase=0.3))
+STILL = CameraCfg(read_noise=0.0, shot_noise=0.0)
+
+
+def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, speed: float = 0.0) -> Exposure:
+    qpos, qvel = MODEL.qpos0.copy(), np.zeros(MODEL.nv)
+    qpos[: len(JOINTS)] = [joint.home for joint in JOINTS]
+    qpos[OBJECT], qvel[OBJECT] = pos, (0.0, speed, 0.0)
+    moment = Moment(qpos=qpos, qvel=qvel, time=1.0)
+    return Exposure(moment=moment, object_name=object_name, thrower=THROWER.joint_pos)
+
+
+@pytest.fixture
+def view(request: pytest.FixtureRequest) -> Iterator[RoomCamera]:
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))
+    with RoomCamera(SceneCfg(), 0, request.param) as view:
+        yield view
+
+
+def test_the_thrower_sways_on_and_the_arm_swings_when_it_lets_go():
+    thrown = replace(THROWER, release=2.0)
+    before, after = (thrown.joint_pos(2.0 + time) for time in (-1e-6, 1e-6))
+    assert after == pytest.approx(before, abs=1e-4)
+    assert thrown.joint_pos(1.0)[4] == 0.0
+    assert thrown.joint_pos(2.3)[4] > 0.5
+    assert thrown.joint_pos(1.0)[3] != thrown.joint_pos(1.5)[3]
+
+
+@pytest.mark.parametrize("view", [STILL], indirect=True)
+@pytest.mark.parametrize("object_name", ["cone_l", "l_block"])
+def test_it_is_the_picture_of_the_room_without_shadows(view: RoomCamera, object_name: str):
+    shown = exposure(object_name)
+    room = build_room(SceneCfg(), object_name, 0)
+    with Renderer(room, shadows=False) as renderer:
+        expected = renderer.image(room_positions(room, shown.moment, 0.0, THROWER.joint_pos))
+    difference = np.abs(view.image(shown).astype(int) - expected).max(axis=-1)
+    assert (difference > 8).mean() < 0.003  # the outlines of round geoms, which are coarser
+    row, column = 203, 311  # the object; its neighbours in the list look different
+    assert (difference[row - 15 : row + 15, column - 15 : column + 15] > 60).mean() < 0.03
+
+
+@pytest.mark.parametrize("view", [STILL], indirect=True)
+def test_another_object_looks_different_and_an_empty_room_has_none(view: RoomCamera):
+    cone, ball, none = (view.image(exposure(name)).astype(int) for name in ("cone_l", "sphere_s", None))
+    assert np.array_equal(cone, view.image(exposure("cone_l")))
+    for one, other in ((cone, ball), (cone, none), (ball, none)):
+        changed = np.argwhere(np.abs(one - other).max(axis=-1) > 40)
+        assert 20 < len(changed) < 1500
+        assert np.abs(changed - (203, 311)).max() < 30  # only at the thrower's hand
+
+
+@pytest.mark.parametrize("view", [replace(STILL, exposure=0.02, part_length=8.0)], indirect=True)
+def test_what_moves_is_smeared_over_what_stands_still(view: RoomCamera):
+    pos = np.array((1.5, 0.6, 1.2))  # nothing else moves there
+    none, still, moving = (
+        view.image(shown).astype(int)
+        for shown in (exposure(None), exposure(pos=pos), exposure(pos=pos, speed=-4.0))
+    )
+    rows, columns = np.nonzero((np.abs(still - none) > 15).any(axis=-1))
+    near = slice(rows.min(), rows.max()), slice(columns.min() - 40, columns.max() + 40)
+    widths = [
+        np.ptp(np.flatnonzero((np.abs(each - none)[near] > 15).any(axis=(0, 2)))) for each in (still, moving)
+    ]
+    # 8 cm at 2 m are 24 px; the first and the last of four pictures are 18 px apart.
+    assert widths[1] - widths[0] == pytest.approx(18, abs=3)
+
+
+@pytest.mark.parametrize("view", [CAMERA], indirect=True)
+def test_with_shadows_the_sensor_has_the_same_noise(view: RoomCamera):
+    with RoomCamera(SceneCfg(), 0, CAMERA, shadows=True) as camera:
+        takers = (lambda: view.image(exposure()), lambda: camera.image(exposure()))
+        pairs = [[take().astype(float) for _ in range(2)] for take in takers]
+    variances = []
+    for first, second in pairs:
+        light = 0.5 * (first + second)
+        band = (light > 110) & (light < 140)
+        variances.append((first - second)[band].var())
+    assert variances[0] == pytest.approx(variances[1], rel=0.1)

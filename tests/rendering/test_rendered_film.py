@@ -1,0 +1,135 @@
+"""The film of a throw: what moves, what the sensor adds, and the truth beside it."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from rendered_throws import FilmCfg, ThrowFilm
+
+from pixel2catch.camera.pinhole import project
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.rendering.camera import OBJECT, CameraCfg, Moment
+from pixel2catch.rendering.renderer import find_gl_backend
+from pixel2catch.rendering.room import BYSTANDER_JOINTS, FOLLOW_THROUGH, HAND_DROP, Bystanders, build_room
+from pixel2catch.robot import constants
+from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.robot.scene import SceneCfg, build_model
+
+RELEASE = np.array((2.6, 0.1, 0.8))
+SCENE_MODEL = build_model(SceneCfg())
+STILL = CameraCfg(read_noise=0.0, shot_noise=0.0)
+
+
+def moment(
+    pos: np.ndarray, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), time: float = -1.0
+) -> Moment:
+    qpos, qvel = SCENE_MODEL.qpos0.copy(), np.zeros(SCENE_MODEL.nv)
+    qpos[: len(constants.JOINTS)] = [joint.home for joint in constants.JOINTS]
+    qpos[OBJECT], qvel[OBJECT] = pos, velocity
+    return Moment(qpos=qpos, qvel=qvel, time=time)
+
+
+@pytest.fixture
+def opengl() -> None:
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture
+def film(opengl: None, request: pytest.FixtureRequest) -> Iterator[ThrowFilm]:
+    cfg = FilmCfg(camera=request.param, num_empty=2, num_held=1)
+    with ThrowFilm(cfg, "cube_l", RELEASE, seed=0) as film:
+        yield film
+
+
+def test_the_positions_of_the_scene_come_first_in_the_room():
+    room = build_room(SceneCfg(), "cube_l", seed=0)
+    names = [room.joint(i).name for i in range(room.njnt)]
+    assert names == [SCENE_MODEL.joint(i).name for i in range(SCENE_MODEL.njnt)] + list(BYSTANDER_JOINTS)
+
+
+def test_rooms_of_one_seed_look_alike_and_others_differ():
+    first, same, other = (build_room(SceneCfg(), "cube_l", seed) for seed in (3, 3, 4))
+    assert np.array_equal(first.tex_data, same.tex_data)
+    assert np.array_equal(first.geom_pos, same.geom_pos)
+    assert not np.array_equal(first.tex_data, other.tex_data)
+
+
+def test_the_object_lies_on_the_throwers_hand_until_it_is_released():
+    room = build_room(SceneCfg(), "cube_l", seed=0)
+    bystanders, data = Bystanders(release_pos=RELEASE, phase=0.4), mujoco.MjData(room)
+    hand = max(geom for geom in range(room.ngeom) if room.geom_bodyid[geom] == room.body("thrower_arm").id)
+    heights = []
+    for time in (-0.7, 0.0, 0.5):
+        data.qpos[-len(BYSTANDER_JOINTS) :] = bystanders.joint_pos(time)
+        mujoco.mj_kinematics(room, data)
+        heights.append(data.geom_xpos[hand] - RELEASE)
+    # A standing person sways by 1 cm.
+    assert np.abs(heights[0] - (0.0, 0.0, -HAND_DROP)).max() < 0.03
+    assert np.abs(heights[1] - (0.0, 0.0, -HAND_DROP)).max() < 0.03
+    assert heights[2][2] > 0.2
+
+
+def test_the_arm_rests_and_then_swings_on_to_its_end():
+    bystanders = Bystanders(release_pos=RELEASE, phase=1.0)
+    arm = [bystanders.joint_pos(time)[4] for time in (-2.0, 0.0, 0.1, 0.3, 9.0)]
+    assert arm[:2] == [0.0, 0.0]
+    assert np.all(np.diff(arm[1:]) > 0.0)
+    assert arm[-1] == pytest.approx(FOLLOW_THROUGH)
+
+
+@pytest.mark.parametrize("film", [STILL], indirect=True)
+def test_the_true_box_is_where_the_object_projects_to(film: ThrowFilm):
+    for pos in (RELEASE, np.array((1.5, -0.2, 1.6))):
+        shot = film.shot(moment(pos))
+        center = 0.5 * (shot.box[0, :2] + shot.box[0, 2:])
+        pixels, _ = project(RGB_CAMERA, torch.from_numpy(pos)[None, None])
+        assert (center - pixels[0, 0]).abs().max() < 2.0
+        assert shot.num_pixels > 60
+
+
+@pytest.mark.parametrize("film", [STILL], indirect=True)
+def test_the_lead_in_shows_the_room_and_then_the_object_in_the_hand(film: ThrowFilm):
+    shots = list(film.lead_in(moment(RELEASE, time=-0.5), num_empty=2))
+    assert [shot.num_pixels > 0 for shot in shots] == [False, False, True]
+    assert [shot.time for shot in shots] == pytest.approx([-0.6, -0.5 - 2 / 30, -0.5 - 1 / 30])
+    reds = [(shot.image[..., 0] > 1.8 * shot.image[..., 1]).sum() for shot in shots]
+    assert reds[2] - reds[1] > 0.5 * shots[2].num_pixels
+
+
+@pytest.mark.parametrize("film", [replace(STILL, exposure=0.02, part_length=8.0)], indirect=True)
+def test_what_moves_is_smeared_along_its_way_and_the_truth_is_its_middle(film: ThrowFilm):
+    pos = np.array((1.5, 0.6, 1.2))  # nothing else moves there
+    still, moving = film.shot(moment(pos)), film.shot(moment(pos, velocity=(0.0, -4.0, 0.0)))
+    assert torch.equal(still.box, moving.box)
+    xmin, ymin, xmax, ymax = (int(edge) for edge in still.box[0])
+    near = slice(ymin - 3, ymax + 3), slice(xmin - 40, xmax + 40)
+    changed = np.abs(moving.image[near].astype(int) - still.image[near]).max(axis=-1) > 20
+    columns = np.flatnonzero(changed.any(axis=0)) + xmin - 40
+    # 8 cm at 2 m are 24 px; the last of four pictures is 9 px from the middle.
+    assert columns.min() == pytest.approx(xmin - 9, abs=3)
+    assert columns.max() == pytest.approx(xmax + 9, abs=3)
+
+
+@pytest.mark.parametrize("film", [CameraCfg()], indirect=True)
+def test_the_sensors_noise_grows_with_the_light(film: ThrowFilm):
+    first, second = (film.shot(moment(RELEASE)).image.astype(float) for _ in range(2))
+    difference, light = first - second, 0.5 * (first + second)
+    for low, high in ((20, 45), (110, 140)):
+        band = (light > low) & (light < high)
+        expected = 2.0 * (1.5**2 + 0.05 * light[band].mean() + 1 / 12)
+        assert difference[band].var() == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize("film", [STILL], indirect=True)
+def test_encoders_are_noisy_and_the_robot_is_not(film: ThrowFilm):
+    shots = [film.shot(moment(RELEASE)) for _ in range(2)]
+    home = np.array([joint.home for joint in constants.JOINTS])
+    assert 0.0 < np.abs(shots[0].joint_pos - home).max() < 0.03
+    assert not np.array_equal(shots[0].joint_pos, shots[1].joint_pos)
+    assert np.array_equal(shots[0].image, shots[1].image)

@@ -1,0 +1,90 @@
+import numpy as np
+import pytest
+import torch
+from box_scores import Phase, reacquisition, score, summary
+from rendered_throws import LabelledImage
+
+from pixel2catch.perception.extractor import Extraction
+from pixel2catch.perception.plausibility import Verdict
+
+IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)
+BOX = (100.0, 100.0, 120.0, 110.0)
+
+
+def shot(time: float, palm_distance: float = 2.0, num_pixels: int = 100) -> LabelledImage:
+    box = torch.tensor([BOX]) * (num_pixels > 0)
+    return LabelledImage(
+        image=IMAGE,
+        joint_pos=np.zeros(19),
+        time=time,
+        box=box,
+        num_pixels=num_pixels,
+        palm_distance=palm_distance,
+    )
+
+
+def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Extraction:
+    """A box of which the right edge is wrong by so much."""
+    return Extraction(
+        box=torch.tensor([BOX]) + torch.tensor([[0.0, 0.0, error, 0.0]]),
+        features=torch.zeros(1, 8),
+        verdict=verdict,
+        is_valid=True,
+        is_fresh=True,
+        age=0.0,
+        score=0.0,
+        num_skipped=0,
+        mask=None,
+        message="",
+    )
+
+
+SHOTS = [
+    shot(-0.1),
+    shot(0.0),
+    shot(0.1),
+    shot(0.2),
+    shot(0.3, num_pixels=0),
+    shot(0.4, palm_distance=0.2),
+    shot(0.5, palm_distance=0.9),
+]
+SEEN = [
+    seen(1.0),
+    seen(3.0),
+    seen(-5.0),
+    seen(9.0, Verdict.NOT_FOUND),
+    seen(2.0),
+    seen(6.0),
+    seen(4.0),
+]
+
+
+def test_a_throw_is_held_then_flies_then_stays_near_the_hand():
+    phases = [each.phase for each in score(SHOTS, SEEN)]
+    assert phases == [Phase.HELD] * 2 + [Phase.FLIGHT] * 3 + [Phase.HAND] * 2
+
+
+def test_only_a_new_box_of_at_most_five_pixels_error_is_good():
+    assert [each.is_good for each in score(SHOTS, SEEN)] == [True, True, True, False, False, False, True]
+
+
+def test_rates_are_of_the_images_in_which_the_object_is_visible():
+    report = summary(score(SHOTS, SEEN))
+    assert report["held"]["error_p50"] == pytest.approx(2.0)
+    flight = report["flight"]
+    assert (flight["images"], flight["hidden"], flight["seen_though_hidden"]) == (2, 1, 1)
+    assert (flight["detected"], flight["within_5px"]) == (0.5, 0.5)
+    assert flight["error_p50"] == pytest.approx(5.0)
+    assert flight["delivered_error_p50"] == pytest.approx(7.0)
+    assert report["near the hand"]["within_5px"] == 0.5
+
+
+def test_a_phase_without_images_has_no_rates():
+    assert summary([])["held"] == {"images": 0, "hidden": 0, "seen_though_hidden": 0}
+
+
+def test_the_wait_after_a_gap_ends_with_the_first_good_box():
+    scores = score(SHOTS, SEEN)
+    assert reacquisition(scores, 2) == 0
+    assert reacquisition(scores, 3) == 3
+    assert reacquisition(scores[:6], 3) is None

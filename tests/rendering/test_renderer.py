@@ -1,0 +1,100 @@
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import torch
+
+from pixel2catch.camera.pinhole import project
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
+from pixel2catch.rendering import renderer as module
+from pixel2catch.rendering.renderer import OUTSIDE_VIEW, Renderer, View, find_gl_backend
+from pixel2catch.rendering.video import VideoWriter
+from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.robot.scene import OBJECT_START, SceneCfg, build_model
+
+MODEL = build_model(SceneCfg(visuals=True))
+
+
+@pytest.fixture
+def opengl() -> None:
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.usefixtures("opengl")
+def test_the_camera_sees_the_object_where_its_mask_is():
+    with Renderer(MODEL, shadows=False) as renderer:
+        image, mask = renderer.image(MODEL.qpos0), renderer.object_mask(MODEL.qpos0)
+    assert image.shape == (480, 640, 3)
+    assert 20 < mask.sum() < 1000
+    red, green, blue = image[mask].mean(0)
+    assert red > 1.5 * max(green, blue)
+
+
+@pytest.mark.usefixtures("opengl")
+def test_pictures_are_taken_by_the_camera_of_the_scene():
+    """A small sphere's mask is about where the camera's numbers project its centre."""
+    camera = replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.1), fx=700.0, fy=690.0, cx=300.0, cy=260.0)
+    model = build_model(SceneCfg(camera=camera), "sphere_s")
+    with Renderer(model, shadows=False) as renderer:
+        mask = renderer.object_mask(model.qpos0)
+    rows, columns = np.nonzero(mask)
+    expected = project(camera, torch.tensor([[OBJECT_START]], dtype=torch.float64))[0][0, 0]
+    np.testing.assert_allclose((columns.mean() + 0.5, rows.mean() + 0.5), expected, atol=0.5)
+
+
+@pytest.mark.usefixtures("opengl")
+def test_two_renderers_live_side_by_side():
+    with Renderer(MODEL) as near, Renderer(MODEL, OUTSIDE_VIEW) as far:
+        first = near.image(MODEL.qpos0)
+        far.image(MODEL.qpos0)
+        assert np.array_equal(near.image(MODEL.qpos0), first)
+
+
+@pytest.mark.usefixtures("opengl")
+def test_the_model_keeps_its_own_drawing_settings():
+    before = MODEL.vis.quality.offsamples, MODEL.vis.global_.offwidth
+    with Renderer(MODEL, View(camera="rgb", width=1280, height=960)) as renderer:
+        assert renderer.image(MODEL.qpos0).shape == (960, 1280, 3)
+    assert (MODEL.vis.quality.offsamples, MODEL.vis.global_.offwidth) == before
+
+
+@pytest.mark.usefixtures("opengl")
+def test_an_unknown_camera_names_the_valid_ones():
+    with pytest.raises(InvalidValueError, match=r"no camera 'side'\. Valid: rgb"):
+        Renderer(MODEL, View(camera="side"))
+
+
+def test_without_opengl_the_error_names_the_packages(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "_draws", lambda _backend: False)
+    find_gl_backend.cache_clear()
+    try:
+        with pytest.raises(DeviceUnavailableError, match="apt-get install libegl1 libgl1"):
+            find_gl_backend()
+    finally:
+        find_gl_backend.cache_clear()
+
+
+def test_a_video_has_the_pictures_in_order(tmp_path: Path):
+    path = tmp_path / "grey.mp4"
+    with VideoWriter(path, fps=30) as video:
+        for level in (0, 100, 200):
+            video.write(np.full((48, 64, 3), level, dtype=np.uint8))
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.average_rate == 30
+        levels = [frame.to_ndarray(format="rgb24").mean() for frame in container.decode(stream)]
+    assert levels == pytest.approx([0, 100, 200], abs=4)
+
+
+def test_an_odd_picture_is_refused(tmp_path: Path):
+    with (
+        VideoWriter(tmp_path / "odd.mp4") as video,
+        pytest.raises(InvalidValueError, match="even width and height, got 63 x 48"),
+    ):
+        video.write(np.zeros((48, 63, 3), dtype=np.uint8))
