@@ -1,9 +1,14 @@
-"""What the learner needs of an environment. `CatchEnv` has it."""
+"""What training needs of environments (`CatchEnv` has it), which are made anew where the physics changes."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor
+
+from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.policy import PolicyContract
 
 
 @runtime_checkable
@@ -13,17 +18,14 @@ class Observation(Protocol):
     @property
     def policy(self) -> dict[str, Tensor]:
         """Input of every agent's policy, (num_envs, size of that agent)."""
-        ...
 
     @property
     def state(self) -> Tensor:
         """Input of all value networks, (num_envs, state_size)."""
-        ...
 
     @property
     def teacher(self) -> dict[str, Tensor]:
         """Input of a teacher's policies, likewise; empty without a teacher."""
-        ...
 
 
 @runtime_checkable
@@ -33,22 +35,18 @@ class Step(Protocol):
     @property
     def observation(self) -> Observation:
         """Observation after the step."""
-        ...
 
     @property
     def rewards(self) -> dict[str, Tensor]:
         """Reward of every agent, (num_envs,)."""
-        ...
 
     @property
     def terminated(self) -> Tensor:
         """Whether the episode ended, (num_envs,) bool."""
-        ...
 
     @property
     def truncated(self) -> Tensor:
         """Whether the episode was cut off, (num_envs,) bool."""
-        ...
 
 
 @runtime_checkable
@@ -62,7 +60,6 @@ class Statistics(Protocol):
             total: Adds up the same sums of all processes; called once.
             largest: Finds the largest of the same maxima of all processes; called once at the most.
         """
-        ...
 
 
 @runtime_checkable
@@ -77,25 +74,86 @@ class Environment(Protocol):
     @property
     def cfg(self) -> Any:
         """Configuration, a dataclass; written into the run folder."""
-        ...
 
     @property
     def statistics(self) -> Statistics:
         """Episode statistics since the last look."""
-        ...
 
     def reset(self) -> Observation:
         """Begin new episodes everywhere."""
-        ...
 
     def step(self, actions: dict[str, Tensor]) -> Step:
         """Act for one control step. Actions outside [-1, 1] are clipped by the environment."""
-        ...
 
     def check(self) -> None:
         """Raise if the simulation lost something since the last call; may wait for the device."""
-        ...
 
     def close(self) -> None:
         """Release what the environment holds."""
-        ...
+
+
+class EnvSchedule:
+    """Environments whose physics becomes finer in the course of a training.
+
+    Attributes:
+        env: The environments of the present rate.
+    """
+
+    def __init__(
+        self, cfg: TrainCfg, make_env: Callable[[TrainCfg], Environment], contract: PolicyContract
+    ) -> None:
+        """Make the environments of the first rate.
+
+        Args:
+            cfg: This process's share of the configuration.
+            make_env: Makes environments; `physics_hz` of its configuration has one rate.
+            contract: What the environments must fit.
+
+        Raises:
+            PolicyMismatchError: They do not fit; the message names the field.
+        """
+        self._cfg, self._make_env, self._contract = cfg, make_env, contract
+        self._rate = cfg.rate_at(0)
+        self.env = self._make()
+
+    def enter(self, transitions: int) -> bool:
+        """Change to the rate that follows this many transitions; whether the environments are new."""
+        rate = self._cfg.rate_at(transitions)
+        if rate == self._rate:
+            return False
+        self.env.close()
+        self._rate = rate
+        self.env = self._make()
+        return True
+
+    def close(self) -> None:
+        """Close the environments."""
+        self.env.close()
+
+    def _make(self) -> Environment:
+        env = self._make_env(dataclasses.replace(self._cfg, physics_hz=(self._rate,)))
+        try:
+            _require_fit(self._cfg, env, self._contract)
+        except PolicyMismatchError:
+            env.close()
+            raise
+        return env
+
+
+def _require_fit(cfg: TrainCfg, env: Environment, contract: PolicyContract) -> None:
+    sizes = {
+        "num_envs": (cfg.num_envs, env.num_envs),
+        "observation_sizes": (
+            {name: agent.num_inputs for name, agent in contract.agents.items()},
+            env.observation_sizes,
+        ),
+        "action_sizes": (
+            {name: len(agent.joints) for name, agent in contract.agents.items()},
+            env.action_sizes,
+        ),
+    }
+    for name, (expected, found) in sizes.items():
+        if expected != found:
+            raise PolicyMismatchError(
+                f"{name}: configuration and contract say {expected}, the environment {found}."
+            )

@@ -1,0 +1,87 @@
+"""What learning needs of networks: policy and value function of an agent, and the scale of what they see."""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.distributed import Workers
+from pixel2catch.policy import build_mlp
+from pixel2catch.policy.networks import INPUT_CLIP
+
+EPSILON = 1e-8
+"""Added to a standard deviation before dividing by it. Source: release (skrl)."""
+
+
+class Standardizer(nn.Module):
+    """Brings values to mean 0 and standard deviation 1 by the statistics of all processes, and clips them."""
+
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+
+    def __init__(self, workers: Workers, *size: int) -> None:
+        """Begin as if one sample of mean 0 and variance 1 had been seen."""
+        super().__init__()
+        self._workers = workers
+        self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
+        self.register_buffer("count", torch.ones((), dtype=torch.float64))
+
+    @property
+    def std(self) -> Tensor:
+        """What differences from the mean are divided by."""
+        return self.variance.float().sqrt() + EPSILON
+
+    @torch.no_grad()
+    def learn(self, values: Tensor) -> None:
+        """Count in values, (..., *size). Source: parallel variance (Chan et al. 1979)."""
+        values = values.reshape(-1, *self.mean.shape)
+        num = len(values)
+        mean, variance = self._workers.moments(values.mean(dim=0), values.var(dim=0), num)
+        num *= self._workers.size
+        total, delta = self.count + num, mean - self.mean
+        squares = self.variance * self.count + variance * num + delta**2 * self.count * num / total
+        self.mean.copy_(self.mean + delta * num / total)
+        self.variance.copy_(squares / total)
+        self.count.copy_(total)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Return standardised, clipped values."""
+        return ((values - self.mean.float()) / self.std).clamp(-INPUT_CLIP, INPUT_CLIP)
+
+    def inverse(self, values: Tensor) -> Tensor:
+        """Return the values that standardised ones stand for."""
+        return self.variance.float().sqrt() * values.clamp(-INPUT_CLIP, INPUT_CLIP) + self.mean.float()
+
+
+class ActorCritic(nn.Module):
+    """Networks of one agent: a Gaussian policy of its observation, and a value function of the state."""
+
+    def __init__(
+        self, cfg: TrainCfg, workers: Workers, num_observations: int, num_states: int, num_actions: int
+    ) -> None:
+        """Build untrained networks; the global torch generator of the CPU decides on their weights."""
+        super().__init__()
+        self.policy = build_mlp(num_observations, num_actions, cfg.hidden)
+        self.log_std = nn.Parameter(torch.full((num_actions,), cfg.initial_log_std))
+        self.value = build_mlp(num_states, 1, cfg.hidden)
+        self.observation_scale = Standardizer(workers, num_observations)
+        self.state_scale = Standardizer(workers, num_states)
+        self.value_scale = Standardizer(workers)
+        self.to(cfg.device)
+
+    @property
+    def parts(self) -> dict[str, list[nn.Parameter]]:
+        """Parameters of the policy and of the value network."""
+        return {"policy": [self.log_std, *self.policy.parameters()], "value": [*self.value.parameters()]}
+
+    def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
+        """Return the logarithm of the probability density of actions about a mean."""
+        error = (actions - mean) * (-self.log_std).exp()
+        return -(0.5 * error.square() + self.log_std + 0.5 * math.log(2.0 * math.pi)).sum(dim=-1)
+
+    def entropy(self) -> Tensor:
+        """Return the entropy of an action."""
+        return (self.log_std + 0.5 * math.log(2.0 * math.pi * math.e)).sum()
