@@ -29,8 +29,9 @@ TOLERANCES = {"cpu": (1e-5, 2e-6), "cuda": (1e-2, 1e-3)}
 
 def ordered(rollout: Batch, num: int) -> Iterator[Batch]:
     """Mini-batches of successive control steps, so that one of the whole is made of one of each half."""
-    for steps in torch.arange(len(rollout.values)).chunk(num):
-        yield Batch(*(None if tensor is None else tensor[steps].flatten(0, 1) for tensor in rollout))
+    flat = rollout.each(partial(torch.flatten, end_dim=1))
+    for chunk in torch.arange(len(flat.values), device=flat.values.device).chunk(num):
+        yield flat.each(partial(torch.index_select, dim=0, index=chunk))
 
 
 def make_mappo(cfg: TrainCfg, workers: Workers | None = None) -> Mappo:

@@ -18,14 +18,17 @@ class Observation(Protocol):
     @property
     def policy(self) -> dict[str, Tensor]:
         """Input of every agent's policy, (num_envs, size of that agent)."""
+        ...
 
     @property
     def state(self) -> Tensor:
         """Input of all value networks, (num_envs, state_size)."""
+        ...
 
     @property
     def teacher(self) -> dict[str, Tensor]:
         """Input of a teacher's policies, likewise; empty without a teacher."""
+        ...
 
 
 @runtime_checkable
@@ -35,18 +38,22 @@ class Step(Protocol):
     @property
     def observation(self) -> Observation:
         """Observation after the step."""
+        ...
 
     @property
     def rewards(self) -> dict[str, Tensor]:
         """Reward of every agent, (num_envs,)."""
+        ...
 
     @property
     def terminated(self) -> Tensor:
         """Whether the episode ended, (num_envs,) bool."""
+        ...
 
     @property
     def truncated(self) -> Tensor:
         """Whether the episode was cut off, (num_envs,) bool."""
+        ...
 
 
 @runtime_checkable
@@ -60,6 +67,7 @@ class Statistics(Protocol):
             total: Adds up the same sums of all processes; called once.
             largest: Finds the largest of the same maxima of all processes; called once at the most.
         """
+        ...
 
 
 @runtime_checkable
@@ -74,22 +82,28 @@ class Environment(Protocol):
     @property
     def cfg(self) -> Any:
         """Configuration, a dataclass; written into the run folder."""
+        ...
 
     @property
     def statistics(self) -> Statistics:
         """Episode statistics since the last look."""
+        ...
 
     def reset(self) -> Observation:
         """Begin new episodes everywhere."""
+        ...
 
     def step(self, actions: dict[str, Tensor]) -> Step:
         """Act for one control step. Actions outside [-1, 1] are clipped by the environment."""
+        ...
 
     def check(self) -> None:
         """Raise if the simulation lost something since the last call; may wait for the device."""
+        ...
 
     def close(self) -> None:
         """Release what the environment holds."""
+        ...
 
 
 class EnvSchedule:

@@ -5,6 +5,7 @@ the time (8,192 environments x 16 steps on one H100: 180 ms an update, of which 
 as graphs 74 ms).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -30,6 +31,10 @@ class Batch(NamedTuple):
     returns: Tensor
     advantages: Tensor
     advice: Tensor | None = None
+
+    def each(self, function: Callable[[Tensor], Tensor]) -> "Batch":
+        """Return the batch of what a function makes of every tensor."""
+        return Batch(*(function(tensor) for tensor in self if tensor is not None))
 
 
 class GradientStep:

@@ -6,6 +6,7 @@ standardised inputs and values. Ours: imitation of a teacher, resting policies, 
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import torch
@@ -259,10 +260,10 @@ def discounted_returns(
 
 def mini_batches(rollout: Batch, num: int) -> Iterator[Batch]:
     """Yield random mini-batches which together hold every transition once; drawn on the device."""
-    flat = [None if tensor is None else tensor.flatten(0, 1) for tensor in rollout]
-    order = torch.randperm(rollout.values.numel(), device=rollout.values.device)
+    flat = rollout.each(partial(torch.flatten, end_dim=1))
+    order = torch.randperm(len(flat.values), device=flat.values.device)
     for indices in order.chunk(num):
-        yield Batch(*(None if tensor is None else tensor.index_select(0, indices) for tensor in flat))
+        yield flat.each(partial(torch.index_select, dim=0, index=indices))
 
 
 def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:
