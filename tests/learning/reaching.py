@@ -179,6 +179,7 @@ class TaughtEnv(ReachingEnv):
 
 def roll_out(mappo: Mappo, env: ReachingEnv) -> None:
     observation = env.reset()
+    mappo.begin()
     for _ in range(mappo.cfg.rollout_steps):
         step = env.step(mappo.act(observation))
         mappo.record(step)

@@ -53,7 +53,7 @@ def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
 
 def test_mini_batches_hold_every_transition_once() -> None:
     numbers = torch.arange(24.0).view(4, 6)
-    rollout = Batch(numbers[..., None], *(numbers for _ in range(6)))
+    rollout = Batch(numbers[..., None], *(numbers for _ in range(10)))
     batches = list(mini_batches(rollout, 3))
     assert [len(batch.values) for batch in batches] == [8, 8, 8]
     assert all(torch.equal(batch.observations[:, 0], batch.advantages) for batch in batches)
@@ -181,7 +181,9 @@ def test_exported_policy_is_the_mean_of_the_learner(mappo: Mappo) -> None:
     for agent, num_inputs in ReachingEnv.observation_sizes.items():
         observations = 300 * torch.randn(100, num_inputs, generator=generator)
         scaled = mappo.networks[agent].observation_scale(observations)
-        assert torch.equal(policy.network(agent)(observations), mappo.networks[agent].policy(scaled))
+        assert torch.equal(
+            policy.network(agent)(observations, torch.zeros(100, 0))[0], mappo.networks[agent].policy(scaled)
+        )
         assert scaled.abs().max() == 5.0
 
 

@@ -52,10 +52,14 @@ acceleration is 4.9 m/s² (3.9 to 6.8) without action noise and 9 m/s² (6 to 17
 
 @runtime_checkable
 class Actor(Protocol):
-    """What chooses actions: a `Policy`, or anything else with its `act`."""
+    """What chooses actions: a `Policy`, or anything else with its `act` and `reset`."""
 
     def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return the action of every agent in [-1, 1]."""
+        ...
+
+    def reset(self, is_ended: Tensor | None = None) -> None:
+        """Forget what was seen: where an episode ended, or everywhere."""
         ...
 
 
@@ -146,11 +150,13 @@ def run_round(
         watch: Called after every control step; it must copy what it keeps, the next step overwrites it.
     """
     observation = env.reset()
+    actor.reset()
     state = _round_start(env)
     for number in range(1, ROUND_STEPS + 1):
         chosen = actor.act(observation.policy)
         action = state.chosen(torch.cat([chosen[agent.name] for agent in env.method.agents], dim=-1))
         step = env.step({agent.name: action[:, agent.joints] for agent in env.method.agents})
+        actor.reset(step.terminated)
         state = state.advanced(step, action, number)
         observation = step.observation
         watch(step, state)

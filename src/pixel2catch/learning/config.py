@@ -69,6 +69,8 @@ class TrainCfg:
         entropy_scale: Weight of the entropy bonus. Source: release.
         gradient_clip: Largest norm of an agent's gradient. Source: release.
         hidden: Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E.
+        recurrent: Size of a memory (GRU) before the hidden layers of all networks, learnt over whole
+            rollouts; 0 for none. Source: ours.
         initial_log_std: Logarithm of the standard deviation of the actions at the start. Source: ours
             (release: 0).
         checkpoint_seconds: Time between two checkpoints [s].
@@ -103,6 +105,7 @@ class TrainCfg:
     entropy_scale: float = 0.0
     gradient_clip: float = 1.0
     hidden: tuple[int, ...] = dataclasses.field(default_factory=_paper_layers)
+    recurrent: int = 0
     initial_log_std: float = -0.7
     checkpoint_seconds: float = 60.0
     report_seconds: float = 10.0
@@ -120,20 +123,27 @@ class TrainCfg:
         ):
             if getattr(self, name) <= 0:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be greater than 0.")
-        if not self.physics_hz:
-            raise InvalidValueError("physics_hz is empty; it needs a rate, such as 120.")
-        if not 0 <= self.latency_steps[0] <= self.latency_steps[1]:
-            raise InvalidValueError(
-                f"latency_steps is {self.latency_steps}; give 0 or more, then the same or more."
-            )
         for name in ("discount", "gae_lambda", "teacher_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
-        if self.rollout_transitions % self.mini_batches:
-            raise InvalidValueError(
-                f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
-                f"{self.mini_batches} equal mini-batches; change one of the three."
-            )
+        is_wrong = {
+            "physics_hz is empty; it needs a rate, such as 120.": not self.physics_hz,
+            f"latency_steps is {self.latency_steps}; give 0 or more, then the same or more.": not (
+                0 <= self.latency_steps[0] <= self.latency_steps[1]
+            ),
+            f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
+            f"{self.mini_batches} equal mini-batches; change one of the three.": (
+                self.rollout_transitions % self.mini_batches
+            ),
+            f"recurrent is {self.recurrent}; it must be 0 or more.": self.recurrent < 0,
+            f"num_envs = {self.num_envs} cannot be split into {self.mini_batches} equal mini-batches of "
+            "whole rollouts, which networks with a memory need; change one of the two.": (
+                self.recurrent and self.num_envs % self.mini_batches
+            ),
+        }
+        for message, applies in is_wrong.items():
+            if applies:
+                raise InvalidValueError(message)
 
     def rate_at(self, transitions: int) -> float:
         """Physics steps in a second after that many transitions."""

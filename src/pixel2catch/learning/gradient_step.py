@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
-from pixel2catch.learning.networks import ActorCritic
+from pixel2catch.learning.networks import ActorCritic, recall_all
 from pixel2catch.sim.graphs import GraphedFunction
 
 NUM_EAGER_STEPS = 3
@@ -21,7 +21,7 @@ NUM_EAGER_STEPS = 3
 
 
 class Batch(NamedTuple):
-    """Transitions of one agent. Its advice are the actions of a teacher, where there is one."""
+    """Transitions of one agent, (num, ...); with a memory whole rollouts, (rollout_steps, num, ...)."""
 
     observations: Tensor
     states: Tensor
@@ -30,11 +30,18 @@ class Batch(NamedTuple):
     values: Tensor
     returns: Tensor
     advantages: Tensor
-    advice: Tensor | None = None
+    advice: Tensor
+    """Actions of a teacher, (..., 0) without one."""
+    is_first: Tensor
+    """Whether an episode begins with the observation."""
+    policy_memory: Tensor
+    """What the policy remembered at the start of its rollout, (1, num, size); (..., 0) without a memory."""
+    value_memory: Tensor
+    """What the value network remembered, likewise."""
 
     def each(self, function: Callable[[Tensor], Tensor]) -> "Batch":
         """Return the batch of what a function makes of every tensor."""
-        return Batch(*(function(tensor) for tensor in self if tensor is not None))
+        return Batch(*map(function, self))
 
 
 class GradientStep:
@@ -67,7 +74,7 @@ class GradientStep:
 
     def take(self, batch: Batch) -> None:
         """Take one step on standardised observations, states, values and returns; nothing waits."""
-        self._step(*(tensor for tensor in batch if tensor is not None))
+        self._step(*batch)
 
     def rest_policy(self) -> None:
         """Let the value network alone learn, until `wake_policy`."""
@@ -101,16 +108,20 @@ class GradientStep:
         A teacher's advice is followed by its weight, and the surrogate objective by the rest.
         """
         cfg, networks, batch = self._cfg, self._networks, Batch(*tensors)
-        mean = networks.policy(batch.observations)
+        mean = networks.policy(
+            recall_all(networks.policy_memory, batch.observations, batch.policy_memory, batch.is_first)
+        )
+        values = networks.value(
+            recall_all(networks.value_memory, batch.states, batch.value_memory, batch.is_first)
+        )[..., 0]
         log_ratio = networks.log_prob(mean, batch.actions) - batch.log_prob
         ratio = log_ratio.exp()
         clipped_ratio = ratio.clip(1.0 - cfg.ratio_clip, 1.0 + cfg.ratio_clip)
         policy_loss = -torch.min(batch.advantages * ratio, batch.advantages * clipped_ratio).mean()
-        change = networks.value(batch.states)[..., 0] - batch.values
-        values = batch.values + change.clip(-cfg.value_clip, cfg.value_clip)
+        values = batch.values + (values - batch.values).clip(-cfg.value_clip, cfg.value_clip)
         value_loss = cfg.value_loss_scale * nn.functional.mse_loss(batch.returns, values)
         objective = policy_loss - cfg.entropy_scale * networks.entropy()
-        if batch.advice is not None:
+        if batch.advice.shape[-1]:
             imitation = 0.5 * (mean - batch.advice).square().sum(dim=-1).mean()
             objective = torch.lerp(objective, imitation, self.teacher_weight)
         (self._policy_weight * objective + value_loss).backward()

@@ -63,10 +63,14 @@ class Mappo:
         self._teacher = Policy.load(cfg.teacher, cfg.device) if cfg.teacher else None
         self._is_resting = False
 
-        def buffer(*size: int) -> Tensor:
-            return torch.full((cfg.rollout_steps, env.num_envs, *size), torch.nan, device=cfg.device)
+        def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
+            return torch.full((num_steps, env.num_envs, *size), fill, device=cfg.device)
+
+        def memory() -> Tensor:
+            return buffer(cfg.recurrent, num_steps=1 if cfg.recurrent else cfg.rollout_steps, fill=0.0)
 
         self.next_states, states = buffer(env.state_size)[0], buffer(env.state_size)
+        self.is_done, is_first = buffer(fill=False), buffer(fill=False)
         self.rollout = {
             agent: Batch(
                 observations=buffer(env.observation_sizes[agent]),
@@ -76,13 +80,23 @@ class Mappo:
                 values=buffer(),
                 returns=buffer(),
                 advantages=buffer(),
-                advice=buffer(num_actions) if self._teacher else None,
+                advice=buffer(num_actions if self._teacher else 0),
+                is_first=is_first,
+                policy_memory=memory(),
+                value_memory=memory(),
             )
             for agent, num_actions in env.action_sizes.items()
         }
         self.rewards = {agent: buffer() for agent in self.agents}
-        self.is_done = torch.zeros_like(buffer(), dtype=torch.bool)
+        self._memories = {
+            agent: (batch.policy_memory[0].clone(), batch.value_memory[0].clone())
+            for agent, batch in self.rollout.items()
+        }
         self._num_steps = 0
+
+    def begin(self) -> None:
+        """Forget what networks with a memory have seen: new episodes begin everywhere."""
+        self._forget(torch.ones_like(self.is_done[0]))
 
     @torch.no_grad()
     def act(self, observation: Observation) -> dict[str, Tensor]:
@@ -90,18 +104,22 @@ class Mappo:
         actions = {}
         with _tensor_cores():
             for agent, networks in self.networks.items():
-                observed, states = observation.policy[agent], networks.state_scale(observation.state)
-                mean = networks.policy(networks.observation_scale(observed))
+                rollout, memories = self.rollout[agent], self._memories[agent]
+                if self._num_steps == 0:
+                    rollout.policy_memory[0], rollout.value_memory[0] = memories
+                mean, policy_memory = networks.mean_of(observation.policy[agent], memories[0])
                 actions[agent] = mean + networks.log_std.exp() * torch.randn_like(mean)
+                values, value_memory = networks.value_of(observation.state, memories[1])
+                self._memories[agent] = (policy_memory, value_memory)
                 seen = {
-                    "observations": observed,
+                    "observations": observation.policy[agent],
                     "states": observation.state,
                     "actions": actions[agent],
                     "log_prob": networks.log_prob(mean, actions[agent]),
-                    "values": networks.value_scale.inverse(networks.value(states)[..., 0]),
+                    "values": values,
                 }
                 for name, tensor in seen.items():
-                    getattr(self.rollout[agent], name)[self._num_steps] = tensor
+                    getattr(rollout, name)[self._num_steps] = tensor
             if self._teacher is not None:
                 self._ask(self._teacher, observation)
         return actions
@@ -109,7 +127,7 @@ class Mappo:
     def _ask(self, teacher: Policy, observation: Observation) -> None:
         """Remember a teacher's actions; joints are in the same order, however they are split over agents."""
         advice = torch.cat(list(teacher.act(observation.teacher).values()), dim=-1)
-        rooms = [batch.advice for batch in self.rollout.values() if batch.advice is not None]
+        rooms = [batch.advice for batch in self.rollout.values()]
         for room, part in zip(rooms, advice.split([room.shape[-1] for room in rooms], dim=-1), strict=True):
             room[self._num_steps] = part
 
@@ -118,8 +136,17 @@ class Mappo:
         for agent in self.agents:
             self.rewards[agent][self._num_steps] = step.rewards[agent]
         self.is_done[self._num_steps] = step.terminated | step.truncated
+        self._forget(self.is_done[self._num_steps])
         self.next_states = step.observation.state
         self._num_steps += 1
+
+    def _forget(self, is_ended: Tensor) -> None:
+        if self._teacher is not None:
+            self._teacher.reset(is_ended)
+        if self.cfg.recurrent:
+            for agent, memories in self._memories.items():
+                policy_memory, value_memory = (memory * ~is_ended[:, None] for memory in memories)
+                self._memories[agent] = (policy_memory, value_memory)
 
     def discard_rollout(self) -> None:
         """Forget the transitions since the last update."""
@@ -150,7 +177,7 @@ class Mappo:
         epochs = []
         for epoch in range(cfg.epochs):
             step.totals.zero_()
-            for batch in mini_batches(self.rollout[agent], cfg.mini_batches):
+            for batch in mini_batches(self.rollout[agent], cfg.mini_batches, is_whole=cfg.recurrent > 0):
                 if epoch == 0:
                     networks.observation_scale.learn(batch.observations)
                     networks.state_scale.learn(batch.states)
@@ -168,7 +195,8 @@ class Mappo:
         """Fill in returns and advantages, and standardise the values and the returns one after the other."""
         rollout, networks = self.rollout[agent], self.networks[agent]
         values, scale = rollout.values, networks.value_scale
-        last = scale.inverse(networks.value(networks.state_scale(self.next_states))[..., 0])
+        last, _ = networks.value_of(self.next_states, self._memories[agent][1])
+        rollout.is_first[1:] = self.is_done[:-1]
         returns = discounted_returns(self.cfg, self.rewards[agent], self.is_done, values, last)
         rollout.advantages.copy_(self.workers.standardized(returns - values, EPSILON))
         for target, given in ((values, values), (rollout.returns, returns)):
@@ -187,10 +215,12 @@ class Mappo:
     @torch.no_grad()
     def export(self, contract: PolicyContract) -> Policy:
         """Copy mean networks and input statistics into a `Policy` on the CPU."""
-        policy = Policy(contract, self.cfg.hidden)
+        policy = Policy(contract, self.cfg.hidden, self.cfg.recurrent)
         for agent, networks in self.networks.items():
             target = policy.network(agent)
             target.network.load_state_dict(networks.policy.state_dict())
+            if target.memory and networks.policy_memory:
+                target.memory.load_state_dict(networks.policy_memory.state_dict())
             target.input_mean.copy_(networks.observation_scale.mean)
             target.input_std.copy_(networks.observation_scale.std)
         return policy.eval()
@@ -200,16 +230,23 @@ class Mappo:
         """Go on from the networks and the input statistics of a policy: the inverse of `export`.
 
         Raises:
-            InvalidValueError: Its hidden layers have other sizes.
+            InvalidValueError: Its hidden layers or its memory have other sizes.
         """
         if policy.hidden != tuple(self.cfg.hidden):
             raise InvalidValueError(
                 f"the policy to start from has hidden layers {policy.hidden}; train with --hidden "
                 f"{' '.join(map(str, policy.hidden))}, or start from another."
             )
+        if policy.recurrent != self.cfg.recurrent:
+            raise InvalidValueError(
+                f"the policy to start from has a memory of {policy.recurrent}; train with --recurrent "
+                f"{policy.recurrent}, or start from another."
+            )
         for agent, networks in self.networks.items():
             source, scale = policy.network(agent), networks.observation_scale
             networks.policy.load_state_dict(source.network.state_dict())
+            if source.memory and networks.policy_memory:
+                networks.policy_memory.load_state_dict(source.memory.state_dict())
             scale.mean.copy_(source.input_mean)
             scale.variance.copy_((source.input_std.double() - EPSILON).square())
             scale.count.fill_(ADOPTED_SAMPLES)
@@ -258,12 +295,19 @@ def discounted_returns(
     return returns
 
 
-def mini_batches(rollout: Batch, num: int) -> Iterator[Batch]:
-    """Yield random mini-batches which together hold every transition once; drawn on the device."""
-    flat = rollout.each(partial(torch.flatten, end_dim=1))
-    order = torch.randperm(len(flat.values), device=flat.values.device)
+def mini_batches(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Batch]:
+    """Yield random mini-batches which together hold every transition once; drawn on the device.
+
+    Args:
+        rollout: All transitions, (rollout_steps, num_envs, ...).
+        num: Number of mini-batches.
+        is_whole: Whether the steps of an environment stay together and in order.
+    """
+    drawn = rollout if is_whole else rollout.each(partial(torch.flatten, end_dim=1))
+    dim = 1 if is_whole else 0
+    order = torch.randperm(drawn.values.shape[dim], device=drawn.values.device)
     for indices in order.chunk(num):
-        yield flat.each(partial(torch.index_select, dim=0, index=indices))
+        yield drawn.each(partial(torch.index_select, dim=dim, index=indices))
 
 
 def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:

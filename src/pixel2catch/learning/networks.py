@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.policy import build_mlp
-from pixel2catch.policy.networks import INPUT_CLIP
+from pixel2catch.policy.networks import INPUT_CLIP, recall
 
 EPSILON = 1e-8
 """Added to a standard deviation before dividing by it. Source: release (skrl)."""
@@ -64,9 +64,12 @@ class ActorCritic(nn.Module):
     ) -> None:
         """Build untrained networks; the global torch generator of the CPU decides on their weights."""
         super().__init__()
-        self.policy = build_mlp(num_observations, num_actions, cfg.hidden)
+        size = cfg.recurrent
+        self.policy_memory = nn.GRUCell(num_observations, size) if size else None
+        self.policy = build_mlp(size or num_observations, num_actions, cfg.hidden)
         self.log_std = nn.Parameter(torch.full((num_actions,), cfg.initial_log_std))
-        self.value = build_mlp(num_states, 1, cfg.hidden)
+        self.value_memory = nn.GRUCell(num_states, size) if size else None
+        self.value = build_mlp(size or num_states, 1, cfg.hidden)
         self.observation_scale = Standardizer(workers, num_observations)
         self.state_scale = Standardizer(workers, num_states)
         self.value_scale = Standardizer(workers)
@@ -75,7 +78,22 @@ class ActorCritic(nn.Module):
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:
         """Parameters of the policy and of the value network."""
-        return {"policy": [self.log_std, *self.policy.parameters()], "value": [*self.value.parameters()]}
+        groups = {"policy": (self.policy, self.policy_memory), "value": (self.value, self.value_memory)}
+        parts = {
+            name: [parameter for module in modules if module for parameter in module.parameters()]
+            for name, modules in groups.items()
+        }
+        return {**parts, "policy": [self.log_std, *parts["policy"]]}
+
+    def mean_of(self, observations: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the mean actions for observations, and what is remembered from now on."""
+        features, memory = recall(self.policy_memory, self.observation_scale(observations), memory)
+        return self.policy(features), memory
+
+    def value_of(self, states: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the values of states, (num_envs,), and what is remembered from now on."""
+        features, memory = recall(self.value_memory, self.state_scale(states), memory)
+        return self.value_scale.inverse(self.value(features)[..., 0]), memory
 
     def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
         """Return the logarithm of the probability density of actions about a mean."""
@@ -85,3 +103,21 @@ class ActorCritic(nn.Module):
     def entropy(self) -> Tensor:
         """Return the entropy of an action."""
         return (self.log_std + 0.5 * math.log(2.0 * math.pi * math.e)).sum()
+
+
+def recall_all(memory: nn.GRUCell | None, inputs: Tensor, state: Tensor, is_first: Tensor) -> Tensor:
+    """Return what the hidden layers see of whole rollouts: `recall`, step by step.
+
+    Args:
+        memory: The memory before the layers; they see the inputs themselves without one.
+        inputs: Standardised inputs, (num_steps, num_envs, num_inputs).
+        state: What was remembered at their start, (1, num_envs, size).
+        is_first: Where an episode begins, of which nothing is known before, (num_steps, num_envs).
+    """
+    if memory is None:
+        return inputs
+    features, now = [], state[0]
+    for step, begins in zip(inputs, is_first, strict=True):
+        _, now = recall(memory, step, now * ~begins[:, None])
+        features.append(now)
+    return torch.stack(features)

@@ -145,6 +145,7 @@ class _Training:
             with self.workers.sync_errors():
                 if self.schedule.enter(self.progress.transitions) or observation is None:
                     observation = self.schedule.env.reset()
+                    self.mappo.begin()
                 observation = self._collect(observation, stop)
             if self.workers.any(stop.is_set):
                 self.mappo.discard_rollout()
