@@ -147,8 +147,9 @@ def test_training_gives_the_numbers_of_skrl(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
-def test_captured_steps_equal_eager_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    cfg = dataclasses.replace(SMALL, device="cuda")
+@pytest.mark.parametrize("recurrent", [0, 16])
+def test_captured_steps_equal_eager_ones(recurrent: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    cfg = dataclasses.replace(SMALL, device="cuda", recurrent=recurrent)
     outcomes = []
     for num_eager_steps in (3, 10**9):
         monkeypatch.setattr(gradient_step, "NUM_EAGER_STEPS", num_eager_steps)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Statistics, Step, roll_out
+from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Statistics, Step, TaughtEnv, roll_out
 from torch import Tensor, nn
 
 from pixel2catch.errors import CheckpointError, InvalidValueError
@@ -189,8 +189,6 @@ def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
 
 def test_a_teacher_may_have_a_memory(tmp_path: Path) -> None:
     """Its advice is that of its policy, acted by itself."""
-    from reaching import TaughtEnv
-
     Policy(CONTRACT, SMALL.hidden, recurrent=8).save(tmp_path)
     cfg = dataclasses.replace(SMALL, teacher=tmp_path)
     mappo = Mappo(cfg, TaughtEnv(cfg))

@@ -27,11 +27,15 @@ TOLERANCES = {"cpu": (1e-5, 2e-6), "cuda": (1e-2, 1e-3)}
 """Relative and absolute; a CUDA device rounds the networks' products to TF32."""
 
 
-def ordered(rollout: Batch, num: int) -> Iterator[Batch]:
-    """Mini-batches of successive control steps, so that one of the whole is made of one of each half."""
-    flat = rollout.each(partial(torch.flatten, end_dim=1))
-    for chunk in torch.arange(len(flat.values), device=flat.values.device).chunk(num):
-        yield flat.each(partial(torch.index_select, dim=0, index=chunk))
+def ordered(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Batch]:
+    """Mini-batches in an order by which one of the whole is made of one of each half."""
+    device, dim = rollout.values.device, 1 if is_whole else 0
+    flat = rollout if is_whole else rollout.each(partial(torch.flatten, end_dim=1))
+    order = torch.arange(flat.values.shape[dim], device=device)
+    if is_whole and len(order) == CFG.num_envs:
+        order = order.view(2, -1).T.flatten()
+    for chunk in order.chunk(num):
+        yield flat.each(partial(torch.index_select, dim=dim, index=chunk))
 
 
 def make_mappo(cfg: TrainCfg, workers: Workers | None = None) -> Mappo:
@@ -43,6 +47,9 @@ def give_half(whole: Mappo, half: Mappo, rank: int) -> None:
     """Put one half of the environments' transitions into the rollout of another."""
     size = half.cfg.num_envs
     mine = slice(rank * size, (rank + 1) * size)
+    half._memories = {
+        agent: (memories[0][mine], memories[1][mine]) for agent, memories in whole._memories.items()
+    }
     half.is_done, half.next_states = whole.is_done[:, mine], whole.next_states[mine]
     for agent, rollout in half.rollout.items():
         half.rewards[agent] = whole.rewards[agent][:, mine]
@@ -59,10 +66,12 @@ def all_tensors(mappo: Mappo) -> dict[str, torch.Tensor]:
     }
 
 
-def check_halves_learn_as_the_whole(workers: Workers) -> None:
+def check_halves_learn_as_the_whole(workers: Workers, recurrent: int) -> None:
     """Fed the same transitions, two processes take the steps of one, and hold its statistics."""
-    cfg = dataclasses.replace(CFG, device=workers.device)
+    cfg = dataclasses.replace(CFG, device=workers.device, recurrent=recurrent)
     rtol, atol = TOLERANCES[torch.device(cfg.device).type]
+    if recurrent:
+        atol *= 5  # gradients are sums over steps, in another order
     whole, half = make_mappo(cfg), make_mappo(workers.share(cfg), workers)
     start, env = all_tensors(whole), ReachingEnv(cfg)
     for _ in range(NUM_UPDATES):
@@ -127,7 +136,8 @@ def train_endlessly(folder: Path, device: str) -> None:
 def update(folder: Path, device: str) -> None:
     algorithm.mini_batches = ordered
     with start_workers(device) as workers:
-        check_halves_learn_as_the_whole(workers)
+        check_halves_learn_as_the_whole(workers, recurrent=0)
+        check_halves_learn_as_the_whole(workers, recurrent=8)
         check_networks_stay_the_same(workers)
         (folder / f"checked{workers.rank}").touch()
     # A thread of the group that outlives it may end the process with "terminate called".
