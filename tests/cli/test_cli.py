@@ -19,6 +19,7 @@ from pixel2catch.cli.main import COMMANDS, main
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.cli.train import Train
 from pixel2catch.evaluation.loading import DEFAULT_POLICY, load_policy, shipped_policies
+from pixel2catch.evaluation.protocol import EvaluationCfg, evaluate
 from pixel2catch.learning.config import TrainCfg, preset
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import PROPOSED, find_method
@@ -223,6 +224,19 @@ def test_training_and_evaluating_its_policy(tmp_path: Path):
     assert "finished" in result.stdout
     policy, method = load_policy(out)
     assert (method.name, policy.hidden) == ("only_center", (16,))
+
+
+def test_evaluations_of_a_recurrent_policy_repeat(tmp_path: Path):
+    out = tmp_path / "run"
+    size = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "16", "--hidden", "16")
+    options = ("--device", "cpu", *size, "--recurrent", "8", "--out", str(out))
+    assert main(["train", "proposed", *options]) == 0
+    policy, _ = load_policy(out)
+    assert policy.recurrent == 8
+    cfg = EvaluationCfg(objects=("cube_s",), num_envs=3, trials=1)
+    records = [evaluate(policy, PROPOSED, cfg).record for _ in range(2)]
+    for first, second in zip(*(vars(record).values() for record in records), strict=True):
+        assert torch.equal(first, second)
 
 
 def test_training_imitates_a_policy_of_another_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -1,4 +1,4 @@
-"""Networks with a memory: their sequences, their episodes, what only they can learn, and their policies."""
+"""Recurrent networks: their sequences, their episodes, what only they can learn, and their policies."""
 
 import dataclasses
 from pathlib import Path
@@ -19,43 +19,43 @@ RECURRENT = dataclasses.replace(SMALL, recurrent=16)
 
 
 def sequence(num_steps: int) -> tuple[nn.GRUCell, Tensor, Tensor]:
-    """A memory, inputs of three environments and what was remembered before."""
+    """A GRU, inputs of three environments and its hidden state before."""
     torch.manual_seed(0)
     return nn.GRUCell(4, 5), torch.randn(num_steps, 3, 4), torch.randn(1, 3, 5)
 
 
 def test_a_sequence_cut_at_an_episodes_end_is_two_sequences() -> None:
-    memory, inputs, state = sequence(7)
+    gru, inputs, state = sequence(7)
     is_first = torch.zeros(7, 3, dtype=torch.bool)
     is_first[4] = True
-    whole = recall_all(memory, inputs, state, is_first)
-    before = recall_all(memory, inputs[:4], state, is_first[:4])
-    after = recall_all(memory, inputs[4:], torch.zeros(1, 3, 5), torch.zeros(3, 3, dtype=torch.bool))
+    whole = recall_all(gru, inputs, state, is_first)
+    before = recall_all(gru, inputs[:4], state, is_first[:4])
+    after = recall_all(gru, inputs[4:], torch.zeros(1, 3, 5), torch.zeros(3, 3, dtype=torch.bool))
     torch.testing.assert_close(whole, torch.cat((before, after)))
-    assert (recall_all(memory, inputs, state, ~is_first)[4] - whole[4]).abs().max() > 1e-3
+    assert (recall_all(gru, inputs, state, ~is_first)[4] - whole[4]).abs().max() > 1e-3
 
 
-def gates(memory: nn.GRUCell, inputs: Tensor, state: Tensor) -> Tensor:
+def gates(gru: nn.GRUCell, inputs: Tensor, state: Tensor) -> Tensor:
     """One step by the equations of the gated recurrent unit (Cho et al. 2014, in torch's form)."""
-    of_input = (inputs @ memory.weight_ih.T + memory.bias_ih).chunk(3, dim=-1)
-    of_state = (state @ memory.weight_hh.T + memory.bias_hh).chunk(3, dim=-1)
+    of_input = (inputs @ gru.weight_ih.T + gru.bias_ih).chunk(3, dim=-1)
+    of_state = (state @ gru.weight_hh.T + gru.bias_hh).chunk(3, dim=-1)
     resets, updates = ((a + b).sigmoid() for a, b in zip(of_input[:2], of_state[:2], strict=True))
     return updates * state + (1.0 - updates) * (of_input[2] + resets * of_state[2]).tanh()
 
 
 def test_gradients_of_a_sequence_are_those_of_a_loop_by_hand() -> None:
-    memory, inputs, state = sequence(6)
+    gru, inputs, state = sequence(6)
     is_first = torch.rand(6, 3) < 0.3
     weights = torch.randn(6, 3, 5)
     found = torch.autograd.grad(
-        (weights * recall_all(memory, inputs, state, is_first)).sum(), [*memory.parameters()]
+        (weights * recall_all(gru, inputs, state, is_first)).sum(), [*gru.parameters()]
     )
     now, total = state[0], torch.zeros(())
     for t in range(6):
         now = torch.where(is_first[t][:, None], torch.zeros_like(now), now)
-        now = gates(memory, inputs[t], now)
+        now = gates(gru, inputs[t], now)
         total = total + (weights[t] * now).sum()
-    for gradient, expected in zip(found, torch.autograd.grad(total, [*memory.parameters()]), strict=True):
+    for gradient, expected in zip(found, torch.autograd.grad(total, [*gru.parameters()]), strict=True):
         torch.testing.assert_close(gradient, expected)
 
 
@@ -73,9 +73,9 @@ def test_learning_sees_what_acting_saw() -> None:
         networks, rollout = mappo.networks["arm"], mappo.rollout["arm"]
         is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
         assert is_first.any()
-        assert bool(rollout.policy_memory.any()) == bool(number)
+        assert bool(rollout.policy_hidden_state.any()) == bool(number)
         inputs = networks.observation_scale(rollout.observations)
-        features = recall_all(networks.policy_memory, inputs, rollout.policy_memory, is_first)
+        features = recall_all(networks.policy_gru, inputs, rollout.policy_hidden_state, is_first)
         log_prob = networks.log_prob(networks.policy(features), rollout.actions)
         torch.testing.assert_close(log_prob, rollout.log_prob)
         mappo.update(0.0)
@@ -174,7 +174,7 @@ def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
     policy, networks, rollout = mappo.export(CONTRACT), mappo.networks["arm"], mappo.rollout["arm"]
     inputs = networks.observation_scale(rollout.observations)
     is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
-    features = recall_all(networks.policy_memory, inputs, torch.zeros(1, SMALL.num_envs, 16), is_first)
+    features = recall_all(networks.policy_gru, inputs, torch.zeros(1, SMALL.num_envs, 16), is_first)
     for t, expected in enumerate(networks.policy(features)):
         policy.reset(is_first[t])
         observations = {agent: batch.observations[t] for agent, batch in mappo.rollout.items()}
@@ -187,7 +187,7 @@ def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
         Mappo(SMALL, ReachingEnv(SMALL)).adopt(policy)
 
 
-def test_a_teacher_may_have_a_memory(tmp_path: Path) -> None:
+def test_a_teacher_may_be_recurrent(tmp_path: Path) -> None:
     """Its advice is that of its policy, acted by itself."""
     Policy(CONTRACT, SMALL.hidden, recurrent=8).save(tmp_path)
     cfg = dataclasses.replace(SMALL, teacher=tmp_path)

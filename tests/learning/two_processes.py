@@ -47,8 +47,8 @@ def give_half(whole: Mappo, half: Mappo, rank: int) -> None:
     """Put one half of the environments' transitions into the rollout of another."""
     size = half.cfg.num_envs
     mine = slice(rank * size, (rank + 1) * size)
-    half._memories = {
-        agent: (memories[0][mine], memories[1][mine]) for agent, memories in whole._memories.items()
+    half._hidden_states = {
+        agent: (states[0][mine], states[1][mine]) for agent, states in whole._hidden_states.items()
     }
     half.is_done, half.next_states = whole.is_done[:, mine], whole.next_states[mine]
     for agent, rollout in half.rollout.items():

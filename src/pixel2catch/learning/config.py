@@ -69,7 +69,7 @@ class TrainCfg:
         entropy_scale: Weight of the entropy bonus. Source: release.
         gradient_clip: Largest norm of an agent's gradient. Source: release.
         hidden: Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E.
-        recurrent: Size of a memory (GRU) before the hidden layers of all networks, learnt over whole
+        recurrent: Size of a recurrent unit (GRU) before the hidden layers of all networks, learnt over whole
             rollouts; 0 for none. Source: ours.
         initial_log_std: Logarithm of the standard deviation of the actions at the start. Source: ours
             (release: 0).
@@ -137,7 +137,7 @@ class TrainCfg:
             ),
             f"recurrent is {self.recurrent}; it must be 0 or more.": self.recurrent < 0,
             f"num_envs = {self.num_envs} cannot be split into {self.mini_batches} equal mini-batches of "
-            "whole rollouts, which networks with a memory need; change one of the two.": (
+            "whole rollouts, which recurrent networks need; change one of the two.": (
                 self.recurrent and self.num_envs % self.mini_batches
             ),
         }

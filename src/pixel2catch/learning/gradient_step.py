@@ -21,7 +21,7 @@ NUM_EAGER_STEPS = 3
 
 
 class Batch(NamedTuple):
-    """Transitions of one agent, (num, ...); with a memory whole rollouts, (rollout_steps, num, ...)."""
+    """Transitions of one agent, (num, ...), or its rollouts in whole, (rollout_steps, num, ...)."""
 
     observations: Tensor
     states: Tensor
@@ -34,10 +34,10 @@ class Batch(NamedTuple):
     """Actions of a teacher, (..., 0) without one."""
     is_first: Tensor
     """Whether an episode begins with the observation."""
-    policy_memory: Tensor
-    """What the policy remembered at the start of its rollout, (1, num, size); (..., 0) without a memory."""
-    value_memory: Tensor
-    """What the value network remembered, likewise."""
+    policy_hidden_state: Tensor
+    """That of the policy's GRU at the start of the rollout, (1, num, size); (..., 0) without one."""
+    value_hidden_state: Tensor
+    """That of the value network's, likewise."""
 
     def each(self, function: Callable[[Tensor], Tensor]) -> "Batch":
         """Return the batch of what a function makes of every tensor."""
@@ -109,10 +109,10 @@ class GradientStep:
         """
         cfg, networks, batch = self._cfg, self._networks, Batch(*tensors)
         mean = networks.policy(
-            recall_all(networks.policy_memory, batch.observations, batch.policy_memory, batch.is_first)
+            recall_all(networks.policy_gru, batch.observations, batch.policy_hidden_state, batch.is_first)
         )
         values = networks.value(
-            recall_all(networks.value_memory, batch.states, batch.value_memory, batch.is_first)
+            recall_all(networks.value_gru, batch.states, batch.value_hidden_state, batch.is_first)
         )[..., 0]
         log_ratio = networks.log_prob(mean, batch.actions) - batch.log_prob
         ratio = log_ratio.exp()

@@ -66,7 +66,7 @@ class Mappo:
         def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
             return torch.full((num_steps, env.num_envs, *size), fill, device=cfg.device)
 
-        def memory() -> Tensor:
+        def hidden_state() -> Tensor:
             return buffer(cfg.recurrent, num_steps=1 if cfg.recurrent else cfg.rollout_steps, fill=0.0)
 
         self.next_states, states = buffer(env.state_size)[0], buffer(env.state_size)
@@ -82,20 +82,20 @@ class Mappo:
                 advantages=buffer(),
                 advice=buffer(num_actions if self._teacher else 0),
                 is_first=is_first,
-                policy_memory=memory(),
-                value_memory=memory(),
+                policy_hidden_state=hidden_state(),
+                value_hidden_state=hidden_state(),
             )
             for agent, num_actions in env.action_sizes.items()
         }
         self.rewards = {agent: buffer() for agent in self.agents}
-        self._memories = {
-            agent: (batch.policy_memory[0].clone(), batch.value_memory[0].clone())
+        self._hidden_states = {
+            agent: (batch.policy_hidden_state[0].clone(), batch.value_hidden_state[0].clone())
             for agent, batch in self.rollout.items()
         }
         self._num_steps = 0
 
     def begin(self) -> None:
-        """Forget what networks with a memory have seen: new episodes begin everywhere."""
+        """Forget what recurrent networks have seen: new episodes begin everywhere."""
         self._forget(torch.ones_like(self.is_done[0]))
 
     @torch.no_grad()
@@ -104,13 +104,13 @@ class Mappo:
         actions = {}
         with _tensor_cores():
             for agent, networks in self.networks.items():
-                rollout, memories = self.rollout[agent], self._memories[agent]
+                rollout, hidden = self.rollout[agent], self._hidden_states[agent]
                 if self._num_steps == 0:
-                    rollout.policy_memory[0], rollout.value_memory[0] = memories
-                mean, policy_memory = networks.mean_of(observation.policy[agent], memories[0])
+                    rollout.policy_hidden_state[0], rollout.value_hidden_state[0] = hidden
+                mean, policy_state = networks.mean_of(observation.policy[agent], hidden[0])
                 actions[agent] = mean + networks.log_std.exp() * torch.randn_like(mean)
-                values, value_memory = networks.value_of(observation.state, memories[1])
-                self._memories[agent] = (policy_memory, value_memory)
+                values, value_state = networks.value_of(observation.state, hidden[1])
+                self._hidden_states[agent] = (policy_state, value_state)
                 seen = {
                     "observations": observation.policy[agent],
                     "states": observation.state,
@@ -144,9 +144,9 @@ class Mappo:
         if self._teacher is not None:
             self._teacher.reset(is_ended)
         if self.cfg.recurrent:
-            for agent, memories in self._memories.items():
-                policy_memory, value_memory = (memory * ~is_ended[:, None] for memory in memories)
-                self._memories[agent] = (policy_memory, value_memory)
+            for agent, states in self._hidden_states.items():
+                policy_state, value_state = (state * ~is_ended[:, None] for state in states)
+                self._hidden_states[agent] = (policy_state, value_state)
 
     def discard_rollout(self) -> None:
         """Forget the transitions since the last update."""
@@ -195,7 +195,7 @@ class Mappo:
         """Fill in returns and advantages, and standardise the values and the returns one after the other."""
         rollout, networks = self.rollout[agent], self.networks[agent]
         values, scale = rollout.values, networks.value_scale
-        last, _ = networks.value_of(self.next_states, self._memories[agent][1])
+        last, _ = networks.value_of(self.next_states, self._hidden_states[agent][1])
         rollout.is_first[1:] = self.is_done[:-1]
         returns = discounted_returns(self.cfg, self.rewards[agent], self.is_done, values, last)
         rollout.advantages.copy_(self.workers.standardized(returns - values, EPSILON))
@@ -219,8 +219,8 @@ class Mappo:
         for agent, networks in self.networks.items():
             target = policy.network(agent)
             target.network.load_state_dict(networks.policy.state_dict())
-            if target.memory and networks.policy_memory:
-                target.memory.load_state_dict(networks.policy_memory.state_dict())
+            if target.gru and networks.policy_gru:
+                target.gru.load_state_dict(networks.policy_gru.state_dict())
             target.input_mean.copy_(networks.observation_scale.mean)
             target.input_std.copy_(networks.observation_scale.std)
         return policy.eval()
@@ -230,7 +230,7 @@ class Mappo:
         """Go on from the networks and the input statistics of a policy: the inverse of `export`.
 
         Raises:
-            InvalidValueError: Its hidden layers or its memory have other sizes.
+            InvalidValueError: Its hidden layers or its GRU have other sizes.
         """
         if policy.hidden != tuple(self.cfg.hidden):
             raise InvalidValueError(
@@ -239,14 +239,14 @@ class Mappo:
             )
         if policy.recurrent != self.cfg.recurrent:
             raise InvalidValueError(
-                f"the policy to start from has a memory of {policy.recurrent}; train with --recurrent "
+                f"the policy to start from has a GRU of size {policy.recurrent}; train with --recurrent "
                 f"{policy.recurrent}, or start from another."
             )
         for agent, networks in self.networks.items():
             source, scale = policy.network(agent), networks.observation_scale
             networks.policy.load_state_dict(source.network.state_dict())
-            if source.memory and networks.policy_memory:
-                networks.policy_memory.load_state_dict(source.memory.state_dict())
+            if source.gru and networks.policy_gru:
+                networks.policy_gru.load_state_dict(source.gru.state_dict())
             scale.mean.copy_(source.input_mean)
             scale.variance.copy_((source.input_std.double() - EPSILON).square())
             scale.count.fill_(ADOPTED_SAMPLES)

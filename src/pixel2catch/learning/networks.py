@@ -65,10 +65,10 @@ class ActorCritic(nn.Module):
         """Build untrained networks; the global torch generator of the CPU decides on their weights."""
         super().__init__()
         size = cfg.recurrent
-        self.policy_memory = nn.GRUCell(num_observations, size) if size else None
+        self.policy_gru = nn.GRUCell(num_observations, size) if size else None
         self.policy = build_mlp(size or num_observations, num_actions, cfg.hidden)
         self.log_std = nn.Parameter(torch.full((num_actions,), cfg.initial_log_std))
-        self.value_memory = nn.GRUCell(num_states, size) if size else None
+        self.value_gru = nn.GRUCell(num_states, size) if size else None
         self.value = build_mlp(size or num_states, 1, cfg.hidden)
         self.observation_scale = Standardizer(workers, num_observations)
         self.state_scale = Standardizer(workers, num_states)
@@ -78,22 +78,22 @@ class ActorCritic(nn.Module):
     @property
     def parts(self) -> dict[str, list[nn.Parameter]]:
         """Parameters of the policy and of the value network."""
-        groups = {"policy": (self.policy, self.policy_memory), "value": (self.value, self.value_memory)}
+        groups = {"policy": (self.policy, self.policy_gru), "value": (self.value, self.value_gru)}
         parts = {
             name: [parameter for module in modules if module for parameter in module.parameters()]
             for name, modules in groups.items()
         }
         return {**parts, "policy": [self.log_std, *parts["policy"]]}
 
-    def mean_of(self, observations: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the mean actions for observations, and what is remembered from now on."""
-        features, memory = recall(self.policy_memory, self.observation_scale(observations), memory)
-        return self.policy(features), memory
+    def mean_of(self, observations: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the mean actions for observations, and the new hidden state."""
+        features, hidden_state = recall(self.policy_gru, self.observation_scale(observations), hidden_state)
+        return self.policy(features), hidden_state
 
-    def value_of(self, states: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the values of states, (num_envs,), and what is remembered from now on."""
-        features, memory = recall(self.value_memory, self.state_scale(states), memory)
-        return self.value_scale.inverse(self.value(features)[..., 0]), memory
+    def value_of(self, states: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the values of states, (num_envs,), and the new hidden state."""
+        features, hidden_state = recall(self.value_gru, self.state_scale(states), hidden_state)
+        return self.value_scale.inverse(self.value(features)[..., 0]), hidden_state
 
     def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
         """Return the logarithm of the probability density of actions about a mean."""
@@ -105,19 +105,19 @@ class ActorCritic(nn.Module):
         return (self.log_std + 0.5 * math.log(2.0 * math.pi * math.e)).sum()
 
 
-def recall_all(memory: nn.GRUCell | None, inputs: Tensor, state: Tensor, is_first: Tensor) -> Tensor:
+def recall_all(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor, is_first: Tensor) -> Tensor:
     """Return what the hidden layers see of whole rollouts: `recall`, step by step.
 
     Args:
-        memory: The memory before the layers; they see the inputs themselves without one.
+        gru: The unit before the hidden layers, if there is one.
         inputs: Standardised inputs, (num_steps, num_envs, num_inputs).
-        state: What was remembered at their start, (1, num_envs, size).
+        hidden_state: That before the first step, (1, num_envs, size).
         is_first: Where an episode begins, of which nothing is known before, (num_steps, num_envs).
     """
-    if memory is None:
+    if gru is None:
         return inputs
-    features, now = [], state[0]
+    features, now = [], hidden_state[0]
     for step, begins in zip(inputs, is_first, strict=True):
-        _, now = recall(memory, step, now * ~begins[:, None])
+        _, now = recall(gru, step, now * ~begins[:, None])
         features.append(now)
     return torch.stack(features)

@@ -31,22 +31,22 @@ def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN)
     return nn.Sequential(*layers, nn.Linear(sizes[-1], num_outputs))
 
 
-def recall(memory: nn.GRUCell | None, inputs: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what the hidden layers see, and what is remembered from now on.
+def recall(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
+    """Return what the hidden layers see, and the new hidden state.
 
     Args:
-        memory: A gated recurrent unit before the hidden layers; they see the inputs themselves without one.
+        gru: A gated recurrent unit before the hidden layers, which see the inputs themselves without one.
         inputs: Standardised, clipped inputs, (num_envs, num_inputs).
-        state: What was remembered until now, (num_envs, size of the memory); zeros if nothing.
+        hidden_state: What the unit remembers, (num_envs, size); zeros at the first step of an episode.
     """
-    if memory is None:
-        return inputs, state
-    state = memory(inputs, state)
-    return state, state
+    if gru is None:
+        return inputs, hidden_state
+    hidden_state = gru(inputs, hidden_state)
+    return hidden_state, hidden_state
 
 
 class AgentNetwork(nn.Module):
-    """Mean action of one agent: standardised, clipped inputs, a memory if it has one, and a perceptron."""
+    """Mean action of one agent: standardised, clipped inputs through a GRU, if any, and a perceptron."""
 
     input_mean: Tensor
     input_std: Tensor
@@ -58,13 +58,15 @@ class AgentNetwork(nn.Module):
         super().__init__()
         self.register_buffer("input_mean", torch.zeros(num_inputs))
         self.register_buffer("input_std", torch.ones(num_inputs))
-        self.memory = nn.GRUCell(num_inputs, recurrent) if recurrent else None
+        self.gru = nn.GRUCell(num_inputs, recurrent) if recurrent else None
         self.network = build_mlp(recurrent or num_inputs, num_outputs, hidden)
 
     def forward(
-        self, observation: Float[Tensor, "num_envs num_inputs"], state: Float[Tensor, "num_envs recurrent"]
+        self,
+        observation: Float[Tensor, "num_envs num_inputs"],
+        hidden_state: Float[Tensor, "num_envs recurrent"],
     ) -> tuple[Float[Tensor, "num_envs num_outputs"], Float[Tensor, "num_envs recurrent"]]:
-        """Return the unclipped mean action, and what is remembered: see `recall`."""
+        """Return the unclipped mean action and the new hidden state: see `recall`."""
         standardised = (observation - self.input_mean) / self.input_std
-        features, state = recall(self.memory, standardised.clamp(-INPUT_CLIP, INPUT_CLIP), state)
-        return self.network(features), state
+        features, hidden_state = recall(self.gru, standardised.clamp(-INPUT_CLIP, INPUT_CLIP), hidden_state)
+        return self.network(features), hidden_state

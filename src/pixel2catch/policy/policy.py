@@ -34,12 +34,12 @@ class Policy(nn.Module):
         Args:
             contract: What the policy expects and promises.
             hidden: Sizes of the hidden layers.
-            recurrent: Size of the memory before them; 0 for none.
+            recurrent: Size of a GRU before them; 0 for none.
         """
         super().__init__()
         self.contract = contract
         self.hidden, self.recurrent = tuple(hidden), recurrent
-        self._states: dict[str, Tensor] = {}
+        self._hidden_states: dict[str, Tensor] = {}
         self.agents = nn.ModuleDict(
             {
                 name: AgentNetwork(agent.num_inputs, len(agent.joints), hidden, recurrent)
@@ -52,34 +52,36 @@ class Policy(nn.Module):
         return cast(AgentNetwork, self.agents[agent])
 
     def reset(self, is_ended: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Forget what was seen: where an episode ended, or everywhere. Needed by policies with a memory.
+        """Forget what was seen: where an episode ended, or everywhere. Needed by recurrent policies.
 
         Args:
             is_ended: Where the next observation is the first of an episode; everywhere if absent.
         """
         if is_ended is None:
-            self._states.clear()
+            self._hidden_states.clear()
         else:
-            self._states = {name: state * ~is_ended[:, None] for name, state in self._states.items()}
+            self._hidden_states = {
+                name: state * ~is_ended[:, None] for name, state in self._hidden_states.items()
+            }
 
     @torch.no_grad()
     def act(
         self, observations: dict[str, Float[Tensor, "num_envs _"]]
     ) -> dict[str, Float[Tensor, "num_envs _"]]:
-        """Return the mean action of every agent, clipped to [-1, 1]; a memory goes on from the last call.
+        """Return the mean action of every agent, clipped to [-1, 1]; a GRU goes on from the last call.
 
         Args:
             observations: The observation vectors by agent, in the order of the contract.
         """
         actions = {}
         for name in self.agents:
-            observation, state = observations[name], self._states.get(name)
+            observation, state = observations[name], self._hidden_states.get(name)
             if state is None:
                 state = observation.new_zeros(len(observation), self.recurrent)
             mean, state = self.network(name)(observation, state)
             actions[name] = mean.clamp(-1.0, 1.0)
             if self.recurrent:
-                self._states[name] = state
+                self._hidden_states[name] = state
         return actions
 
     def save(self, folder: Path) -> None:
