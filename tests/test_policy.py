@@ -75,6 +75,35 @@ def test_save_and_load(policy: Policy, tmp_path: Path) -> None:
     }
 
 
+def test_a_recurrent_policy_remembers_until_it_is_reset(tmp_path: Path) -> None:
+    """Where an episode ended, or everywhere; its file says that it is recurrent, other files do not."""
+    torch.manual_seed(0)
+    policy = Policy(CONTRACT, hidden=(8, 8), recurrent=4)
+    policy.save(tmp_path)
+    assert json.loads((tmp_path / "policy.json").read_text())["recurrent"] == 4
+    loaded, inputs = Policy.load(tmp_path), [observations() for _ in range(3)]
+    first, _, third = (policy.act(each)["arm"] for each in inputs)
+    loaded.act(inputs[0])
+    loaded.act(inputs[1])
+    loaded.reset(torch.tensor([True, False, False, False, True]))
+    partly = loaded.act(inputs[2])["arm"]
+    loaded.reset()
+    afresh = loaded.act(inputs[2])["arm"]
+    assert torch.equal(partly[1:4], third[1:4])
+    torch.testing.assert_close(partly[[0, 4]], afresh[[0, 4]])
+    assert (afresh - third).abs().min(dim=0).values.max() > 1e-4
+    loaded.reset()
+    assert torch.equal(loaded.act(inputs[0])["arm"], first)
+
+
+def test_a_policy_without_a_recurrent_part_says_nothing_of_it(policy: Policy, tmp_path: Path) -> None:
+    policy.save(tmp_path)
+    assert "recurrent" not in json.loads((tmp_path / "policy.json").read_text())
+    assert Policy.load(tmp_path).recurrent == 0
+    inputs = observations()
+    assert torch.equal(policy.act(inputs)["hand"], policy.act(inputs)["hand"])
+
+
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 def test_contract_of_every_method(method: Method) -> None:
     contract = contract_of(method, RIGHT)

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("pixel2catch", "torch", "skrl", "mujoco", "mujoco-warp", "warp-lang", "numpy")
+PACKAGES = ("pixel2catch", "torch", "mujoco", "mujoco-warp", "warp-lang", "numpy")
 """Packages whose versions a result may depend on."""
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,16 +12,18 @@ from pathlib import Path
 import mujoco
 import pytest
 import torch
+import tyro
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import COMMANDS, main
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.cli.train import Train
 from pixel2catch.evaluation.loading import DEFAULT_POLICY, load_policy, shipped_policies
+from pixel2catch.evaluation.protocol import EvaluationCfg, evaluate
+from pixel2catch.learning.config import TrainCfg, preset
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import PROPOSED, find_method
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.rl import TrainCfg
 from pixel2catch.robot.constants import RGB_CAMERA
 
 needs_no_cuda = pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
@@ -198,10 +201,19 @@ def test_exported_scene_loads(ending: str, tmp_path: Path):
     assert (model.nq, model.nu) == (26, 19)
 
 
-def test_train_has_every_option_of_its_configuration():
-    options = {field.name: field.default for field in dataclasses.fields(Train)}
+def test_train_has_and_explains_every_option_of_its_configuration():
+    text = " ".join(pixel2catch("train", "--help").stdout.replace("│", "").split())
     for field in dataclasses.fields(TrainCfg):
-        assert options.get(field.name, "absent") is None, field.name
+        assert re.search(rf"--{field.name.replace('_', '-')} .*?[A-Z].*?\. \(default: None\)", text), (
+            field.name
+        )
+
+
+def test_what_is_not_given_to_train_is_of_the_preset():
+    args = ["--device", "cpu", "--preset", "paper", "--seed", "4", "--latency-steps", "0", "2"]
+    cfg = tyro.cli(Train, args=args).resolve()
+    assert cfg == preset("paper", device="cpu", seed=4, latency_steps=(0.0, 2.0))
+    assert tyro.cli(Train, args=["--device", "cpu"]).resolve() == preset("cpu")
 
 
 def test_training_and_evaluating_its_policy(tmp_path: Path):
@@ -212,6 +224,19 @@ def test_training_and_evaluating_its_policy(tmp_path: Path):
     assert "finished" in result.stdout
     policy, method = load_policy(out)
     assert (method.name, policy.hidden) == ("only_center", (16,))
+
+
+def test_evaluations_of_a_recurrent_policy_repeat(tmp_path: Path):
+    out = tmp_path / "run"
+    size = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "16", "--hidden", "16")
+    options = ("--device", "cpu", *size, "--recurrent", "8", "--out", str(out))
+    assert main(["train", "proposed", *options]) == 0
+    policy, _ = load_policy(out)
+    assert policy.recurrent == 8
+    cfg = EvaluationCfg(objects=("cube_s",), num_envs=3, trials=1)
+    records = [evaluate(policy, PROPOSED, cfg).record for _ in range(2)]
+    for first, second in zip(*(vars(record).values() for record in records), strict=True):
+        assert torch.equal(first, second)
 
 
 def test_training_imitates_a_policy_of_another_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -41,13 +41,13 @@ HOME = torch.tensor([[joint.home for joint in JOINTS]])
 BOX = BoxHistory.begun(torch.tensor([[310.0, 200.0, 330.0, 225.0]]), torch.tensor([1.5]), 1)
 
 
-def policy_of(method: str) -> Policy:
+def policy_of(method: str, recurrent: int = 0) -> Policy:
     """The shipped policy of a method, or one with random networks, whose actions fill their range."""
     folder = shipped_policies().get(f"{method}-seed0")
-    if folder is not None:
+    if folder is not None and not recurrent:
         return Policy.load(folder)
     torch.manual_seed(0)
-    policy = Policy(contract_of(find_method(method), "left")).eval()
+    policy = Policy(contract_of(find_method(method), "left"), recurrent=recurrent).eval()
     with torch.no_grad():
         for network in (policy.network(name) for name in policy.contract.agents):
             network.get_parameter("network.6.weight").mul_(20.0)
@@ -60,23 +60,25 @@ def steps(env: CatchEnv, policy: Policy) -> Iterator[Step]:
     env.world.simulation.bind("qpos")[:, HEIGHT] = 0.1
     while True:
         step = env.step(policy.act(observation.policy))
+        policy.reset(step.terminated)
         observation = step.observation
         yield step
 
 
-def require_parity(method: str, sensing: SensingCfg, most: float) -> list[BoxHistory]:
+def require_parity(method: str, sensing: SensingCfg, most: float, recurrent: int = 0) -> list[BoxHistory]:
     """Whole episodes of one robot, with all noise of its sensors, and with a reset in between.
 
     Args:
         method: The method.
         sensing: What is wrong with the sensors.
         most: Difference of two targets that is none [rad].
+        recurrent: Size of the policy's GRU.
 
     Returns:
         The boxes of every step.
     """
-    policy = policy_of(method)
-    controller = Controller(policy, "left")
+    policy = policy_of(method, recurrent)
+    controller = Controller(policy_of(method, recurrent), "left")
     cfg = CatchEnvCfg(randomization=STEADY_ACTIONS, sensing=sensing)
     env = CatchEnv(cfg, find_method(method), num_envs=1, seed=3)
     given, boxes, num_ended = None, list[BoxHistory](), 0
@@ -99,6 +101,10 @@ def require_parity(method: str, sensing: SensingCfg, most: float) -> list[BoxHis
 @pytest.mark.parametrize("method", SEEN_BY_CAMERA)
 def test_targets_are_those_of_the_environment_bit_for_bit(method: str):
     require_parity(method, SensingCfg(), most=0.0)
+
+
+def test_targets_of_a_recurrent_policy_are_those_of_the_environment():
+    require_parity("proposed", SensingCfg(), most=0.0, recurrent=32)
 
 
 @pytest.mark.parametrize("method", REMEMBERING)

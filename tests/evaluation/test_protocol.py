@@ -40,6 +40,9 @@ class Grasp:
     def __init__(self, closes_at: int) -> None:
         self._closes_at, self.steps = closes_at, 0
 
+    def reset(self, is_ended: Tensor | None = None) -> None:
+        pass
+
     def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
         self.steps += 1
         num_envs = len(observations["arm"])
@@ -52,6 +55,9 @@ class Flicker:
 
     def __init__(self) -> None:
         self._sign = 1.0
+
+    def reset(self, is_ended: Tensor | None = None) -> None:
+        pass
 
     def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
         self._sign = -self._sign
@@ -123,6 +129,9 @@ def test_success_after_the_end_of_the_trial_does_not_count():
 
 def test_a_policy_of_zeros_catches_nothing():
     class Zeros:
+        def reset(self, is_ended: Tensor | None = None) -> None:
+            pass
+
         def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
             num_envs = len(observations["arm"])
             return {"arm": torch.zeros(num_envs, 6), "hand": torch.zeros(num_envs, 13)}

@@ -38,6 +38,9 @@ SIZE = ("--num-envs", "3", "--trials", "1", "--physics-hz", "30", "--objects", "
 class Still:
     """Does nothing at all."""
 
+    def reset(self, is_ended: Tensor | None = None) -> None:
+        pass
+
     def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
         num_envs = len(observations["arm"])
         return {"arm": torch.zeros(num_envs, 6), "hand": torch.zeros(num_envs, 13)}

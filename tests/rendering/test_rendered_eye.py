@@ -31,6 +31,9 @@ NUM_STEPS = 4
 class Idle:
     """Does nothing."""
 
+    def reset(self, is_ended: torch.Tensor | None = None) -> None:
+        pass
+
     def act(self, observations: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         num_envs = next(iter(observations.values())).shape[0]
         return {agent.name: torch.zeros(num_envs, agent.num_joints) for agent in METHOD.agents}

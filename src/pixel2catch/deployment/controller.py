@@ -67,6 +67,7 @@ class Controller:
             joint_pos_target: Where the joints are held [rad]; where they are measured if absent.
         """
         self._past, self._held = None, joint_pos_target
+        self._policy.reset()
 
     @property
     def measurement(self) -> Measurement | None:

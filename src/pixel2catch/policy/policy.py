@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import safetensors.torch
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
@@ -28,14 +28,21 @@ class Policy(nn.Module):
         actions = policy.act({"arm": arm_observation, "hand": hand_observation})
     """
 
-    def __init__(self, contract: PolicyContract, hidden: Sequence[int] = HIDDEN) -> None:
-        """Build untrained networks that fit the contract."""
+    def __init__(self, contract: PolicyContract, hidden: Sequence[int] = HIDDEN, recurrent: int = 0) -> None:
+        """Build untrained networks that fit the contract.
+
+        Args:
+            contract: What the policy expects and promises.
+            hidden: Sizes of the hidden layers.
+            recurrent: Size of a GRU before them; 0 for none.
+        """
         super().__init__()
         self.contract = contract
-        self.hidden = tuple(hidden)
+        self.hidden, self.recurrent = tuple(hidden), recurrent
+        self._hidden_states: dict[str, Tensor] = {}
         self.agents = nn.ModuleDict(
             {
-                name: AgentNetwork(agent.num_inputs, len(agent.joints), hidden)
+                name: AgentNetwork(agent.num_inputs, len(agent.joints), hidden, recurrent)
                 for name, agent in contract.agents.items()
             }
         )
@@ -44,16 +51,38 @@ class Policy(nn.Module):
         """Return the network of an agent."""
         return cast(AgentNetwork, self.agents[agent])
 
+    def reset(self, is_ended: Bool[Tensor, " num_envs"] | None = None) -> None:
+        """Forget what was seen: where an episode ended, or everywhere. Needed by recurrent policies.
+
+        Args:
+            is_ended: Where the next observation is the first of an episode; everywhere if absent.
+        """
+        if is_ended is None:
+            self._hidden_states.clear()
+        else:
+            self._hidden_states = {
+                name: state * ~is_ended[:, None] for name, state in self._hidden_states.items()
+            }
+
     @torch.no_grad()
     def act(
         self, observations: dict[str, Float[Tensor, "num_envs _"]]
     ) -> dict[str, Float[Tensor, "num_envs _"]]:
-        """Return the mean action of every agent, clipped to [-1, 1].
+        """Return the mean action of every agent, clipped to [-1, 1]; a GRU goes on from the last call.
 
         Args:
             observations: The observation vectors by agent, in the order of the contract.
         """
-        return {name: network(observations[name]).clamp(-1.0, 1.0) for name, network in self.agents.items()}
+        actions = {}
+        for name in self.agents:
+            observation, state = observations[name], self._hidden_states.get(name)
+            if state is None:
+                state = observation.new_zeros(len(observation), self.recurrent)
+            mean, state = self.network(name)(observation, state)
+            actions[name] = mean.clamp(-1.0, 1.0)
+            if self.recurrent:
+                self._hidden_states[name] = state
+        return actions
 
     def save(self, folder: Path) -> None:
         """Write `policy.safetensors` and `policy.json` into a folder, both or neither.
@@ -62,7 +91,8 @@ class Policy(nn.Module):
             OSError: A file could not be written; a policy that was there before is still there.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"hidden": list(self.hidden), **self.contract.to_dict()}, indent=2) + "\n"
+        sizes = {"hidden": list(self.hidden)} | ({"recurrent": self.recurrent} if self.recurrent else {})
+        text = json.dumps({**sizes, **self.contract.to_dict()}, indent=2) + "\n"
         tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in self.state_dict().items()}
         weights = safetensors.torch.save(tensors, metadata={"policy": text})
         write_atomically({folder / WEIGHTS_FILE: weights, folder / CONTRACT_FILE: text.encode()})
@@ -75,12 +105,12 @@ class Policy(nn.Module):
             PolicyMismatchError: A file is missing or damaged, or a field does not fit this code.
         """
         description, tensors = _read(folder)
-        hidden = description.pop("hidden", None)
+        hidden, recurrent = description.pop("hidden", None), description.pop("recurrent", 0)
         if hidden is None:
             raise PolicyMismatchError(
                 f"policy field 'hidden' is missing in {folder / CONTRACT_FILE}; train again."
             )
-        policy = cls(PolicyContract.from_dict(description), hidden)
+        policy = cls(PolicyContract.from_dict(description), hidden, recurrent)
         for name, expected in policy.state_dict().items():
             found = tuple(tensors[name].shape) if name in tensors else "nothing"
             if found != tuple(expected.shape):

@@ -7,7 +7,8 @@ import pytest
 from reaching import CONTRACT, SMALL, ReachingEnv
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.rl import TrainCfg, train
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.train import train
 
 
 def test_physics_rates_share_the_training(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ import pytest
 from reaching import CONTRACT, SMALL, ReachingEnv
 
 from pixel2catch.errors import NonFiniteError
-from pixel2catch.rl import TrainCfg, train
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.train import train
 
 
 def test_nan_in_a_reward_term_is_named(tmp_path: Path) -> None:

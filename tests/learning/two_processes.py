@@ -14,10 +14,12 @@ from pathlib import Path
 import torch
 from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, Step, roll_out
 
-from pixel2catch.rl import TrainCfg, train
-from pixel2catch.rl.learner import Learner
-from pixel2catch.rl.memory import RolloutMemory
-from pixel2catch.rl.workers import Workers, start_workers
+from pixel2catch.learning import mappo as algorithm
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.distributed import Workers, start_workers
+from pixel2catch.learning.gradient_step import Batch
+from pixel2catch.learning.mappo import Mappo
+from pixel2catch.learning.train import train
 
 CFG = dataclasses.replace(SMALL, schedule="kl", kl_target=0.004, gradient_clip=0.5, entropy_scale=0.01)
 NUM_UPDATES = 2
@@ -25,50 +27,52 @@ TOLERANCES = {"cpu": (1e-5, 2e-6), "cuda": (1e-2, 1e-3)}
 """Relative and absolute; a CUDA device rounds the networks' products to TF32."""
 
 
-class OrderedMemory(RolloutMemory):
-    """Mini-batches of successive control steps, so that one of the whole is made of one of each half."""
+def ordered(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Batch]:
+    """Mini-batches in an order by which one of the whole is made of one of each half."""
+    device, dim = rollout.values.device, 1 if is_whole else 0
+    flat = rollout if is_whole else rollout.each(partial(torch.flatten, end_dim=1))
+    order = torch.arange(flat.values.shape[dim], device=device)
+    if is_whole and len(order) == CFG.num_envs:
+        order = order.view(2, -1).T.flatten()
+    for chunk in order.chunk(num):
+        yield flat.each(partial(torch.index_select, dim=dim, index=chunk))
 
-    def sample(
-        self, names: list[str], *, batch_size: int, mini_batches: int = 1, sequence_length: int = 1
-    ) -> Iterator[list[torch.Tensor]]:
-        for indices in torch.arange(batch_size, device=self.device).chunk(mini_batches):
-            yield [self.tensors_view[name].index_select(0, indices) for name in names]
 
-
-def make_learner(cfg: TrainCfg, workers: Workers | None = None) -> Learner:
+def make_mappo(cfg: TrainCfg, workers: Workers | None = None) -> Mappo:
     torch.manual_seed(0)
-    learner = Learner(cfg, ReachingEnv(cfg), workers)
-    for memory in learner.memories.values():
-        memory.__class__ = OrderedMemory
-    return learner
+    return Mappo(cfg, ReachingEnv(cfg), workers)
 
 
-def give_half(whole: Learner, half: Learner, rank: int) -> None:
-    """Put one half of the environments' transitions into a learner's memory."""
+def give_half(whole: Mappo, half: Mappo, rank: int) -> None:
+    """Put one half of the environments' transitions into the rollout of another."""
     size = half.cfg.num_envs
     mine = slice(rank * size, (rank + 1) * size)
-    for agent, memory in half.memories.items():
-        for name, tensor in memory.tensors.items():
-            tensor.copy_(whole.memories[agent].tensors[name][:, mine])
-        memory.filled = True
-        half.mappo._current_next_states[agent] = whole.mappo._current_next_states[agent][mine]
+    half._hidden_states = {
+        agent: (states[0][mine], states[1][mine]) for agent, states in whole._hidden_states.items()
+    }
+    half.is_done, half.next_states = whole.is_done[:, mine], whole.next_states[mine]
+    for agent, rollout in half.rollout.items():
+        half.rewards[agent] = whole.rewards[agent][:, mine]
+        for target, source in zip(rollout, whole.rollout[agent], strict=True):
+            if target is not None and source is not None:
+                target.copy_(source[:, mine])
 
 
-def all_tensors(learner: Learner) -> dict[str, torch.Tensor]:
+def all_tensors(mappo: Mappo) -> dict[str, torch.Tensor]:
     return {
-        f"{agent}.{part}.{name}": tensor.clone()
-        for agent, parts in learner.state_dict().items()
-        for part in parts
-        if part != "optimizer"
-        for name, tensor in parts[part].items()
+        f"{agent}.{name}": tensor.clone()
+        for agent, networks in mappo.networks.items()
+        for name, tensor in networks.state_dict().items()
     }
 
 
-def check_halves_learn_as_the_whole(workers: Workers) -> None:
+def check_halves_learn_as_the_whole(workers: Workers, recurrent: int) -> None:
     """Fed the same transitions, two processes take the steps of one, and hold its statistics."""
-    cfg = dataclasses.replace(CFG, device=workers.device)
+    cfg = dataclasses.replace(CFG, device=workers.device, recurrent=recurrent)
     rtol, atol = TOLERANCES[torch.device(cfg.device).type]
-    whole, half = make_learner(cfg), make_learner(workers.share(cfg), workers)
+    if recurrent:
+        atol *= 5  # gradients are sums over steps, in another order
+    whole, half = make_mappo(cfg), make_mappo(workers.share(cfg), workers)
     start, env = all_tensors(whole), ReachingEnv(cfg)
     for _ in range(NUM_UPDATES):
         roll_out(whole, env)
@@ -86,16 +90,16 @@ def check_halves_learn_as_the_whole(workers: Workers) -> None:
 def check_networks_stay_the_same(workers: Workers) -> None:
     """With episodes and exploration of their own, the processes hold the same numbers, to the last bit."""
     share = workers.share(SMALL)
-    learner, env = make_learner(share, workers), ReachingEnv(share)
+    mappo, env = make_mappo(share, workers), ReachingEnv(share)
     workers.diverge(SMALL.seed, 0)
     for _ in range(NUM_UPDATES):
-        roll_out(learner, env)
-        actions = learner.memories["arm"].get_tensor_by_name("actions").sum()
+        roll_out(mappo, env)
+        actions = mappo.rollout["arm"].actions.sum()
         assert workers.max(actions.clone()) > -workers.max(-actions)
-        learner.update(0.0)
-    for name, tensor in all_tensors(learner).items():
+        mappo.update(0.0)
+    for name, tensor in all_tensors(mappo).items():
         assert torch.equal(workers.max(tensor.clone()), -workers.max(-tensor)), name
-    learner.close()
+    mappo.close()
 
 
 class CountingEnv(ReachingEnv):
@@ -130,8 +134,10 @@ def train_endlessly(folder: Path, device: str) -> None:
 
 
 def update(folder: Path, device: str) -> None:
+    algorithm.mini_batches = ordered
     with start_workers(device) as workers:
-        check_halves_learn_as_the_whole(workers)
+        check_halves_learn_as_the_whole(workers, recurrent=0)
+        check_halves_learn_as_the_whole(workers, recurrent=8)
         check_networks_stay_the_same(workers)
         (folder / f"checked{workers.rank}").touch()
     # A thread of the group that outlives it may end the process with "terminate called".

@@ -5,14 +5,14 @@ agent inputs in pixels, which little can be learnt from unless they are standard
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import AgentContract, PolicyContract
-from pixel2catch.rl.config import TrainCfg
-from pixel2catch.rl.learner import Learner
 
 EPISODE_STEPS = 12
 
@@ -169,12 +169,18 @@ class ReachingEnv:
         return torch.zeros(self.num_envs, *size, device=self.device)
 
 
-def roll_out(learner: Learner, env: ReachingEnv) -> None:
+class TaughtEnv(ReachingEnv):
+    """Its teacher sees what the agents see."""
+
+    def _observe(self, arm: Tensor) -> Observation:
+        observation = super()._observe(arm)
+        return replace(observation, teacher=observation.policy)
+
+
+def roll_out(mappo: Mappo, env: ReachingEnv) -> None:
     observation = env.reset()
-    for _ in range(learner.cfg.rollout_steps):
-        policy = {agent: inputs.clone() for agent, inputs in observation.policy.items()}
-        state = observation.state.clone()
-        actions = learner.act(observation)
-        step = env.step(actions)
-        learner.record(policy, state, actions, step)
+    mappo.begin()
+    for _ in range(mappo.cfg.rollout_steps):
+        step = env.step(mappo.act(observation))
+        mappo.record(step)
         observation = step.observation

@@ -9,10 +9,10 @@ import torch
 from reaching import CONTRACT, SMALL, ReachingEnv, roll_out
 
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.mappo import Mappo
+from pixel2catch.learning.train import train
 from pixel2catch.policy import Policy
-from pixel2catch.rl import train
-from pixel2catch.rl.config import TrainCfg
-from pixel2catch.rl.learner import Learner
 
 NUM_ROLLOUTS = 8
 RATE = 1e-3
@@ -41,21 +41,15 @@ def policy(tmp_path: Path) -> Path:
 
 
 def test_a_learner_gives_back_the_policy_that_it_adopted(policy: Path) -> None:
-    learner = Learner(SMALL, ReachingEnv(SMALL))
+    mappo = Mappo(SMALL, ReachingEnv(SMALL))
     adopted = Policy.load(policy / "policy")
-    learner.adopt(adopted)
-    for name, tensor in learner.export(CONTRACT).state_dict().items():
+    mappo.adopt(adopted)
+    for name, tensor in mappo.export(CONTRACT).state_dict().items():
         torch.testing.assert_close(tensor, adopted.state_dict()[name])
 
 
-def weights(learner: Learner) -> torch.Tensor:
-    return torch.cat(
-        [p.detach().flatten() for m in learner.models.values() for p in m["policy"].parameters()]
-    )
-
-
-def values(learner: Learner) -> torch.Tensor:
-    return torch.cat([p.detach().flatten() for m in learner.models.values() for p in m["value"].parameters()])
+def parameters(mappo: Mappo, part: str) -> torch.Tensor:
+    return torch.cat([p.detach().flatten() for nets in mappo.networks.values() for p in nets.parts[part]])
 
 
 def test_the_policy_rests_and_begins_gently(policy: Path) -> None:
@@ -66,15 +60,15 @@ def test_the_policy_rests_and_begins_gently(policy: Path) -> None:
     """
     cfg = starting(policy)
     env = ReachingEnv(cfg)
-    learner = Learner(cfg, env)
-    learner.adopt(Policy.load(policy / "policy"))
+    mappo = Mappo(cfg, env)
+    mappo.adopt(Policy.load(policy / "policy"))
     moved = []
     for number in range(5):
-        before, known = weights(learner), values(learner)
-        roll_out(learner, env)
-        learner.update(number / NUM_ROLLOUTS)
-        moved.append((weights(learner) - before).abs().max().item())
-        assert number == 2 or (values(learner) != known).any()
+        before, known = parameters(mappo, "policy"), parameters(mappo, "value")
+        roll_out(mappo, env)
+        mappo.update(number / NUM_ROLLOUTS)
+        moved.append((parameters(mappo, "policy") - before).abs().max().item())
+        assert number == 2 or (parameters(mappo, "value") != known).any()
     num_steps = cfg.epochs * cfg.mini_batches
     assert moved[:3] == [0.0, 0.0, 0.0]
     assert 0.0 < moved[3] <= 1.5 * num_steps * 0.5 * RATE
@@ -93,7 +87,7 @@ def test_a_training_goes_on_from_a_run_and_is_resumed(policy: Path, tmp_path: Pa
 
 def test_what_does_not_fit_is_refused(policy: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match=r"--hidden"):
-        Learner(dataclasses.replace(SMALL, hidden=(8,)), ReachingEnv(SMALL)).adopt(
+        Mappo(dataclasses.replace(SMALL, hidden=(8,)), ReachingEnv(SMALL)).adopt(
             Policy.load(policy / "policy")
         )
     other = dataclasses.replace(CONTRACT, method="other")

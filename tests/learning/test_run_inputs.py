@@ -8,7 +8,8 @@ import pytest
 from reaching import CONTRACT, SMALL, ReachingEnv
 
 from pixel2catch.errors import CheckpointError
-from pixel2catch.rl import TrainCfg, train
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.train import train
 
 SHORT = dataclasses.replace(SMALL, transitions=1024)
 NAMES = tuple(SHORT.inputs)

@@ -17,9 +17,9 @@ from reaching import CONTRACT, SMALL, ReachingEnv
 
 from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
+from pixel2catch.learning.distributed import Workers, start_workers
+from pixel2catch.learning.train import train
 from pixel2catch.policy import Policy
-from pixel2catch.rl import train
-from pixel2catch.rl.workers import ManyProcesses, OneProcess, start_workers
 
 PATHS = [str(Path(__file__).parent), str(Path(__file__).parents[2] / "src"), *sys.path]
 needs_two_gpus = pytest.mark.skipif(torch.cuda.device_count() < 2, reason="needs two CUDA devices")
@@ -125,24 +125,22 @@ def test_interruption(tmp_path: Path) -> None:
 
 def test_shares() -> None:
     """Environments are split; seeds differ between processes and trainings; the first keeps its own."""
-    shares = [ManyProcesses(rank, 4, "cpu").share(SMALL) for rank in range(4)]
+    shares = [Workers(rank, 4, "cpu").share(SMALL) for rank in range(4)]
     assert [share.num_envs for share in shares] == [16] * 4
     other = dataclasses.replace(SMALL, seed=1)
-    seeds = [share.seed for share in shares] + [
-        ManyProcesses(r, 4, "cpu").share(other).seed for r in range(4)
-    ]
+    seeds = [share.seed for share in shares] + [Workers(r, 4, "cpu").share(other).seed for r in range(4)]
     assert len(set(seeds)) == 8
     assert (seeds[0], seeds[4]) == (0, 1)
-    assert OneProcess("cpu").share(SMALL) == SMALL
+    assert Workers().share(SMALL) == SMALL
     with pytest.raises(InvalidValueError, match=r"num_envs is 64; .* multiple of 3, such as 66"):
-        ManyProcesses(0, 3, "cpu").share(SMALL)
+        Workers(0, 3, "cpu").share(SMALL)
 
 
 def test_exploration_differs_between_processes_and_after_a_resume() -> None:
     draws = []
     for rank, transitions in ((0, 0), (1, 0), (1, 1024), (0, 1024)):
         torch.manual_seed(5)
-        ManyProcesses(rank, 2, "cpu").diverge(5, transitions)
+        Workers(rank, 2, "cpu").diverge(5, transitions)
         draws.append(float(torch.rand(())))
     assert len(set(draws)) == 3
     assert draws[0] == draws[3]

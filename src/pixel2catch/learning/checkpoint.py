@@ -1,15 +1,95 @@
-"""The folder of a training run: where its files are, and how they are written."""
+"""The folder of a training run, and the checkpoint in it, from which a training goes on as if uninterrupted.
+
+The environments are not part of a checkpoint: a resumed training begins with new episodes.
+"""
 
 import contextlib
 import dataclasses
+import io
 import json
+import pickle
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from pixel2catch.circumstances import circumstances
 from pixel2catch.errors import CheckpointError
 from pixel2catch.files import plain, write_atomically
+from pixel2catch.learning.mappo import Mappo
+from pixel2catch.policy import PolicyContract
+
+FORMAT_VERSION = 2
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Progress:
+    """How far a training is."""
+
+    transitions: int = 0
+    """Transitions learnt from."""
+    seconds: float = 0.0
+    """Wall-clock time spent, over all sessions [s]."""
+
+
+def save_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract, progress: Progress) -> None:
+    """Write the state of learning, all or nothing.
+
+    Raises:
+        OSError: It could not be written; the checkpoint that was there before is still there.
+    """
+    random = {"cpu": torch.get_rng_state()}
+    if mappo.cfg.device.startswith("cuda"):
+        random["cuda"] = torch.cuda.get_rng_state(mappo.cfg.device)
+    state = {
+        "format_version": FORMAT_VERSION,
+        "contract": json.dumps(contract.to_dict()),
+        "progress": dataclasses.asdict(progress),
+        "mappo": mappo.state_dict(),
+        "random": random,
+    }
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_atomically({path: buffer.getvalue()})
+
+
+def load_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract) -> Progress:
+    """Put a learner and the random generators into the saved state.
+
+    Raises:
+        CheckpointError: The file is missing or damaged, or does not fit this learner.
+        PolicyMismatchError: It was trained under another contract; the message names the fields.
+    """
+    state = _read(path, mappo.cfg.device)
+    saved = PolicyContract.from_dict(json.loads(state["contract"]))
+    saved.require(contract)
+    if saved.task != contract.task:
+        raise CheckpointError(
+            f"checkpoint '{path}' is of a training for the task '{saved.task}'; train with --task "
+            f"{saved.task}, or name another folder."
+        )
+    try:
+        mappo.load_state_dict(state["mappo"])
+    except (KeyError, RuntimeError, ValueError) as error:
+        raise CheckpointError(f"checkpoint '{path}' does not fit this configuration: {error}") from error
+    torch.set_rng_state(state["random"]["cpu"].cpu())
+    if "cuda" in state["random"] and mappo.cfg.device.startswith("cuda"):
+        torch.cuda.set_rng_state(state["random"]["cuda"].cpu(), mappo.cfg.device)
+    return Progress(**state["progress"])
+
+
+def _read(path: Path, device: str) -> dict[str, Any]:
+    try:
+        state = torch.load(path, map_location=device, weights_only=True)
+    except FileNotFoundError as error:
+        raise CheckpointError(f"no checkpoint '{path}'; start without --resume.") from error
+    except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        raise CheckpointError(f"checkpoint '{path}' is damaged ({error}); start without --resume.") from error
+    version = state.get("format_version") if isinstance(state, dict) else None
+    if version != FORMAT_VERSION:
+        raise CheckpointError(f"checkpoint '{path}' has format {version}, this code reads {FORMAT_VERSION}.")
+    return state
 
 
 @dataclasses.dataclass(frozen=True)

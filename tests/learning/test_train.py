@@ -24,9 +24,10 @@ from pixel2catch.errors import (
     NonFiniteError,
     PolicyMismatchError,
 )
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.log import CsvLog
+from pixel2catch.learning.train import train
 from pixel2catch.policy import AgentContract, Policy, PolicyContract
-from pixel2catch.rl import TrainCfg, train
-from pixel2catch.rl.metrics import CsvLog
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -271,9 +272,9 @@ def test_metrics_survive_a_full_disk(tmp_path: Path) -> None:
 def test_interruption(number: signal.Signals, tmp_path: Path) -> None:
     """One Ctrl-C in the middle of a training: checkpoint, policy, summary, and it can go on."""
     script = (
-        "import dataclasses, pathlib, sys, reaching, pixel2catch.rl as rl\n"
+        "import dataclasses, pathlib, sys, reaching, pixel2catch.learning.train as learning\n"
         "cfg = dataclasses.replace(reaching.SMALL, transitions=10**9, report_seconds=0.0)\n"
-        "result = rl.train(cfg, reaching.ReachingEnv, reaching.CONTRACT, pathlib.Path(sys.argv[1]))\n"
+        "result = learning.train(cfg, reaching.ReachingEnv, reaching.CONTRACT, pathlib.Path(sys.argv[1]))\n"
         "print('status', result.status)\n"
     )
     paths = [str(Path(__file__).parent), str(Path(__file__).parents[2] / "src"), *sys.path]

@@ -2,45 +2,43 @@
 
 import contextlib
 import dataclasses
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
 import torch
+from torch import Tensor
 
-from pixel2catch.errors import CheckpointError
+from pixel2catch.errors import CheckpointError, NonFiniteError
 from pixel2catch.interruption import StopRequest
+from pixel2catch.learning.checkpoint import Progress, RunFolder, load_checkpoint, save_checkpoint
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.distributed import start_workers
+from pixel2catch.learning.environment import Environment, EnvSchedule, Observation
+from pixel2catch.learning.log import Row, TrainingLog
+from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import Policy, PolicyContract
-from pixel2catch.rl.checkpoint import Progress, load_checkpoint, save_checkpoint
-from pixel2catch.rl.config import TrainCfg
-from pixel2catch.rl.environment import Environment, Observation
-from pixel2catch.rl.finite import check_rollout, check_update
-from pixel2catch.rl.learner import Learner
-from pixel2catch.rl.log import TrainingLog
-from pixel2catch.rl.metrics import Row
-from pixel2catch.rl.run_folder import RunFolder
-from pixel2catch.rl.stages import Stages
-from pixel2catch.rl.workers import start_workers
+
+REWARD_TERM = "reward_term/"
+"""How the names of reward terms begin in an environment's statistics."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrainResult:
-    """How a training ended.
-
-    Attributes:
-        status: "finished", or "interrupted" by Ctrl-C or a termination signal; "failed" is only in the file.
-        transitions: Transitions learnt from.
-        seconds: Wall-clock time over all sessions [s].
-        policy: Folder of the policy.
-        metrics: The last row of metrics.
-    """
+    """How a training ended."""
 
     status: Literal["failed", "interrupted", "finished"]
+    """Interrupted is by Ctrl-C or a termination signal; failed is only in the file."""
     transitions: int
+    """Transitions learnt from."""
     seconds: float
+    """Wall-clock time over all sessions [s]."""
     policy: Path
+    """Folder of the policy."""
     metrics: Row
+    """The last row of metrics."""
 
 
 def train(
@@ -70,20 +68,20 @@ def train(
     """
     folder = RunFolder(out_dir, cfg.inputs)
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
-        with workers.together():
+        with workers.sync_errors():
             share = workers.share(cfg)
             if workers.is_first:
                 stack.enter_context(folder.open(resume=resume))
-        with workers.together():
-            stages = stack.enter_context(contextlib.closing(Stages(share, make_env, contract)))
+        with workers.sync_errors():
+            schedule = stack.enter_context(contextlib.closing(EnvSchedule(share, make_env, contract)))
             torch.manual_seed(cfg.seed)
-            learner = stack.enter_context(contextlib.closing(Learner(share, stages.env, workers)))
-            training = _Training(cfg, stages, contract, folder, learner)
+            mappo = stack.enter_context(contextlib.closing(Mappo(share, schedule.env, workers)))
+            training = _Training(cfg, schedule, contract, folder, mappo)
             if cfg.start and not resume:
-                with workers.together():
-                    learner.adopt(_policy_to_start_from(cfg.start, contract))
+                with workers.sync_errors():
+                    mappo.adopt(_policy_to_start_from(cfg.start, contract))
             if resume:
-                training.progress = load_checkpoint(folder.checkpoint, learner, contract)
+                training.progress = load_checkpoint(folder.checkpoint, mappo, contract)
             workers.diverge(cfg.seed, training.progress.transitions)
         return training.run()
 
@@ -103,10 +101,10 @@ class _Training:
     """The loop and what it holds."""
 
     def __init__(
-        self, cfg: TrainCfg, stages: Stages, contract: PolicyContract, folder: RunFolder, learner: Learner
+        self, cfg: TrainCfg, schedule: EnvSchedule, contract: PolicyContract, folder: RunFolder, mappo: Mappo
     ) -> None:
-        self.cfg, self.stages, self.contract, self.folder = cfg, stages, contract, folder
-        self.learner, self.workers = learner, learner.workers
+        self.cfg, self.schedule, self.contract, self.folder = cfg, schedule, contract, folder
+        self.mappo, self.workers = mappo, mappo.workers
         self.progress = Progress()
         self.row: Row = {}
 
@@ -115,11 +113,11 @@ class _Training:
         status: Literal["failed", "interrupted", "finished"] = "failed"
         try:
             with contextlib.ExitStack() as stack:
-                with self.workers.together():
+                with self.workers.sync_errors():
                     log = stack.enter_context(self._open_log())
                 stop = stack.enter_context(StopRequest())
                 status = self._loop(log, stop)
-                with self.workers.together():
+                with self.workers.sync_errors():
                     self._save_last(log, status)
         finally:
             result = {"status": status, **dataclasses.asdict(self.progress), "metrics": self.row}
@@ -134,22 +132,23 @@ class _Training:
         """Write down under which circumstances this session begins, and open its log."""
         is_first = self.workers.is_first
         if is_first:
-            train, env = dataclasses.asdict(self.cfg), dataclasses.asdict(self.stages.env.cfg)
+            train, env = dataclasses.asdict(self.cfg), dataclasses.asdict(self.schedule.env.cfg)
             config = {"train": train, "env": env, "policy": self.contract.to_dict()}
             self.folder.describe(config, self.workers.size)
-        return TrainingLog(self.cfg, self.folder, self.progress.transitions, is_silent=not is_first)
+        return TrainingLog(self.cfg, self.folder.path, self.progress.transitions, is_silent=not is_first)
 
     def _loop(self, log: TrainingLog, stop: StopRequest) -> Literal["interrupted", "finished"]:
         observation = None
         next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
         while self.progress.transitions < self.cfg.transitions:
             started = time.monotonic()
-            with self.workers.together():
-                if self.stages.enter(self.progress.transitions) or observation is None:
-                    observation = self.stages.env.reset()
+            with self.workers.sync_errors():
+                if self.schedule.enter(self.progress.transitions) or observation is None:
+                    observation = self.schedule.env.reset()
+                    self.mappo.begin()
                 observation = self._collect(observation, stop)
             if self.workers.any(stop.is_set):
-                self.learner.discard_rollout()
+                self.mappo.discard_rollout()
                 return "interrupted"
             self._update(started)
             log.write(self.row)
@@ -159,31 +158,25 @@ class _Training:
         return "finished"
 
     def _collect(self, observation: Observation, stop: StopRequest) -> Observation:
-        """Fill the learner's memory, and wait for the device to see that the simulation is well.
-
-        Inputs are copied: an environment may reuse its buffers in `step`.
-        """
+        """Fill the rollout, and wait for the device to see that the simulation is well."""
         for _ in range(self.cfg.rollout_steps):
             if stop.is_set:
                 break
-            policy = {agent: inputs.clone() for agent, inputs in observation.policy.items()}
-            state = observation.state.clone()
-            actions = self.learner.act(observation)
-            step = self.stages.env.step(actions)
-            self.learner.record(policy, state, actions, step)
+            step = self.schedule.env.step(self.mappo.act(observation))
+            self.mappo.record(step)
             observation = step.observation
-        self.stages.env.check()
+        self.schedule.env.check()
         return observation
 
     def _update(self, started: float) -> None:
         """Check, learn, check, and make a row of metrics."""
-        statistics = self.stages.env.statistics.pop(self.workers.sum, self.workers.max)
-        with self.workers.together():
-            rewards = check_rollout(self.learner, self.contract, statistics)
+        statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
+        with self.workers.sync_errors():
+            rewards = check_rollout(self.mappo, self.contract, statistics)
         rolled_out = time.monotonic()
-        losses = self.learner.update(self.progress.transitions / self.cfg.transitions)
-        with self.workers.together():
-            check_update(self.learner, losses)
+        losses = self.mappo.update(self.progress.transitions / self.cfg.transitions)
+        with self.workers.sync_errors():
+            check_update(self.mappo, losses)
         ended = time.monotonic()
         self.progress = Progress(
             transitions=self.progress.transitions + self.cfg.rollout_transitions,
@@ -201,8 +194,8 @@ class _Training:
 
     def _save(self) -> None:
         if self.workers.is_first:
-            save_checkpoint(self.folder.checkpoint, self.learner, self.contract, self.progress)
-            self.learner.export(self.contract).save(self.folder.policy)
+            save_checkpoint(self.folder.checkpoint, self.mappo, self.contract, self.progress)
+            self.mappo.export(self.contract).save(self.folder.policy)
 
     def _save_last(self, log: TrainingLog, status: str) -> None:
         try:
@@ -213,7 +206,70 @@ class _Training:
                 "An earlier checkpoint there is still good: free some space and go on with --resume."
             ) from error
         transitions, minutes = self.progress.transitions, self.progress.seconds / 60
-        log.console.say(
+        log.say(
             f"{status}: {transitions:,} transitions in {minutes:.1f} min; policy in '{self.folder.policy}'"
             + ("; go on with --resume" if status == "interrupted" else "")
         )
+
+
+def check_rollout(
+    mappo: Mappo, contract: PolicyContract, statistics: Mapping[str, float]
+) -> dict[str, float]:
+    """Check what the environment gave since the last update, before the networks learn from it.
+
+    A sum over a rollout is finite if and only if all of its terms are, as long as they are of sane size.
+
+    Args:
+        mappo: What remembers the rollout.
+        contract: Names and sizes of the observation terms.
+        statistics: Means since the last update; those of reward terms begin with `REWARD_TERM`.
+
+    Returns:
+        The mean reward a control step, by agent.
+
+    Raises:
+        NonFiniteError: The message names the agent and the observation term, the reward term, or the
+            value input.
+    """
+    totals: dict[str, Tensor] = {
+        f"reward term '{name.removeprefix(REWARD_TERM)}'": torch.tensor(value, device=mappo.cfg.device)
+        for name, value in statistics.items()
+        if name.startswith(REWARD_TERM) and not math.isfinite(value)
+    }
+    for agent, rollout in mappo.rollout.items():
+        totals[f"reward of agent '{agent}'"] = mappo.rewards[agent].mean()
+        layout = contract.agents[agent].observation
+        columns = rollout.observations.sum((0, 1)).split([size for _, size in layout])
+        for (name, _), term in zip(layout, columns, strict=True):
+            totals[f"observation term '{name}' of agent '{agent}'"] = term
+        totals["value input (state)"] = rollout.states.sum((0, 1)) + mappo.next_states.sum(0)
+        totals[f"sampled action of agent '{agent}'"] = rollout.actions.sum((0, 1))
+    sums = _raise_if_not_finite(totals)
+    return {f"reward/{agent}": sums[f"reward of agent '{agent}'"] for agent in mappo.agents}
+
+
+def check_update(mappo: Mappo, losses: Mapping[str, float]) -> None:
+    """Check what an update made of the networks.
+
+    Raises:
+        NonFiniteError: The message names the agent and the loss or the network.
+    """
+    totals = {f"loss or metric '{name}'": torch.tensor(value) for name, value in losses.items()}
+    for agent, networks in mappo.networks.items():
+        for role, parameters in networks.parts.items():
+            norm = torch.nn.utils.get_total_norm([parameter.detach() for parameter in parameters])
+            totals[f"parameters of the {role} network of agent '{agent}'"] = norm.cpu()
+    _raise_if_not_finite(totals)
+
+
+def _raise_if_not_finite(totals: Mapping[str, Tensor]) -> dict[str, float]:
+    """Return the totals' sums as numbers: the one wait for the device."""
+    sums = torch.stack([total.sum() for total in totals.values()]).tolist()
+    named = dict(zip(totals, sums, strict=True))
+    bad = [name for name, total in named.items() if not math.isfinite(total)]
+    if bad:
+        raise NonFiniteError(
+            f"NaN or infinity in {', '.join(bad)}; training stopped. "
+            "The last checkpoint is from before: look at that quantity, then go on with --resume."
+        )
+    return named

@@ -5,21 +5,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from reaching import CONTRACT, SMALL, Observation, ReachingEnv, roll_out
-from torch import Tensor
+from reaching import CONTRACT, SMALL, Observation, TaughtEnv, roll_out
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import Policy
-from pixel2catch.rl.config import TrainCfg
-from pixel2catch.rl.learner import Learner
-
-
-class TaughtEnv(ReachingEnv):
-    """Its teacher sees what the agents see."""
-
-    def _observe(self, arm: Tensor) -> Observation:
-        observation = super()._observe(arm)
-        return dataclasses.replace(observation, teacher=observation.policy)
 
 
 @pytest.fixture
@@ -32,21 +23,21 @@ def teacher(tmp_path: Path) -> Path:
     return tmp_path / "teacher"
 
 
-def after_updates(cfg: TrainCfg, progress: list[float]) -> tuple[Learner, Observation]:
-    """A learner after one update at each of these shares of the training, and what it sees last."""
+def after_updates(cfg: TrainCfg, progress: list[float]) -> tuple[Mappo, Observation]:
+    """A mappo after one update at each of these shares of the training, and what it sees last."""
     torch.manual_seed(2)
     env = TaughtEnv(cfg)
-    learner = Learner(cfg, env)
+    mappo = Mappo(cfg, env)
     torch.manual_seed(3)
     for share in progress:
-        roll_out(learner, env)
-        learner.update(share)
-    return learner, env.reset()
+        roll_out(mappo, env)
+        mappo.update(share)
+    return mappo, env.reset()
 
 
-def distance(teacher: Path, learner: Learner, observation: Observation) -> float:
+def distance(teacher: Path, mappo: Mappo, observation: Observation) -> float:
     """Root mean square of the difference of their actions."""
-    pupil, expert = learner.export(CONTRACT), Policy.load(teacher)
+    pupil, expert = mappo.export(CONTRACT), Policy.load(teacher)
     actions, advice = pupil.act(observation.policy), expert.act(observation.teacher)
     return torch.cat([actions[name] - advice[name] for name in advice], -1).square().mean().sqrt().item()
 
@@ -67,12 +58,12 @@ def test_rewards_alone_count_after_its_share(teacher: Path):
 
 def test_its_weight_falls_evenly(teacher: Path):
     cfg = dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.4)
-    learner, env = Learner(cfg, TaughtEnv(cfg)), TaughtEnv(cfg)
+    mappo, env = Mappo(cfg, TaughtEnv(cfg)), TaughtEnv(cfg)
     weights = []
     for progress in (0.0, 0.1, 0.2, 0.4, 0.9):
-        roll_out(learner, env)
-        learner.update(progress)
-        weights += [step.teacher_weight.item() for step in learner.mappo.steps.values()][:1]
+        roll_out(mappo, env)
+        mappo.update(progress)
+        weights += [step.teacher_weight.item() for step in mappo.steps.values()][:1]
     assert weights == pytest.approx([1.0, 0.75, 0.5, 0.0, 0.0])
 
 

@@ -10,7 +10,6 @@ import contextlib
 import dataclasses
 import os
 import random
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import final
 
@@ -20,47 +19,40 @@ from torch import Tensor
 from torch import distributed as dist
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, Pixel2CatchError, WorkerError
-from pixel2catch.rl.config import TrainCfg
+from pixel2catch.learning.config import TrainCfg
 
 
-class Workers(ABC):
+@final
+class Workers:
     """What a process knows of all; every process calls the same methods in the same order.
 
     Attributes:
         rank: Number of this process, from 0.
-        size: Number of processes.
+        size: Number of processes; one that trains alone has nothing to combine.
         device: Device of this process, "cpu" or "cuda:N".
+        is_agreed: Whether all processes know that the training has failed.
     """
 
-    def __init__(self, rank: int, size: int, device: str) -> None:
-        """Take a place."""
-        self.rank, self.size, self.device = rank, size, device
+    def __init__(self, rank: int = 0, size: int = 1, device: str = "cpu") -> None:
+        """Take a place, the only one if no other is named."""
+        self.rank, self.size, self.device, self.is_agreed = rank, size, device, False
 
     @property
     def is_first(self) -> bool:
         """Whether this is the process that prints and writes."""
         return self.rank == 0
 
-    @abstractmethod
     def sum(self, values: Tensor) -> Tensor:
         """Return the sums over all processes; `values` is overwritten."""
+        if self.size > 1:
+            dist.all_reduce(values)
+        return values
 
-    @abstractmethod
     def max(self, values: Tensor) -> Tensor:
         """Return the largest values of all processes; `values` is overwritten."""
-
-    @abstractmethod
-    def average(self, tensors: Sequence[Tensor]) -> None:
-        """Put the means over all processes into tensors of one type; nothing waits for the device."""
-
-    @abstractmethod
-    def together(self) -> contextlib.AbstractContextManager[None]:
-        """Around work in which nothing is combined: if it fails in one process, all leave.
-
-        Raises:
-            WorkerError: In the first process, if only others failed; the message is theirs.
-            SystemExit: In the other processes, which have nothing more to say.
-        """
+        if self.size > 1:
+            dist.all_reduce(values, dist.ReduceOp.MAX)
+        return values
 
     def any(self, flag: bool) -> bool:
         """Return whether a flag is set in any process."""
@@ -70,6 +62,71 @@ class Workers(ABC):
         """Return the mean of each value over all processes."""
         totals = self.sum(torch.tensor(list(values.values()), dtype=torch.float64))
         return dict(zip(values, (totals / self.size).tolist(), strict=True))
+
+    def average(self, tensors: Sequence[Tensor]) -> None:
+        """Put the means over all processes into tensors of one type; nothing waits for the device.
+
+        It is one collective, since its cost is in the call, and it can be part of a CUDA graph.
+        """
+        if self.size == 1:
+            return
+        flat = self.sum(torch.cat([tensor.flatten() for tensor in tensors])) / self.size
+        parts = flat.split([tensor.numel() for tensor in tensors])
+        for tensor, part in zip(tensors, parts, strict=True):
+            tensor.copy_(part.view_as(tensor))
+
+    def moments(self, mean: Tensor, variance: Tensor, count: int) -> tuple[Tensor, Tensor]:
+        """Return mean and unbiased variance of the samples of all processes.
+
+        Source: law of total variance: the mean of the variances, and the variance of the means.
+
+        Args:
+            mean: Mean of this process's samples.
+            variance: Their unbiased variance.
+            count: Their number, the same in every process.
+        """
+        if self.size == 1:
+            return mean, variance
+        joint_mean = mean.to(torch.float64, copy=True)
+        self.average([joint_mean])
+        spread = variance.double() * ((count - 1) / count) + (mean - joint_mean).square()
+        self.average([spread])
+        total = count * self.size
+        return joint_mean, spread * (total / (total - 1))
+
+    def standardized(self, values: Tensor, epsilon: float) -> Tensor:
+        """Return values with mean 0 and standard deviation 1 (but for epsilon) over all processes."""
+        mean, variance = self.moments(values.mean(), values.var(), values.numel())
+        return (values - mean.to(values)) / (variance.to(values).sqrt() + epsilon)
+
+    @contextlib.contextmanager
+    def sync_errors(self) -> Iterator[None]:
+        """Around work in which nothing is combined: if it fails in one process, all leave.
+
+        Raises:
+            WorkerError: In the first process, if only others failed; the message is theirs.
+            SystemExit: In the other processes, which have nothing more to say.
+        """
+        failure: Exception | None = None
+        try:
+            yield
+        except Exception as error:
+            if self.size == 1:
+                raise
+            failure = error
+        if self.size == 1:
+            return
+        messages: list[str] = [""] * self.size
+        dist.all_gather_object(messages, _message(failure))
+        failed = [f"process {rank}: {message}" for rank, message in enumerate(messages) if message]
+        if not failed:
+            return
+        self.is_agreed = True
+        if failure and (self.is_first or not isinstance(failure, Pixel2CatchError)):
+            raise failure
+        if self.is_first:
+            raise WorkerError(failed[0])
+        raise SystemExit(0)
 
     def share(self, cfg: TrainCfg) -> TrainCfg:
         """Return the configuration of this process: its environments, its device and their seed.
@@ -100,72 +157,6 @@ class Workers(ABC):
         return seed if self.is_first else random.Random(repr((self.rank, seed, *others))).getrandbits(31)
 
 
-@final
-class OneProcess(Workers):
-    """A process that trains alone: nothing to combine."""
-
-    def __init__(self, device: str = "cpu") -> None:
-        """Take the only place."""
-        super().__init__(0, 1, device)
-
-    def sum(self, values: Tensor) -> Tensor:  # noqa: D102 (documented in the interface)
-        return values
-
-    def max(self, values: Tensor) -> Tensor:  # noqa: D102
-        return values
-
-    def average(self, tensors: Sequence[Tensor]) -> None:  # noqa: D102
-        pass
-
-    def together(self) -> contextlib.AbstractContextManager[None]:  # noqa: D102
-        return contextlib.nullcontext()
-
-
-@final
-class ManyProcesses(Workers):
-    """A process among others of torch's default process group.
-
-    Attributes:
-        is_agreed: Whether all processes know that the training has failed.
-    """
-
-    is_agreed = False
-
-    def sum(self, values: Tensor) -> Tensor:  # noqa: D102
-        dist.all_reduce(values)
-        return values
-
-    def max(self, values: Tensor) -> Tensor:  # noqa: D102
-        dist.all_reduce(values, dist.ReduceOp.MAX)
-        return values
-
-    def average(self, tensors: Sequence[Tensor]) -> None:
-        """Average in one collective, since its cost is in the call; it can be part of a CUDA graph."""
-        flat = self.sum(torch.cat([tensor.flatten() for tensor in tensors])) / self.size
-        parts = flat.split([tensor.numel() for tensor in tensors])
-        for tensor, part in zip(tensors, parts, strict=True):
-            tensor.copy_(part.view_as(tensor))
-
-    @contextlib.contextmanager
-    def together(self) -> Iterator[None]:  # noqa: D102
-        failure: Exception | None = None
-        try:
-            yield
-        except Exception as error:
-            failure = error
-        messages: list[str] = [""] * self.size
-        dist.all_gather_object(messages, _message(failure))
-        failed = [f"process {rank}: {message}" for rank, message in enumerate(messages) if message]
-        if not failed:
-            return
-        self.is_agreed = True
-        if failure and (self.is_first or not isinstance(failure, Pixel2CatchError)):
-            raise failure
-        if self.is_first:
-            raise WorkerError(failed[0])
-        raise SystemExit(0)
-
-
 @contextlib.contextmanager
 def start_workers(device: str) -> Iterator[Workers]:
     """Join the processes that torchrun started; a process started by hand is alone.
@@ -182,14 +173,14 @@ def start_workers(device: str) -> Iterator[Workers]:
     if local.startswith("cuda"):
         torch.cuda.set_device(local)
     if is_alone:
-        yield OneProcess(local)
+        yield Workers(device=local)
         return
     # What is told on the host goes over gloo, which finds a lost process at once and waits for no device.
     if local.startswith("cuda"):
         dist.init_process_group("cpu:gloo,cuda:nccl", device_id=torch.device(local))
     else:
         dist.init_process_group("gloo")
-    workers = ManyProcesses(dist.get_rank(), dist.get_world_size(), local)
+    workers = Workers(dist.get_rank(), dist.get_world_size(), local)
     try:
         yield workers
     except BaseException:

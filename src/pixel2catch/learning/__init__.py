@@ -1,0 +1,1 @@
+"""Training with MAPPO, on one device or on several together."""

@@ -1,0 +1,190 @@
+"""What a training run can be told, and the presets; imports nothing heavy, as the command line reads it."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, Literal
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+
+
+def _released_latency() -> tuple[float, float]:
+    from pixel2catch.mdp.sensing import SensingCfg
+
+    return SensingCfg.latency_steps
+
+
+def _paper_layers() -> tuple[int, ...]:
+    from pixel2catch.policy import HIDDEN
+
+    return HIDDEN
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainCfg:
+    """Configuration of a training run; the defaults are the preset `fast`.
+
+    Source: paper, Sec. IV-E, and the release for what the paper leaves open.
+    Differs: batch size, learning-rate schedule and physics rates of `fast` and `cpu` are ours: with big
+    batches the KL rule hardly ever lowers the rate, and training stalls (`experiments/LOG.md`).
+
+    Attributes:
+        num_envs: Environments that are simulated side by side, in all processes of torchrun together.
+        device: Where to simulate and learn: cpu, cuda (each process on its own device), cuda:1, ...
+            Default: cuda where there is one.
+        seed: Seed of networks, exploration and environments.
+        physics_hz: Physics steps in a second, multiples of 30; several: one after the other, in equal shares
+            of the training, coarse first (120: paper), then finer, so that the policy does not live by what
+            coarse steps do to an impact (ours).
+        dynamics: Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps a copy.
+            Evaluations take it by their own --dynamics only. Default: the nominal robot.
+        camera: Camera file of the camera that is simulated, as `calibrate` writes it; the run keeps a copy.
+            Every episode draws pose and focal length within what the file leaves open. Its images must be
+            rectified, and the policy is for this camera. Default: the release's camera, known exactly.
+        task: What it is trained for: nominal, the paper's task; wide, with what laboratories do to it (ours);
+            or wide_sharp, the same with boxes to 2 px. Default: nominal.
+        latency_steps: Control steps between image and delivered box in nominal episodes: least and most.
+            Default: 1 2, as the release.
+        start: Policy to go on from, of the same method: its folder, that of its training run, or the name of
+            a shipped one. Value networks begin anew, and so does exploration: give an --initial-log-std of
+            about -2. Default: untrained networks.
+        start_transitions: Transitions after such a start in which the value networks alone learn; in as many
+            again the learning rate rises. Source: ours.
+        teacher: Policy whose actions are imitated at first, in the states that the pupil comes to, named
+            likewise; it may be of another method, such as one that is told where the object is.
+        teacher_share: Share of the training over which the weight of imitation falls from 1 to 0, and that of
+            the rewards rises from 0 to 1. Source: ours.
+        transitions: Length of the training: control steps, summed over the environments. Source: release.
+        rollout_steps: Control steps of every environment between two updates.
+        epochs: Passes over a rollout in an update. Source: release.
+        mini_batches: Gradient steps a pass. Source: release.
+        schedule: How the learning rate changes: linear over the transitions, or kl adaptive.
+        learning_rate: Learning rate at the start.
+        final_learning_rate: Learning rate at the end (linear), or its lower bound (kl).
+        kl_target: KL divergence that the kl schedule aims at. Source: paper, Sec. IV-E.
+        discount: Discount factor (gamma) of a control step. Source: paper, Sec. IV-E.
+        gae_lambda: Lambda of the generalised advantage estimate. Source: release.
+        ratio_clip: Clip (epsilon) of the probability ratio. Source: paper, Sec. IV-E.
+        value_clip: Clip of the change of a (standardised) value in an update. Source: release.
+        value_loss_scale: Weight of the value loss. Source: release.
+        entropy_scale: Weight of the entropy bonus. Source: release.
+        gradient_clip: Largest norm of an agent's gradient. Source: release.
+        hidden: Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E.
+        recurrent: Size of a recurrent unit (GRU) before the hidden layers of all networks, learnt over whole
+            rollouts; 0 for none. Source: ours.
+        initial_log_std: Logarithm of the standard deviation of the actions at the start. Source: ours
+            (release: 0).
+        checkpoint_seconds: Time between two checkpoints [s].
+        report_seconds: Time between two report lines where there is no terminal [s].
+    """
+
+    num_envs: int = 4096
+    device: str = "cuda"
+    seed: int = 0
+    physics_hz: tuple[float, ...] = (120.0, 120.0, 240.0)
+    dynamics: Path | None = None
+    camera: Path | None = None
+    task: str = "nominal"
+    latency_steps: tuple[float, float] = dataclasses.field(default_factory=_released_latency)
+    start: Path | None = None
+    start_transitions: int = 2_000_000
+    teacher: Path | None = None
+    teacher_share: float = 0.5
+    transitions: int = 51_200_000
+    rollout_steps: int = 8
+    epochs: int = 4
+    mini_batches: int = 4
+    schedule: Literal["linear", "kl"] = "linear"
+    learning_rate: float = 1e-3
+    final_learning_rate: float = 3e-5
+    kl_target: float = 0.016
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    ratio_clip: float = 0.2
+    value_clip: float = 0.2
+    value_loss_scale: float = 2.0
+    entropy_scale: float = 0.0
+    gradient_clip: float = 1.0
+    hidden: tuple[int, ...] = dataclasses.field(default_factory=_paper_layers)
+    recurrent: int = 0
+    initial_log_std: float = -0.7
+    checkpoint_seconds: float = 60.0
+    report_seconds: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse values with which no training is possible."""
+        for name in (
+            "num_envs",
+            "transitions",
+            "start_transitions",
+            "rollout_steps",
+            "epochs",
+            "mini_batches",
+            "learning_rate",
+        ):
+            if getattr(self, name) <= 0:
+                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be greater than 0.")
+        for name in ("discount", "gae_lambda", "teacher_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
+        is_wrong = {
+            "physics_hz is empty; it needs a rate, such as 120.": not self.physics_hz,
+            f"latency_steps is {self.latency_steps}; give 0 or more, then the same or more.": not (
+                0 <= self.latency_steps[0] <= self.latency_steps[1]
+            ),
+            f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
+            f"{self.mini_batches} equal mini-batches; change one of the three.": (
+                self.rollout_transitions % self.mini_batches
+            ),
+            f"recurrent is {self.recurrent}; it must be 0 or more.": self.recurrent < 0,
+            f"num_envs = {self.num_envs} cannot be split into {self.mini_batches} equal mini-batches of "
+            "whole rollouts, which recurrent networks need; change one of the two.": (
+                self.recurrent and self.num_envs % self.mini_batches
+            ),
+        }
+        for message, applies in is_wrong.items():
+            if applies:
+                raise InvalidValueError(message)
+
+    def rate_at(self, transitions: int) -> float:
+        """Physics steps in a second after that many transitions."""
+        stage = len(self.physics_hz) * transitions // self.transitions
+        return self.physics_hz[min(stage, len(self.physics_hz) - 1)]
+
+    @property
+    def inputs(self) -> dict[str, Path | None]:
+        """The files that the training depends on, by the option that names them."""
+        return {"dynamics": self.dynamics, "camera": self.camera}
+
+    @property
+    def rollout_transitions(self) -> int:
+        """Transitions between two updates."""
+        return self.num_envs * self.rollout_steps
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "fast": {},
+    "cpu": {"device": "cpu", "num_envs": 256, "rollout_steps": 32, "transitions": 5_000_000, "epochs": 3},
+    "paper": {
+        "num_envs": 512,
+        "rollout_steps": 32,
+        "transitions": 51_200_000,
+        "schedule": "kl",
+        "physics_hz": (120.0,),
+        "initial_log_std": 0.0,
+        "learning_rate": 5e-4,
+        "final_learning_rate": 1e-5,
+    },
+}
+"""What presets set. `fast`: one big GPU. `cpu`: two cores. `paper`: Sec. IV-E, with the release's numbers."""
+
+
+def preset(name: str, **given: Any) -> TrainCfg:
+    """Return a preset by its name, with what is given instead of its values.
+
+    Raises:
+        UnknownNameError: There is no such preset.
+        InvalidValueError: No training is possible with the values.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    return TrainCfg(**PRESETS[name] | given)

@@ -1,0 +1,187 @@
+"""What a training tells: a row of metrics an update, on the console, as CSV and for TensorBoard."""
+
+import csv
+import io
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from torch.utils.tensorboard import SummaryWriter
+
+from pixel2catch.files import write_atomically
+from pixel2catch.learning.config import TrainCfg
+
+METRICS_FILE = "metrics.csv"
+Row = dict[str, int | float]
+"""Metrics of one update by name; `transitions` is the abscissa."""
+
+
+class _File(Protocol):
+    def write(self, row: Row) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class TrainingLog:
+    """A bar or lines, CSV and TensorBoard; a full disk is reported and does not end the training."""
+
+    def __init__(self, cfg: TrainCfg, folder: Path, transitions: int, *, is_silent: bool) -> None:
+        """Begin to show and open the files.
+
+        Args:
+            cfg: The configuration of the training.
+            folder: Where the files are.
+            transitions: Transitions that are behind already.
+            is_silent: Whether to show and write nothing, since another process does.
+        """
+        self._console = Console(highlight=False, soft_wrap=True, quiet=is_silent)
+        self._total, self._report_seconds, self._next_report = cfg.transitions, cfg.report_seconds, 0.0
+        self._bar = Progress(
+            TextColumn("training"),
+            BarColumn(),
+            TextColumn("{task.percentage:>5.1f} %"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            TextColumn("{task.description}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=cfg.transitions, completed=transitions)
+        self._bar.start()
+        self._files: dict[str, _File] = {}
+        if not is_silent:
+            self._files["metrics"] = CsvLog(folder / METRICS_FILE, transitions)
+            self._files["TensorBoard events"] = TensorBoardLog(folder, transitions)
+
+    def __enter__(self) -> "TrainingLog":
+        """Nothing more to open."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the files and leave the terminal as it was."""
+        for name, file in self._files.items():
+            self.attempt(name, file.close)
+        self._bar.stop()
+
+    def write(self, row: Row) -> None:
+        """Show and write a row of metrics."""
+        line = describe(row)
+        self._bar.update(self._task, completed=row["transitions"], description=line)
+        if not self._console.is_terminal and time.monotonic() >= self._next_report:
+            self._next_report = time.monotonic() + self._report_seconds
+            left = (self._total - row["transitions"]) / max(row["transitions_per_second"], 1e-9)
+            share = f"{100 * row['transitions'] / self._total:.1f} %"
+            self.say(
+                f"{share} · {row['transitions'] / 1e6:.2f} M transitions · {line}"
+                f" · {max(left, 0.0):.0f} s left"
+            )
+        for name, file in self._files.items():
+            self.attempt(name, lambda file=file: file.write(row))
+
+    def attempt(self, what: str, write: Callable[[], None]) -> None:
+        """Write something; if that fails, say so and go on."""
+        try:
+            write()
+        except OSError as error:
+            self.say(f"warning: could not write {what} ({error}); training goes on")
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        self._console.print(text, markup=False)
+
+
+def describe(row: Row) -> str:
+    """Put the metrics that tell most into one short line: speed, rates and mean rewards."""
+    parts = [f"{row['transitions_per_second'] / 1e3:.1f} k/s"]
+    for name, value in row.items():
+        if name.endswith("_rate"):
+            shown = "-" if value != value else f"{100 * value:.1f} %"  # NaN: no episode has ended yet
+            parts.append(f"{name.removesuffix('_rate')} {shown}")
+        elif name.startswith("reward/"):
+            parts.append(f"reward {name.removeprefix('reward/')} {value:+.4f}")
+    return " · ".join(parts)
+
+
+class CsvLog:
+    """A CSV file that grows by a row an update.
+
+    Rows that could not be written (full disk) are kept and written with a later one.
+    """
+
+    def __init__(self, path: Path, transitions: int = 0) -> None:
+        """Open the file.
+
+        Args:
+            path: The file. Rows that it holds are kept up to `transitions`: what came later is repeated.
+            transitions: Progress from which the training goes on.
+        """
+        self._path = path
+        self._rows = [row for row in _read_rows(path) if float(row["transitions"]) <= transitions]
+        self._columns: list[str] = []
+        self._num_written = -1
+
+    def write(self, row: Row) -> None:
+        """Append a row; a column that is new makes the file be written anew.
+
+        Raises:
+            OSError: The row could not be written; it is not lost, and the file is intact.
+        """
+        self._rows.append(
+            {name: f"{value:.6g}" for name, value in row.items()} | {"transitions": str(row["transitions"])}
+        )
+        columns = list(dict.fromkeys(name for row in (self._rows[0], self._rows[-1]) for name in row))
+        if columns != self._columns or self._num_written < 0:
+            text = ",".join(columns) + "\n" + _format(self._rows, columns)
+            write_atomically({self._path: text.encode()})
+        else:
+            _append(self._path, _format(self._rows[self._num_written :], columns).encode())
+        self._columns, self._num_written = columns, len(self._rows)
+
+    def close(self) -> None:
+        """Nothing to do: no file stays open."""
+
+
+class TensorBoardLog:
+    """The same rows for TensorBoard, over transitions."""
+
+    def __init__(self, folder: Path, transitions: int = 0) -> None:
+        """Open a new event file; what older files say after `transitions` is hidden."""
+        self._writer = SummaryWriter(str(folder), purge_step=transitions or None)
+
+    def write(self, row: Row) -> None:
+        """Add a row."""
+        for name, value in row.items():
+            self._writer.add_scalar(name, value, int(row["transitions"]))
+
+    def close(self) -> None:
+        """Flush and close the file."""
+        self._writer.close()
+
+
+def _read_rows(path: Path) -> list[dict[str, str]]:
+    if not path.exists():
+        return []
+    with open(path, newline="") as file:
+        return [row for row in csv.DictReader(file) if None not in row.values() and row["transitions"]]
+
+
+def _format(rows: list[dict[str, str]], columns: list[str]) -> str:
+    text = io.StringIO()
+    csv.DictWriter(text, columns, restval="", lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
+def _append(path: Path, content: bytes) -> None:
+    size = path.stat().st_size
+    try:
+        with open(path, "ab", buffering=0) as file:
+            if file.write(content) != len(content):
+                raise OSError(f"no space left for '{path}'")
+    except OSError:
+        with open(path, "rb+") as file:
+            file.truncate(size)
+        raise

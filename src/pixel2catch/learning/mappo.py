@@ -1,0 +1,333 @@
+"""MAPPO: every agent learns by PPO on its own observations, with a value network that sees the whole state.
+
+Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and values, generalised advantages,
+standardised inputs and values. Ours: imitation of a teacher, resting policies, several processes.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.distributed import Workers
+from pixel2catch.learning.environment import Environment, Observation, Step
+from pixel2catch.learning.gradient_step import Batch, GradientStep
+from pixel2catch.learning.networks import EPSILON, ActorCritic
+from pixel2catch.policy import Policy, PolicyContract
+
+HIGHEST_LEARNING_RATE = 1e-2
+"""Upper bound of the adaptive learning rate. Source: release (skrl)."""
+
+ADOPTED_SAMPLES = 1e7
+"""Samples that the input statistics of a policy count for where a training goes on from it. Source: ours."""
+
+METRICS = ("policy_loss", "value_loss", "kl", "action_std", "learning_rate")
+"""What `update` tells of every agent."""
+
+
+class Mappo:
+    """Acts, remembers and updates. Between two updates nothing waits for the device.
+
+    Attributes:
+        agents: Names of the agents.
+        networks: Networks of every agent.
+        steps: What takes its gradient steps.
+        rollout: What it saw and did since the last update, (rollout_steps, num_envs, ...).
+        rewards: What it was given for it, (rollout_steps, num_envs).
+        is_done: Whether an episode ended there, for whatever reason, (rollout_steps, num_envs).
+        next_states: Input of the value networks after the last step.
+    """
+
+    def __init__(self, cfg: TrainCfg, env: Environment, workers: Workers | None = None) -> None:
+        """Build untrained networks; the global torch generator decides on their weights.
+
+        Args:
+            cfg: The configuration of this process.
+            env: The environments of this process.
+            workers: All processes, whose updates are one; this one alone if absent.
+        """
+        self.cfg, self.workers = cfg, workers or Workers(device=cfg.device)
+        self.agents = tuple(env.action_sizes)
+        self.networks = {
+            agent: ActorCritic(cfg, self.workers, env.observation_sizes[agent], env.state_size, num_actions)
+            for agent, num_actions in env.action_sizes.items()
+        }
+        self.steps = {
+            agent: GradientStep(cfg, networks, self.workers) for agent, networks in self.networks.items()
+        }
+        self._teacher = Policy.load(cfg.teacher, cfg.device) if cfg.teacher else None
+        self._is_resting = False
+
+        def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
+            return torch.full((num_steps, env.num_envs, *size), fill, device=cfg.device)
+
+        def hidden_state() -> Tensor:
+            return buffer(cfg.recurrent, num_steps=1 if cfg.recurrent else cfg.rollout_steps, fill=0.0)
+
+        self.next_states, states = buffer(env.state_size)[0], buffer(env.state_size)
+        self.is_done, is_first = buffer(fill=False), buffer(fill=False)
+        self.rollout = {
+            agent: Batch(
+                observations=buffer(env.observation_sizes[agent]),
+                states=states,
+                actions=buffer(num_actions),
+                log_prob=buffer(),
+                values=buffer(),
+                returns=buffer(),
+                advantages=buffer(),
+                advice=buffer(num_actions if self._teacher else 0),
+                is_first=is_first,
+                policy_hidden_state=hidden_state(),
+                value_hidden_state=hidden_state(),
+            )
+            for agent, num_actions in env.action_sizes.items()
+        }
+        self.rewards = {agent: buffer() for agent in self.agents}
+        self._hidden_states = {
+            agent: (batch.policy_hidden_state[0].clone(), batch.value_hidden_state[0].clone())
+            for agent, batch in self.rollout.items()
+        }
+        self._num_steps = 0
+
+    def begin(self) -> None:
+        """Forget what recurrent networks have seen: new episodes begin everywhere."""
+        self._forget(torch.ones_like(self.is_done[0]))
+
+    @torch.no_grad()
+    def act(self, observation: Observation) -> dict[str, Tensor]:
+        """Sample unclipped actions, (num_envs, size) by agent, and remember them with what led to them."""
+        actions = {}
+        with _tensor_cores():
+            for agent, networks in self.networks.items():
+                rollout, hidden = self.rollout[agent], self._hidden_states[agent]
+                if self._num_steps == 0:
+                    rollout.policy_hidden_state[0], rollout.value_hidden_state[0] = hidden
+                mean, policy_state = networks.mean_of(observation.policy[agent], hidden[0])
+                actions[agent] = mean + networks.log_std.exp() * torch.randn_like(mean)
+                values, value_state = networks.value_of(observation.state, hidden[1])
+                self._hidden_states[agent] = (policy_state, value_state)
+                seen = {
+                    "observations": observation.policy[agent],
+                    "states": observation.state,
+                    "actions": actions[agent],
+                    "log_prob": networks.log_prob(mean, actions[agent]),
+                    "values": values,
+                }
+                for name, tensor in seen.items():
+                    getattr(rollout, name)[self._num_steps] = tensor
+            if self._teacher is not None:
+                self._ask(self._teacher, observation)
+        return actions
+
+    def _ask(self, teacher: Policy, observation: Observation) -> None:
+        """Remember a teacher's actions; joints are in the same order, however they are split over agents."""
+        advice = torch.cat(list(teacher.act(observation.teacher).values()), dim=-1)
+        rooms = [batch.advice for batch in self.rollout.values()]
+        for room, part in zip(rooms, advice.split([room.shape[-1] for room in rooms], dim=-1), strict=True):
+            room[self._num_steps] = part
+
+    def record(self, step: Step) -> None:
+        """Remember what became of the last actions. A time-out ends an episode like any other end (paper)."""
+        for agent in self.agents:
+            self.rewards[agent][self._num_steps] = step.rewards[agent]
+        self.is_done[self._num_steps] = step.terminated | step.truncated
+        self._forget(self.is_done[self._num_steps])
+        self.next_states = step.observation.state
+        self._num_steps += 1
+
+    def _forget(self, is_ended: Tensor) -> None:
+        if self._teacher is not None:
+            self._teacher.reset(is_ended)
+        if self.cfg.recurrent:
+            for agent, states in self._hidden_states.items():
+                policy_state, value_state = (state * ~is_ended[:, None] for state in states)
+                self._hidden_states[agent] = (policy_state, value_state)
+
+    def discard_rollout(self) -> None:
+        """Forget the transitions since the last update."""
+        self._num_steps = 0
+
+    def update(self, progress: float) -> dict[str, float]:
+        """Learn from a full rollout and return the metrics.
+
+        Args:
+            progress: Share of the training that is over, 0 to 1.
+        """
+        cfg, share = self.cfg, self.cfg.teacher_share
+        begun = progress * cfg.transitions / cfg.start_transitions if cfg.start else 2.0
+        self._rest_policies(begun < 1.0)
+        for step in self.steps.values():
+            step.teacher_weight.fill_(1.0 - progress / share if progress < share else 0.0)
+            if cfg.schedule == "linear":
+                rate = cfg.learning_rate + (cfg.final_learning_rate - cfg.learning_rate) * min(progress, 1.0)
+                step.learning_rate.fill_(rate * (begun - 1.0 if 1.0 <= begun < 2.0 else 1.0))
+        with _tensor_cores():
+            metrics = {agent: self._update_agent(agent) for agent in self.agents}
+        self.discard_rollout()
+        return {f"{name}/{agent}": metrics[agent][name] for agent in self.agents for name in METRICS}
+
+    def _update_agent(self, agent: str) -> dict[str, float]:
+        cfg, step, networks = self.cfg, self.steps[agent], self.networks[agent]
+        self._estimate_advantages(agent)
+        epochs = []
+        for epoch in range(cfg.epochs):
+            step.totals.zero_()
+            for batch in mini_batches(self.rollout[agent], cfg.mini_batches, is_whole=cfg.recurrent > 0):
+                if epoch == 0:
+                    networks.observation_scale.learn(batch.observations)
+                    networks.state_scale.learn(batch.states)
+                scaled = (networks.observation_scale(batch.observations), networks.state_scale(batch.states))
+                step.take(batch._replace(observations=scaled[0], states=scaled[1]))
+            epochs.append(step.totals / cfg.mini_batches)
+            if cfg.schedule == "kl":
+                step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), epochs[-1][2].item()))
+        std = networks.log_std.detach().exp().mean()
+        results = torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
+        return dict(zip(METRICS, results.tolist(), strict=True))
+
+    @torch.no_grad()
+    def _estimate_advantages(self, agent: str) -> None:
+        """Fill in returns and advantages, and standardise the values and the returns one after the other."""
+        rollout, networks = self.rollout[agent], self.networks[agent]
+        values, scale = rollout.values, networks.value_scale
+        last, _ = networks.value_of(self.next_states, self._hidden_states[agent][1])
+        rollout.is_first[1:] = self.is_done[:-1]
+        returns = discounted_returns(self.cfg, self.rewards[agent], self.is_done, values, last)
+        rollout.advantages.copy_(self.workers.standardized(returns - values, EPSILON))
+        for target, given in ((values, values), (rollout.returns, returns)):
+            scale.learn(given)
+            target.copy_(scale(given))
+
+    def _rest_policies(self, is_resting: bool) -> None:
+        """Let the value networks alone learn, so that a policy is not led by values that mean nothing yet."""
+        for step in self.steps.values():
+            if is_resting:
+                step.rest_policy()
+            elif self._is_resting:
+                step.wake_policy()
+        self._is_resting = is_resting
+
+    @torch.no_grad()
+    def export(self, contract: PolicyContract) -> Policy:
+        """Copy mean networks and input statistics into a `Policy` on the CPU."""
+        policy = Policy(contract, self.cfg.hidden, self.cfg.recurrent)
+        for agent, networks in self.networks.items():
+            target = policy.network(agent)
+            target.network.load_state_dict(networks.policy.state_dict())
+            if target.gru and networks.policy_gru:
+                target.gru.load_state_dict(networks.policy_gru.state_dict())
+            target.input_mean.copy_(networks.observation_scale.mean)
+            target.input_std.copy_(networks.observation_scale.std)
+        return policy.eval()
+
+    @torch.no_grad()
+    def adopt(self, policy: Policy) -> None:
+        """Go on from the networks and the input statistics of a policy: the inverse of `export`.
+
+        Raises:
+            InvalidValueError: Its hidden layers or its GRU have other sizes.
+        """
+        if policy.hidden != tuple(self.cfg.hidden):
+            raise InvalidValueError(
+                f"the policy to start from has hidden layers {policy.hidden}; train with --hidden "
+                f"{' '.join(map(str, policy.hidden))}, or start from another."
+            )
+        if policy.recurrent != self.cfg.recurrent:
+            raise InvalidValueError(
+                f"the policy to start from has a GRU of size {policy.recurrent}; train with --recurrent "
+                f"{policy.recurrent}, or start from another."
+            )
+        for agent, networks in self.networks.items():
+            source, scale = policy.network(agent), networks.observation_scale
+            networks.policy.load_state_dict(source.network.state_dict())
+            if source.gru and networks.policy_gru:
+                networks.policy_gru.load_state_dict(source.gru.state_dict())
+            scale.mean.copy_(source.input_mean)
+            scale.variance.copy_((source.input_std.double() - EPSILON).square())
+            scale.count.fill_(ADOPTED_SAMPLES)
+
+    def state_dict(self) -> dict[str, dict[str, Any]]:
+        """Return everything that learning goes on from: networks, statistics and optimisers, by agent."""
+        return {
+            agent: {
+                "networks": self.networks[agent].state_dict(),
+                "optimizer": self.steps[agent].optimizer.state_dict(),
+            }
+            for agent in self.agents
+        }
+
+    def load_state_dict(self, state: dict[str, dict[str, Any]]) -> None:
+        """Go on from what `state_dict` returned."""
+        for agent in self.agents:
+            self.networks[agent].load_state_dict(state[agent]["networks"])
+            self.steps[agent].load_state_dict(state[agent]["optimizer"])
+
+    def close(self) -> None:
+        """Release what would keep the process group from ending."""
+        for step in self.steps.values():
+            step.close()
+
+
+def discounted_returns(
+    cfg: TrainCfg, rewards: Tensor, is_done: Tensor, values: Tensor, last_values: Tensor
+) -> Tensor:
+    """Return value plus generalised advantage of every step, (rollout_steps, num_envs).
+
+    Source: Schulman et al. 2016.
+
+    Args:
+        cfg: Discount and lambda.
+        rewards: Reward of every step, in order.
+        is_done: Whether the episode ended with it.
+        values: Values of the states before it.
+        last_values: Values of the states after the last, (num_envs,).
+    """
+    returns, advantage = torch.empty_like(values), torch.zeros_like(last_values)
+    for t in reversed(range(len(rewards))):
+        ahead = last_values + cfg.gae_lambda * advantage
+        advantage = rewards[t] - values[t] + cfg.discount * ~is_done[t] * ahead
+        returns[t], last_values = advantage + values[t], values[t]
+    return returns
+
+
+def mini_batches(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Batch]:
+    """Yield random mini-batches which together hold every transition once; drawn on the device.
+
+    Args:
+        rollout: All transitions, (rollout_steps, num_envs, ...).
+        num: Number of mini-batches.
+        is_whole: Whether the steps of an environment stay together and in order.
+    """
+    drawn = rollout if is_whole else rollout.each(partial(torch.flatten, end_dim=1))
+    dim = 1 if is_whole else 0
+    order = torch.randperm(drawn.values.shape[dim], device=drawn.values.device)
+    for indices in order.chunk(num):
+        yield drawn.each(partial(torch.index_select, dim=dim, index=indices))
+
+
+def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:
+    """Return the learning rate after an epoch with this KL divergence.
+
+    Source: release (skrl: factor 1.5 where the divergence is twice or half of the target).
+    """
+    if kl > 2.0 * cfg.kl_target:
+        return max(rate / 1.5, cfg.final_learning_rate)
+    if kl < 0.5 * cfg.kl_target:
+        return min(rate * 1.5, HIGHEST_LEARNING_RATE)
+    return rate
+
+
+@contextmanager
+def _tensor_cores() -> Iterator[None]:
+    """Let matrix products of the networks round to TF32 on CUDA; elsewhere (kinematics) they must not."""
+    matmul = torch.backends.cuda.matmul
+    before, matmul.allow_tf32 = matmul.allow_tf32, True
+    try:
+        yield
+    finally:
+        matmul.allow_tf32 = before

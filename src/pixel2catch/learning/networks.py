@@ -1,0 +1,123 @@
+"""What learning needs of networks: policy and value function of an agent, and the scale of what they see."""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.distributed import Workers
+from pixel2catch.policy import build_mlp
+from pixel2catch.policy.networks import INPUT_CLIP, recall
+
+EPSILON = 1e-8
+"""Added to a standard deviation before dividing by it. Source: release (skrl)."""
+
+
+class Standardizer(nn.Module):
+    """Brings values to mean 0 and standard deviation 1 by the statistics of all processes, and clips them."""
+
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+
+    def __init__(self, workers: Workers, *size: int) -> None:
+        """Begin as if one sample of mean 0 and variance 1 had been seen."""
+        super().__init__()
+        self._workers = workers
+        self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
+        self.register_buffer("count", torch.ones((), dtype=torch.float64))
+
+    @property
+    def std(self) -> Tensor:
+        """What differences from the mean are divided by."""
+        return self.variance.float().sqrt() + EPSILON
+
+    @torch.no_grad()
+    def learn(self, values: Tensor) -> None:
+        """Count in values, (..., *size). Source: parallel variance (Chan et al. 1979)."""
+        values = values.reshape(-1, *self.mean.shape)
+        num = len(values)
+        mean, variance = self._workers.moments(values.mean(dim=0), values.var(dim=0), num)
+        num *= self._workers.size
+        total, delta = self.count + num, mean - self.mean
+        squares = self.variance * self.count + variance * num + delta**2 * self.count * num / total
+        self.mean.copy_(self.mean + delta * num / total)
+        self.variance.copy_(squares / total)
+        self.count.copy_(total)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Return standardised, clipped values."""
+        return ((values - self.mean.float()) / self.std).clamp(-INPUT_CLIP, INPUT_CLIP)
+
+    def inverse(self, values: Tensor) -> Tensor:
+        """Return the values that standardised ones stand for."""
+        return self.variance.float().sqrt() * values.clamp(-INPUT_CLIP, INPUT_CLIP) + self.mean.float()
+
+
+class ActorCritic(nn.Module):
+    """Networks of one agent: a Gaussian policy of its observation, and a value function of the state."""
+
+    def __init__(
+        self, cfg: TrainCfg, workers: Workers, num_observations: int, num_states: int, num_actions: int
+    ) -> None:
+        """Build untrained networks; the global torch generator of the CPU decides on their weights."""
+        super().__init__()
+        size = cfg.recurrent
+        self.policy_gru = nn.GRUCell(num_observations, size) if size else None
+        self.policy = build_mlp(size or num_observations, num_actions, cfg.hidden)
+        self.log_std = nn.Parameter(torch.full((num_actions,), cfg.initial_log_std))
+        self.value_gru = nn.GRUCell(num_states, size) if size else None
+        self.value = build_mlp(size or num_states, 1, cfg.hidden)
+        self.observation_scale = Standardizer(workers, num_observations)
+        self.state_scale = Standardizer(workers, num_states)
+        self.value_scale = Standardizer(workers)
+        self.to(cfg.device)
+
+    @property
+    def parts(self) -> dict[str, list[nn.Parameter]]:
+        """Parameters of the policy and of the value network."""
+        groups = {"policy": (self.policy, self.policy_gru), "value": (self.value, self.value_gru)}
+        parts = {
+            name: [parameter for module in modules if module for parameter in module.parameters()]
+            for name, modules in groups.items()
+        }
+        return {**parts, "policy": [self.log_std, *parts["policy"]]}
+
+    def mean_of(self, observations: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the mean actions for observations, and the new hidden state."""
+        features, hidden_state = recall(self.policy_gru, self.observation_scale(observations), hidden_state)
+        return self.policy(features), hidden_state
+
+    def value_of(self, states: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the values of states, (num_envs,), and the new hidden state."""
+        features, hidden_state = recall(self.value_gru, self.state_scale(states), hidden_state)
+        return self.value_scale.inverse(self.value(features)[..., 0]), hidden_state
+
+    def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
+        """Return the logarithm of the probability density of actions about a mean."""
+        error = (actions - mean) * (-self.log_std).exp()
+        return -(0.5 * error.square() + self.log_std + 0.5 * math.log(2.0 * math.pi)).sum(dim=-1)
+
+    def entropy(self) -> Tensor:
+        """Return the entropy of an action."""
+        return (self.log_std + 0.5 * math.log(2.0 * math.pi * math.e)).sum()
+
+
+def recall_all(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor, is_first: Tensor) -> Tensor:
+    """Return what the hidden layers see of whole rollouts: `recall`, step by step.
+
+    Args:
+        gru: The unit before the hidden layers, if there is one.
+        inputs: Standardised inputs, (num_steps, num_envs, num_inputs).
+        hidden_state: That before the first step, (1, num_envs, size).
+        is_first: Where an episode begins, of which nothing is known before, (num_steps, num_envs).
+    """
+    if gru is None:
+        return inputs
+    features, now = [], hidden_state[0]
+    for step, begins in zip(inputs, is_first, strict=True):
+        _, now = recall(gru, step, now * ~begins[:, None])
+        features.append(now)
+    return torch.stack(features)

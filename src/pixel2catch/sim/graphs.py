@@ -1,0 +1,76 @@
+"""CUDA graphs: a function of tensors is recorded once and then replayed with a single launch."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+Result = TypeVar("Result")
+
+
+class GraphedFunction(Generic[Result]):
+    """A function on a CUDA device whose first calls run as they are and whose later ones are replayed.
+
+    It owns whatever a recording reads and writes: the function with all that it refers to, copies of its
+    arguments, and its result. Tensors that the function reads besides its arguments must be changed in place.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Result],
+        *,
+        num_eager_calls: int,
+        pool: Any = None,
+        generator: torch.Generator | None = None,
+        around: Callable[[], AbstractContextManager[Any]] = nullcontext,
+    ) -> None:
+        """Take the function; nothing runs yet.
+
+        Args:
+            function: Takes tensors of the same shapes in every call, and never waits for the device.
+            num_eager_calls: Calls before it is recorded: in the first, libraries set themselves up.
+            pool: Memory that several recordings share, a `torch.cuda.graph_pool_handle`; its own if absent.
+            generator: Random generator that the function draws from, if not torch's own.
+            around: Entered around the recorded call, such as a capture by another library.
+        """
+        self._function, self._num_eager_calls = function, num_eager_calls
+        self._pool, self._generator, self._around = pool, generator, around
+        self._graph: torch.cuda.CUDAGraph | None = None
+
+    def __call__(self, *arguments: Tensor) -> Result:
+        """Return what the function returns; a later call overwrites the tensors in it."""
+        if self._num_eager_calls > 0:
+            self._num_eager_calls -= 1
+            return self._run_aside(arguments)
+        if self._graph is None:
+            self._graph = self._record(arguments)
+        for own, argument in zip(self._arguments, arguments, strict=True):
+            own.copy_(argument)
+        self._graph.replay()
+        return self._result
+
+    def _run_aside(self, arguments: tuple[Tensor, ...]) -> Result:
+        """Run on another stream, as recording requires of the calls before it."""
+        device = arguments[0].device
+        stream = torch.cuda.Stream(device)
+        stream.wait_stream(torch.cuda.current_stream(device))
+        with torch.cuda.stream(stream):
+            result = self._function(*arguments)
+        torch.cuda.current_stream(device).wait_stream(stream)
+        return result
+
+    def _record(self, arguments: tuple[Tensor, ...]) -> torch.cuda.CUDAGraph:
+        self._arguments = [argument.clone() for argument in arguments]
+        graph = torch.cuda.CUDAGraph()
+        if self._generator is not None:
+            graph.register_generator_state(self._generator)
+        # Other threads may use the device meanwhile (NCCL's do), which "global" would forbid.
+        with (
+            torch.cuda.device(arguments[0].device),
+            torch.cuda.graph(graph, self._pool, capture_error_mode="thread_local"),
+            self._around(),
+        ):
+            self._result = self._function(*self._arguments)
+        return graph

@@ -1,0 +1,261 @@
+"""MAPPO against numbers worked out by hand, a plain PPO, numbers of another implementation, and its traps."""
+
+import copy
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Step, TaughtEnv, roll_out
+from torch import nn
+from torch.distributions import Normal
+
+from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.learning import gradient_step
+from pixel2catch.learning.config import PRESETS, TrainCfg, preset
+from pixel2catch.learning.gradient_step import Batch
+from pixel2catch.learning.mappo import Mappo, mini_batches
+from pixel2catch.policy import Policy
+
+
+@pytest.fixture
+def mappo() -> Mappo:
+    torch.manual_seed(0)
+    return Mappo(SMALL, ReachingEnv(SMALL))
+
+
+def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
+    """Discount 1/2, lambda 1, values 0: returns are discounted sums to the end of the episode.
+
+    Environment 0 is cut off after step 2, environment 1 terminates there, environment 2 goes on.
+    Rewards 1, 1, 4 in each: returns 1.5, 1, 4 for the first two, 1 + (1 + 4/2)/2 = 2.5, 3, 4 for the third.
+    """
+    cfg = dataclasses.replace(
+        SMALL, num_envs=3, rollout_steps=3, discount=0.5, gae_lambda=1.0, mini_batches=1, epochs=1
+    )
+    mappo = Mappo(cfg, ReachingEnv(cfg))
+    for networks in mappo.networks.values():
+        for parameter in list(networks.value.parameters())[-2:]:
+            nn.init.zeros_(parameter)
+    observation = Observation({"arm": torch.randn(3, 4), "hand": torch.randn(3, 2)}, torch.randn(3, 3))
+    for index, reward in enumerate((1.0, 1.0, 4.0)):
+        rewards = {"arm": torch.full((3,), reward), "hand": torch.full((3,), reward)}
+        terminated = torch.tensor([False, index == 1, False])
+        truncated = torch.tensor([index == 1, False, False])
+        mappo.act(observation)
+        mappo.record(Step(observation, rewards, terminated, truncated))
+    mappo.update(0.0)
+    for agent, networks in mappo.networks.items():
+        returns = networks.value_scale.inverse(mappo.rollout[agent].returns)
+        expected = torch.tensor([[1.5, 1.5, 2.5], [1.0, 1.0, 3.0], [4.0, 4.0, 4.0]])
+        torch.testing.assert_close(returns, expected, atol=1e-5, rtol=0)
+
+
+def test_mini_batches_hold_every_transition_once() -> None:
+    numbers = torch.arange(24.0).view(4, 6)
+    rollout = Batch(numbers[..., None], *(numbers for _ in range(10)))
+    batches = list(mini_batches(rollout, 3))
+    assert [len(batch.values) for batch in batches] == [8, 8, 8]
+    assert all(torch.equal(batch.observations[:, 0], batch.advantages) for batch in batches)
+    drawn = torch.cat([batch.values for batch in batches]).tolist()
+    assert drawn != sorted(drawn)
+    assert sorted(drawn) == list(range(24))
+
+
+def plain_update(mappo: Mappo, agent: str) -> list[torch.Tensor]:
+    """Parameters after an update of PPO as a textbook has it, with mini-batches as large as the rollout."""
+    cfg, rollout = mappo.cfg, mappo.rollout[agent]
+    networks = copy.deepcopy(mappo.networks[agent])
+    observations, states = rollout.observations.flatten(0, 1), rollout.states.flatten(0, 1)
+    with torch.no_grad():
+        last = networks.value_scale.inverse(networks.value(networks.state_scale(mappo.next_states))[:, 0])
+    advantages, ahead, following = torch.zeros_like(rollout.values), torch.zeros_like(last), last
+    for t in range(cfg.rollout_steps - 1, -1, -1):
+        goes_on = 1.0 - mappo.is_done[t].float()
+        error = mappo.rewards[agent][t] + cfg.discount * goes_on * following - rollout.values[t]
+        ahead = error + cfg.discount * cfg.gae_lambda * goes_on * ahead
+        advantages[t], following = ahead, rollout.values[t]
+    returns = (advantages + rollout.values).flatten()
+    values, log_prob, advantages = rollout.values.flatten(), rollout.log_prob.flatten(), advantages.flatten()
+    advantages = (advantages - advantages.mean()) / advantages.std()
+    networks.value_scale.learn(values)
+    values = networks.value_scale(values)
+    networks.value_scale.learn(returns)
+    returns = networks.value_scale(returns)
+    networks.observation_scale.learn(observations)
+    networks.state_scale.learn(states)
+    optimizer = torch.optim.Adam(networks.parameters(), lr=cfg.learning_rate)
+    for _ in range(cfg.epochs):
+        normal = Normal(networks.policy(networks.observation_scale(observations)), networks.log_std.exp())
+        ratio = (normal.log_prob(rollout.actions.flatten(0, 1)).sum(-1) - log_prob).exp()
+        gain = torch.minimum(ratio * advantages, ratio.clamp(0.8, 1.2) * advantages).mean()
+        change = (networks.value(networks.state_scale(states))[:, 0] - values).clamp(-0.2, 0.2)
+        value_loss = cfg.value_loss_scale * (returns - values - change).square().mean()
+        optimizer.zero_grad()
+        (value_loss - gain - cfg.entropy_scale * normal.entropy().sum(-1).mean()).backward()
+        nn.utils.clip_grad_norm_(networks.parameters(), cfg.gradient_clip)
+        optimizer.step()
+    return [*networks.parameters()]
+
+
+def test_an_update_is_that_of_plain_ppo() -> None:
+    torch.manual_seed(0)
+    cfg = dataclasses.replace(SMALL, mini_batches=1, epochs=3, entropy_scale=0.01, gradient_clip=0.5)
+    mappo = Mappo(cfg, ReachingEnv(cfg))
+    roll_out(mappo, ReachingEnv(cfg))
+    expected = {agent: plain_update(mappo, agent) for agent in mappo.agents}
+    mappo.update(0.0)
+    for agent, parameters in expected.items():
+        for found, parameter in zip(mappo.networks[agent].parameters(), parameters, strict=True):
+            torch.testing.assert_close(found, parameter, rtol=1e-4, atol=1e-6)
+
+
+FROZEN = {
+    "linear": (-0.0126347, 1.69721, 0.00455612, 0.983759, 3.25e-4, -0.00997961, 1.55848, 0.00518127, 1.00375),
+    "kl": (-0.0124907, 1.65068, 0.00702277, 0.984087, 1 / 3375, -0.0107693, 2.00924, 0.00766507, 1.00813),
+    "teacher": (-0.0122537, 2.63057, 0.00318282, 0.985514, 3.25e-4, -0.0142207, 2.17604, 0.00524064, 1.00263),
+    "start": (-0.00950074, 3.57356, 0.00145457, 1.00238, 3.25e-4, -0.00909587, 3.05611, 0.00298486, 0.999992),
+}
+"""Metrics of both agents after four updates of skrl's MAPPO 2.1.1, on whose shell this training once ran."""
+
+SQUARES = {"linear": 103.0941, "kl": 103.2317, "teacher": 102.0613, "start": 102.0829}
+"""Sums of the squares of all weights of the policies then."""
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_training_gives_the_numbers_of_skrl(name: str, tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    Policy(CONTRACT, SMALL.hidden).save(tmp_path)
+    cfg = {
+        "linear": SMALL,
+        "kl": dataclasses.replace(
+            SMALL, schedule="kl", kl_target=0.004, entropy_scale=0.01, gradient_clip=0.5
+        ),
+        "teacher": dataclasses.replace(SMALL, teacher=tmp_path),
+        "start": dataclasses.replace(SMALL, start=tmp_path, start_transitions=1024),
+    }[name]
+    torch.manual_seed(0)
+    env = TaughtEnv(cfg)
+    mappo, metrics = Mappo(cfg, env), {}
+    for progress in (0.0, 0.25, 0.5, 0.75):
+        roll_out(mappo, env)
+        metrics = mappo.update(progress)
+    assert tuple(metrics.values())[:9] == pytest.approx(FROZEN[name], rel=1e-3, abs=1e-5)
+    weights = torch.cat([tensor.flatten() for tensor in mappo.export(CONTRACT).parameters()])
+    assert weights.square().sum().item() == pytest.approx(SQUARES[name], rel=1e-5)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("recurrent", [0, 16])
+def test_captured_steps_equal_eager_ones(recurrent: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    cfg = dataclasses.replace(SMALL, device="cuda", recurrent=recurrent)
+    outcomes = []
+    for num_eager_steps in (3, 10**9):
+        monkeypatch.setattr(gradient_step, "NUM_EAGER_STEPS", num_eager_steps)
+        torch.manual_seed(0)
+        mappo, env = Mappo(cfg, ReachingEnv(cfg)), ReachingEnv(cfg)
+        for progress in (0.0, 0.5):
+            roll_out(mappo, env)
+            metrics = mappo.update(progress)
+        outcomes.append((metrics, mappo.export(CONTRACT).state_dict()))
+    assert outcomes[0][0] == pytest.approx(outcomes[1][0], rel=1e-4)
+    for name, tensor in outcomes[0][1].items():
+        torch.testing.assert_close(tensor, outcomes[1][1][name])
+
+
+def test_exploration_is_recorded_unclipped(mappo: Mappo) -> None:
+    roll_out(mappo, ReachingEnv(SMALL))
+    actions = mappo.rollout["arm"].actions
+    assert actions.abs().max() > 1.0
+    means = actions.mean((0, 1))
+    normal = Normal(0.0, 1.0)
+    recorded = mappo.rollout["arm"].log_prob
+    assert (recorded - normal.log_prob(actions - means).sum(-1)).abs().mean() < 0.3
+
+
+def test_exported_policy_is_the_mean_of_the_learner(mappo: Mappo) -> None:
+    roll_out(mappo, ReachingEnv(SMALL))
+    mappo.update(0.0)
+    policy = mappo.export(CONTRACT)
+    generator = torch.Generator().manual_seed(1)
+    for agent, num_inputs in ReachingEnv.observation_sizes.items():
+        observations = 300 * torch.randn(100, num_inputs, generator=generator)
+        scaled = mappo.networks[agent].observation_scale(observations)
+        assert torch.equal(
+            policy.network(agent)(observations, torch.zeros(100, 0))[0], mappo.networks[agent].policy(scaled)
+        )
+        assert scaled.abs().max() == 5.0
+
+
+def test_linear_learning_rate(mappo: Mappo) -> None:
+    rates = []
+    for progress in (0.0, 0.5, 1.0, 1.1):
+        roll_out(mappo, ReachingEnv(SMALL))
+        metrics = mappo.update(progress)
+        assert metrics["learning_rate/arm"] == metrics["learning_rate/hand"]
+        rates.append(metrics["learning_rate/arm"])
+    assert rates == pytest.approx([1e-3, 5.5e-4, 1e-4, 1e-4])
+
+
+@pytest.mark.parametrize(("target", "changes"), [(100.0, 1.5**4), (1e-9, 1 / 1.5**4)])
+def test_adaptive_learning_rate(target: float, changes: float) -> None:
+    """Four epochs, each of which multiplies or divides the rate by 1.5; never below the lower bound."""
+    cfg = dataclasses.replace(
+        SMALL, schedule="kl", kl_target=target, learning_rate=1e-3, final_learning_rate=1e-5
+    )
+    mappo = Mappo(cfg, ReachingEnv(cfg))
+    roll_out(mappo, ReachingEnv(cfg))
+    assert mappo.update(0.0)["learning_rate/hand"] == pytest.approx(1e-3 * changes)
+    if target < 1.0:
+        for _ in range(3):
+            roll_out(mappo, ReachingEnv(cfg))
+            mappo.update(0.0)
+        assert mappo.steps["hand"].learning_rate.item() == pytest.approx(1e-5)
+
+
+def test_state_round_trip_is_exact(mappo: Mappo) -> None:
+    roll_out(mappo, ReachingEnv(SMALL))
+    mappo.update(0.0)
+    other = Mappo(SMALL, ReachingEnv(SMALL))
+    other.load_state_dict(copy.deepcopy(mappo.state_dict()))
+    outcomes = []
+    for each in (mappo, other):
+        torch.manual_seed(7)
+        roll_out(each, ReachingEnv(SMALL))
+        each.update(0.5)
+        outcomes.append(each.export(CONTRACT).state_dict())
+    assert all(torch.equal(outcomes[0][name], outcomes[1][name]) for name in outcomes[0])
+
+
+def test_discarded_rollout_leaves_room_for_a_whole_one(mappo: Mappo) -> None:
+    env = ReachingEnv(SMALL)
+    observation = env.reset()
+    mappo.record(env.step(mappo.act(observation)))
+    mappo.discard_rollout()
+    roll_out(mappo, env)
+    assert mappo.rollout["arm"].observations.isfinite().all()
+    with pytest.raises(IndexError):
+        mappo.act(observation)
+
+
+def test_presets() -> None:
+    assert preset("paper").rollout_transitions == 512 * 32
+    for name in PRESETS:
+        cfg = preset(name, device="cpu", seed=3)
+        assert (cfg.device, cfg.seed) == ("cpu", 3)
+    with pytest.raises(UnknownNameError, match=r"'papper'.*paper"):
+        preset("papper")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"num_envs": 0}, "num_envs is 0"),
+        ({"discount": 1.5}, "discount is 1.5"),
+        ({"num_envs": 3, "rollout_steps": 3}, "9 transitions cannot be split into 4"),
+    ],
+)
+def test_impossible_configurations(values: dict[str, float], message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message):
+        TrainCfg(**values)  # pyright: ignore[reportArgumentType]

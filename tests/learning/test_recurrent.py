@@ -1,0 +1,210 @@
+"""Recurrent networks: their sequences, their episodes, what only they can learn, and their policies."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+from reaching import CONTRACT, SMALL, Observation, ReachingEnv, Statistics, Step, TaughtEnv, roll_out
+from torch import Tensor, nn
+
+from pixel2catch.errors import CheckpointError, InvalidValueError
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.mappo import Mappo
+from pixel2catch.learning.networks import recall_all
+from pixel2catch.learning.train import TrainResult, train
+from pixel2catch.policy import AgentContract, Policy
+
+RECURRENT = dataclasses.replace(SMALL, recurrent=16)
+
+
+def sequence(num_steps: int) -> tuple[nn.GRUCell, Tensor, Tensor]:
+    """A GRU, inputs of three environments and its hidden state before."""
+    torch.manual_seed(0)
+    return nn.GRUCell(4, 5), torch.randn(num_steps, 3, 4), torch.randn(1, 3, 5)
+
+
+def test_a_sequence_cut_at_an_episodes_end_is_two_sequences() -> None:
+    gru, inputs, state = sequence(7)
+    is_first = torch.zeros(7, 3, dtype=torch.bool)
+    is_first[4] = True
+    whole = recall_all(gru, inputs, state, is_first)
+    before = recall_all(gru, inputs[:4], state, is_first[:4])
+    after = recall_all(gru, inputs[4:], torch.zeros(1, 3, 5), torch.zeros(3, 3, dtype=torch.bool))
+    torch.testing.assert_close(whole, torch.cat((before, after)))
+    assert (recall_all(gru, inputs, state, ~is_first)[4] - whole[4]).abs().max() > 1e-3
+
+
+def gates(gru: nn.GRUCell, inputs: Tensor, state: Tensor) -> Tensor:
+    """One step by the equations of the gated recurrent unit (Cho et al. 2014, in torch's form)."""
+    of_input = (inputs @ gru.weight_ih.T + gru.bias_ih).chunk(3, dim=-1)
+    of_state = (state @ gru.weight_hh.T + gru.bias_hh).chunk(3, dim=-1)
+    resets, updates = ((a + b).sigmoid() for a, b in zip(of_input[:2], of_state[:2], strict=True))
+    return updates * state + (1.0 - updates) * (of_input[2] + resets * of_state[2]).tanh()
+
+
+def test_gradients_of_a_sequence_are_those_of_a_loop_by_hand() -> None:
+    gru, inputs, state = sequence(6)
+    is_first = torch.rand(6, 3) < 0.3
+    weights = torch.randn(6, 3, 5)
+    found = torch.autograd.grad(
+        (weights * recall_all(gru, inputs, state, is_first)).sum(), [*gru.parameters()]
+    )
+    now, total = state[0], torch.zeros(())
+    for t in range(6):
+        now = torch.where(is_first[t][:, None], torch.zeros_like(now), now)
+        now = gates(gru, inputs[t], now)
+        total = total + (weights[t] * now).sum()
+    for gradient, expected in zip(found, torch.autograd.grad(total, [*gru.parameters()]), strict=True):
+        torch.testing.assert_close(gradient, expected)
+
+
+def test_learning_sees_what_acting_saw() -> None:
+    """The probabilities of a whole rollout are those of its actions, over episodes and over updates."""
+    torch.manual_seed(0)
+    mappo, env = Mappo(RECURRENT, ReachingEnv(RECURRENT)), ReachingEnv(RECURRENT)
+    observation = env.reset()
+    mappo.begin()
+    for number in range(3):
+        for _ in range(RECURRENT.rollout_steps):
+            step = env.step(mappo.act(observation))
+            mappo.record(step)
+            observation = step.observation
+        networks, rollout = mappo.networks["arm"], mappo.rollout["arm"]
+        is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
+        assert is_first.any()
+        assert bool(rollout.policy_hidden_state.any()) == bool(number)
+        inputs = networks.observation_scale(rollout.observations)
+        features = recall_all(networks.policy_gru, inputs, rollout.policy_hidden_state, is_first)
+        log_prob = networks.log_prob(networks.policy(features), rollout.actions)
+        torch.testing.assert_close(log_prob, rollout.log_prob)
+        mappo.update(0.0)
+
+
+class CueEnv(ReachingEnv):
+    """A cue, 1 or -1, is shown at the first step of an episode only, and asked for at the fifth."""
+
+    observation_sizes = {"arm": 2}  # noqa: RUF012
+    state_size = 2
+    action_sizes = {"arm": 1}  # noqa: RUF012
+    LAST = 4
+
+    def __init__(self, cfg: TrainCfg) -> None:
+        super().__init__(cfg)
+        self.buffers = Observation({"arm": self._zeros(2)}, self._zeros(2))
+        self.statistics = Statistics()
+
+    def reset(self) -> Observation:
+        self.time = torch.randint(0, self.LAST + 1, (self.num_envs,), generator=self.generator).float()
+        self.goal = self._zeros()
+        return self.see()
+
+    def step(self, actions: dict[str, Tensor]) -> Step:
+        is_done = self.time == self.LAST
+        reward = torch.where(is_done, self.goal * actions["arm"][:, 0].clamp(-1.0, 1.0), 0.0)
+        self.statistics.episodes += float((is_done & (self.goal != 0.0)).sum())
+        self.statistics.successes += float((is_done & (reward > 0.0)).sum())
+        cue = 2.0 * torch.randint(0, 2, (self.num_envs,), generator=self.generator).float() - 1.0
+        self.goal = torch.where(is_done, cue, self.goal)
+        self.time = torch.where(is_done, 0.0, self.time + 1.0)
+        return Step(self.see(), {"arm": reward}, is_done, torch.zeros_like(is_done))
+
+    def see(self) -> Observation:
+        columns = (torch.where(self.time == 0.0, self.goal, 0.0), (self.time == self.LAST).float())
+        for buffer in (self.buffers.policy["arm"], self.buffers.state):
+            buffer.copy_(torch.stack(columns, -1))
+        return self.buffers
+
+
+CUE_CONTRACT = dataclasses.replace(
+    CONTRACT, agents={"arm": AgentContract(observation=(("cue", 1), ("question", 1)), joints=("pan",))}
+)
+
+
+def learn_the_cue(folder: Path, recurrent: int) -> tuple[TrainResult, Policy]:
+    cfg = dataclasses.replace(
+        SMALL, recurrent=recurrent, hidden=(16,), transitions=24 * 1024, learning_rate=5e-3
+    )
+    result = train(cfg, CueEnv, CUE_CONTRACT, folder)
+    return result, Policy.load(result.policy)
+
+
+def test_only_a_memory_learns_what_was_shown_before(tmp_path: Path) -> None:
+    forgetful, _ = learn_the_cue(tmp_path / "feed-forward", 0)
+    assert 0.35 < forgetful.metrics["success_rate"] < 0.65
+    result, policy = learn_the_cue(tmp_path / "recurrent", 16)
+    assert result.metrics["success_rate"] > 0.95
+    env = CueEnv(dataclasses.replace(SMALL, seed=9))
+    observation = env.reset()
+    for _ in range(50):
+        step = env.step(policy.act(observation.policy))
+        policy.reset(step.terminated)
+        observation = step.observation
+    assert env.statistics.pop()["success_rate"] > 0.97
+
+
+class RestartingEnv(ReachingEnv):
+    """Begins anew after every second rollout, as a resumed training does."""
+
+    def step(self, actions: dict[str, Tensor]) -> Step:
+        step = super().step(actions)
+        if self.num_steps % (2 * SMALL.rollout_steps) == 0:
+            self.generator.manual_seed(SMALL.seed)
+            cut = torch.ones_like(step.truncated)
+            return dataclasses.replace(step, observation=self.reset(), truncated=cut)
+        return step
+
+
+def test_resumed_training_equals_an_uninterrupted_one(tmp_path: Path) -> None:
+    one_go = train(RECURRENT, RestartingEnv, CONTRACT, tmp_path / "one_go")
+    half = dataclasses.replace(RECURRENT, transitions=2048, final_learning_rate=5.5e-4)
+    train(half, RestartingEnv, CONTRACT, tmp_path / "halves")
+    with pytest.raises(CheckpointError, match="does not fit this configuration"):
+        train(SMALL, RestartingEnv, CONTRACT, tmp_path / "halves", resume=True)
+    resumed = train(RECURRENT, RestartingEnv, CONTRACT, tmp_path / "halves", resume=True)
+    expected, found = (Policy.load(result.policy).state_dict() for result in (one_go, resumed))
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+
+
+def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
+    mappo = Mappo(RECURRENT, ReachingEnv(RECURRENT))
+    roll_out(mappo, ReachingEnv(RECURRENT))
+    mappo.update(0.0)
+    roll_out(mappo, ReachingEnv(RECURRENT))
+    policy, networks, rollout = mappo.export(CONTRACT), mappo.networks["arm"], mappo.rollout["arm"]
+    inputs = networks.observation_scale(rollout.observations)
+    is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
+    features = recall_all(networks.policy_gru, inputs, torch.zeros(1, SMALL.num_envs, 16), is_first)
+    for t, expected in enumerate(networks.policy(features)):
+        policy.reset(is_first[t])
+        observations = {agent: batch.observations[t] for agent, batch in mappo.rollout.items()}
+        torch.testing.assert_close(policy.act(observations)["arm"], expected.clamp(-1.0, 1.0))
+    other = Mappo(RECURRENT, ReachingEnv(RECURRENT))
+    other.adopt(policy)
+    for name, tensor in other.export(CONTRACT).state_dict().items():
+        torch.testing.assert_close(tensor, policy.state_dict()[name])
+    with pytest.raises(InvalidValueError, match="--recurrent 16"):
+        Mappo(SMALL, ReachingEnv(SMALL)).adopt(policy)
+
+
+def test_a_teacher_may_be_recurrent(tmp_path: Path) -> None:
+    """Its advice is that of its policy, acted by itself."""
+    Policy(CONTRACT, SMALL.hidden, recurrent=8).save(tmp_path)
+    cfg = dataclasses.replace(SMALL, teacher=tmp_path)
+    mappo = Mappo(cfg, TaughtEnv(cfg))
+    roll_out(mappo, TaughtEnv(cfg))
+    teacher = Policy.load(tmp_path)
+    for t in range(cfg.rollout_steps):
+        actions = teacher.act({agent: batch.observations[t] for agent, batch in mappo.rollout.items()})
+        for agent, action in actions.items():
+            torch.testing.assert_close(mappo.rollout[agent].advice[t], action)
+        teacher.reset(mappo.is_done[t])
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [({"recurrent": -1}, "recurrent is -1"), ({"num_envs": 6}, "num_envs = 6 cannot be split into 4")],
+)
+def test_impossible_configurations(values: dict[str, int], message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message):
+        dataclasses.replace(RECURRENT, **values)
