@@ -133,7 +133,8 @@ class Calibrate:
         from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
-        from pixel2catch.robot.kinematics import palm_pose
+        from pixel2catch.robots.geometry import first_chain
+        from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
         table = read_table(path)
         if IMAGE_COLUMN not in table.names:
@@ -143,7 +144,7 @@ class Calibrate:
         require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
         names = [row[table.names.index(IMAGE_COLUMN)] for row in table.rows]
         board, views, blank = CharucoBoard(self.square), [], []
-        pos, quat = (each.tolist() for each in palm_pose(torch.from_numpy(joint_pos)))
+        pos, quat = (each.tolist() for each in first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joint_pos)))
         for name, *palm in zip(names, pos, quat, strict=True):
             image = read_image(path.parent / name)
             check_image(image, *intrinsics.size)

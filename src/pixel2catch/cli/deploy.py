@@ -85,9 +85,9 @@ class Deploy:
         from pixel2catch.perception.factory import make_robot_mask
 
         policy, _ = load_policy(self.policy)
-        controller = Controller(policy, profile.handedness, camera)
+        controller = Controller(policy, camera)
         profile.require(policy.contract.commands)
-        robot = make_robot_mask(camera, profile.handedness) if self.mask_robot else None
+        robot = make_robot_mask(camera, profile.workcell) if self.mask_robot else None
         prompter = self.perception.make_prompter(camera)
         return make_brain(controller, self.perception.make_segmenter(), prompter, camera, robot)
 

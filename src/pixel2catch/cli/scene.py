@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from tyro.conf import Positional
 
@@ -14,16 +13,16 @@ class Scene:
     Attributes:
         file: Where to write: FILE.xml, self-contained, or FILE.mjb, binary.
         object: Name of the object that is in the scene.
-        handedness: Which hand is on the arm.
+        workcell: Name of the work cell, or a Python file that defines `WORKCELLS`.
     """
 
     file: Positional[Path]
     object: str = "cube_s"
-    handedness: Literal["left", "right"] = "left"
+    workcell: str = "ur5e_allegro"
 
     def run(self) -> None:
         """Write the file."""
         from pixel2catch.robot.scene import SceneCfg, export
 
-        export(self.file, SceneCfg(handedness=self.handedness, visuals=True), self.object)
+        export(self.file, SceneCfg(workcell=self.workcell, visuals=True), self.object)
         print(f"wrote {self.file}")

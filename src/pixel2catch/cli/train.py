@@ -39,6 +39,7 @@ class Train:
     """
 
     method: Positional[str] = "proposed"
+    workcell: str = "ur5e_allegro"
     preset: Literal["fast", "cpu", "paper"] | None = None
     out: Path | None = None
     resume: bool = False
@@ -52,12 +53,14 @@ class Train:
         from pixel2catch.learning.train import train
         from pixel2catch.methods import find_method
         from pixel2catch.policy import contract_of
+        from pixel2catch.workcells import find_workcell
 
-        method, cfg = find_method(self.method), self.resolve()
-        task = find_task(cfg.task).with_files(cfg.dynamics, cfg.camera)
+        workcell = find_workcell(self.workcell)
+        method, cfg = find_method(self.method, workcell), self.resolve()
+        task = find_task(cfg.task).with_workcell(workcell).with_files(cfg.dynamics, cfg.camera)
         scenes = {rate: dataclasses.replace(task.scene, physics_hz=rate) for rate in cfg.physics_hz}
         sensing = dataclasses.replace(task.sensing, latency_steps=cfg.latency_steps)
-        contract = contract_of(method, task.scene.handedness, sensing.camera.camera)
+        contract = contract_of(method, workcell, sensing.camera.camera)
         contract = dataclasses.replace(contract, task=cfg.task)
         teacher = load_policy(cfg.teacher)[1] if cfg.teacher else None
 

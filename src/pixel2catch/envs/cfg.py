@@ -123,6 +123,10 @@ class CatchEnvCfg:
         variants = tuple(replace(each, randomization=changed(each.randomization)) for each in self.variants)
         return replace(self, randomization=changed(self.randomization), variants=variants)
 
+    def with_workcell(self, workcell: WorkcellSpec) -> "CatchEnvCfg":
+        """The task of other robots."""
+        return replace(self, scene=replace(self.scene, workcell=workcell.name))
+
     def with_camera(self, file: CameraFile) -> "CatchEnvCfg":
         """The task seen by the camera of a file: in every episode another one, as it may be.
 

@@ -9,7 +9,7 @@ the hold is verified.
 Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic policy; ours: the tests.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import pi
 from typing import Protocol, runtime_checkable
@@ -18,16 +18,19 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.agents import COMMANDS
+from pixel2catch.agents import commands_of
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.step import Step
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.mdp.actions import JointCommand
+from pixel2catch.mdp.columns import put, take
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method
 from pixel2catch.rendering.video import RecordedThrow
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT
+from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.robots.workcell import WorkcellSpec
 
 TRIAL_STEPS = EpisodeCfg().max_steps
 """Control steps in which reaching and success count: those of a training episode."""
@@ -47,7 +50,7 @@ LEAST_PARTS = 2
 SHAKE_FREQUENCY = 3.0
 """Frequency of the shake [Hz]: one and a half periods. Source: ours."""
 
-SHAKE_LEAD = (0.058, 0.058, 0.0, 0.0, 0.0, 0.0)
+SHAKE_LEAD = (0.058, 0.058)
 """How far the shake puts an arm joint's target from its position [rad]: pan moves the palm sideways, lift up
 and down.
 
@@ -91,10 +94,14 @@ class EvaluationCfg:
 
 @runtime_checkable
 class Actor(Protocol):
-    """What chooses actions: a `Policy`, or anything else with its `act`."""
+    """What chooses actions: a `Policy`, or anything else with its `act` and `reset`."""
 
     def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return the action of every agent in [-1, 1]."""
+        ...
+
+    def reset(self, is_ended: Tensor | None = None) -> None:
+        """Forget what was seen: where an episode ended, or everywhere."""
         ...
 
 
@@ -136,11 +143,18 @@ class RoundState:
     is_verified: Bool[Tensor, " num_envs"]
     action: Float[Tensor, "num_envs num_joints"]
 
-    def chosen(self, action: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
-        """The policy's action, or in a test the arm's rest or shake and the hand's last action."""
-        arm = len(ARM_JOINTS)
-        latched = torch.cat((shake_action(self.test_steps), self.action[:, arm:]), dim=-1)
-        return select(self.is_testing, latched, action)
+    def chosen(
+        self, action: Float[Tensor, "num_envs num_joints"], workcell: WorkcellSpec
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """The policy's action, or in a test the arms' rest or shake and the hands' last action."""
+        parts, commands = list[Tensor](), commands_of(workcell)
+        for group in workcell.groups:
+            joints = workcell.columns(group.name)
+            is_arm = group.role == "arm"
+            parts.append(
+                shake_action(self.test_steps, commands[joints]) if is_arm else self.action[:, joints]
+            )
+        return select(self.is_testing, torch.cat(parts, dim=-1), action)
 
     def advanced(self, step: Step, action: Float[Tensor, "num_envs num_joints"], number: int) -> "RoundState":
         """The state after a control step.
@@ -252,11 +266,14 @@ def run_round(
         watch: Called after every control step; it must copy what it keeps, the next step overwrites it.
     """
     observation = env.reset()
+    actor.reset()
     state = _round_start(env)
     for number in range(1, ROUND_STEPS + 1):
         chosen = actor.act(observation.policy)
-        action = state.chosen(torch.cat([chosen[agent.name] for agent in env.method.agents], dim=-1))
-        step = env.step({agent.name: action[:, agent.joints] for agent in env.method.agents})
+        whole = put([(agent.joints, chosen[agent.name]) for agent in env.method.agents])
+        action = state.chosen(whole, env.workcell)
+        step = env.step({agent.name: take(action, agent.joints) for agent in env.method.agents})
+        actor.reset(step.terminated)
         state = state.advanced(step, action, number)
         observation = step.observation
         watch(step, state)
@@ -266,11 +283,14 @@ def run_round(
     return Trials(record=state.record, is_verified=state.is_verified)
 
 
-def shake_action(test_steps: Int[Tensor, " num_envs"]) -> Float[Tensor, "num_envs 6"]:
-    """The arm's action after that many steps of the test: 0 in the hold test, then a sine."""
+def shake_action(
+    test_steps: Int[Tensor, " num_envs"], commands: Sequence[JointCommand]
+) -> Float[Tensor, "num_envs num_joints"]:
+    """An arm's action after that many steps of the test: 0 in the hold test, then a sine."""
     time = (test_steps - HOLD_TEST_STEPS + 0.5) * CONTROL_DT
     wave = torch.where(time > 0.0, torch.sin(2.0 * pi * SHAKE_FREQUENCY * time), 0.0)
-    amplitude = [lead / command.scale for lead, command in zip(SHAKE_LEAD, COMMANDS, strict=False)]
+    amplitude = [lead / command.scale for lead, command in zip(SHAKE_LEAD, commands, strict=False)]
+    amplitude += [0.0] * (len(commands) - len(amplitude))
     return wave[:, None] * torch.tensor(amplitude, device=test_steps.device)
 
 

@@ -15,9 +15,10 @@ from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.robot import ROBOT, Robot
 from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import TABLE_1_GAINS, GainRanges
+from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robot.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STIFF_FACTOR = 10.0
 """Stiffness of the servo behind a command filter over the nominal one.
@@ -283,13 +284,14 @@ def gain_ranges(fit: Fit, before: GainRanges) -> GainRanges:
     lag = next((ratio.half_width for ratio in ratios(fit) if ratio.name == LAG), unknown)
     if "stiffness" not in widths:
         lag, damping = damping, unknown
-    columns = {name: list(values) for name, values in dataclasses.asdict(before).items()}
+    columns = {name: list(values) for name, values in dataclasses.asdict(before.of(UR5E_ALLEGRO)).items()}
+    widest = GainRanges().of(UR5E_ALLEGRO)
     for j, name in enumerate(fit.dynamics.joints):
         row = list(ROBOT.specs).index(name)
         if np.isfinite(stiffness[j]):
-            columns["stiffness_scale"][row] = _within(TABLE_1_GAINS[row], stiffness[j])
+            columns["stiffness_scale"][row] = _within(widest.stiffness_scale[row], stiffness[j])
         if np.isfinite(damping[j]) or np.isfinite(lag[j]):
-            columns["damping_scale"][row] = _within(TABLE_1_GAINS[row], min(damping[j], lag[j]))
+            columns["damping_scale"][row] = _within(widest.damping_scale[row], min(damping[j], lag[j]))
             columns["is_damping_relative"][row] = bool(lag[j] < damping[j])
     return GainRanges(**{name: tuple(values) for name, values in columns.items()})
 

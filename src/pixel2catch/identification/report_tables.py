@@ -23,6 +23,7 @@ from pixel2catch.identification.rehearsal import Assessment
 from pixel2catch.identification.robot import ROBOT, short
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robot.joint_dynamics import PARAMETERS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 WELL_KNOWN = 0.1
 """Half-width of an interval up to which a parameter counts as identified: 10 %, or 1 ms. Source: ours."""
@@ -210,7 +211,7 @@ def ratios_grid(fit: Fit) -> Grid:
 
 def ranges_grid(result: Identification) -> Grid:
     """Ranges of the factors on the gains in a training."""
-    paper, ranges = GainRanges(), result.file.gains
+    paper, ranges = GainRanges().of(UR5E_ALLEGRO), result.file.gains.of(UR5E_ALLEGRO)
     rows = []
     for joint in result.fit.dynamics.joints:
         i = list(ROBOT.specs).index(joint)

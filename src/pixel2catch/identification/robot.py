@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool
 
-from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, HAND_JOINTS, SPEED_MARGIN, JointSpec
+from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, SPEED_MARGIN, JointSpec
 from pixel2catch.robot.scene import SceneCfg, build_spec
 
 
@@ -124,6 +124,8 @@ def largest_step(joint: JointSpec) -> float:
     """
     return SPEED_MARGIN * joint.velocity_limit * joint.damping / joint.stiffness
 
+
+FINGERS = ("index", "middle", "ring", "thumb")
 
 ARM = JointGroup(
     name="ur5e",

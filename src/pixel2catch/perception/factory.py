@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from pixel2catch.perception.prompt import Prompter
     from pixel2catch.perception.robot_mask import RobotMask
     from pixel2catch.perception.segmenter import Segmenter
-    from pixel2catch.robot.allegro import Handedness
 
 Span = tuple[float, float]
 Corners = tuple[float, float, float, float]
@@ -126,12 +125,12 @@ class PerceptionArgs:
         return self.color and ColorRange(hue=self.color, saturation=self.saturation, value=self.value)
 
 
-def make_robot_mask(camera: CameraSpec = RGB_CAMERA, handedness: "Handedness" = "left") -> "RobotMask":
+def make_robot_mask(camera: CameraSpec = RGB_CAMERA, workcell: str = "ur5e_allegro") -> "RobotMask":
     """What tells the robot's pixels in a camera's images."""
     from pixel2catch.perception.robot_mask import RobotMask
     from pixel2catch.robot.scene import SceneCfg, build_model
 
-    return RobotMask(build_model(SceneCfg(handedness=handedness, visuals=True)), JOINT_NAMES, camera)
+    return RobotMask(build_model(SceneCfg(workcell=workcell, visuals=True)), JOINT_NAMES, camera)
 
 
 def _on_image(name: str, box: Corners, camera: CameraSpec) -> Corners:

@@ -14,9 +14,10 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer
 from pixel2catch.rendering.room import build_room
 from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
-from pixel2catch.robot.kinematics import palm_pose
 from pixel2catch.robot.object_table import GEOM_FIELDS, object_indices, object_table
 from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.robots.geometry import first_chain
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM, ROBOT = slice(len(ARM_JOINTS)), slice(len(JOINTS))
 OBJECT = slice(len(JOINTS), len(JOINTS) + 3)
@@ -219,7 +220,9 @@ def room_positions(
 def _smear(moment: Moment, exposure: float) -> float:
     """How far object and palm move in the image during an exposure, the farther of the two [px]."""
     times = exposure * np.array(((-0.5,), (0.5,)))
-    palm_pos, _ = palm_pose(torch.from_numpy(moment.qpos[ARM] + times * moment.qvel[ARM]))
+    palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(
+        torch.from_numpy(moment.qpos[ARM] + times * moment.qvel[ARM])
+    )
     object_pos = torch.from_numpy(moment.qpos[OBJECT] + times * moment.qvel[OBJECT])
     pixels, _ = project(RGB_CAMERA, torch.stack((palm_pos, object_pos), dim=1))
     return float((pixels[1] - pixels[0]).norm(dim=-1).max())

@@ -74,6 +74,12 @@ def chain_of(
 
 
 @cache
+def first_chain(workcell: WorkcellSpec, dtype: torch.dtype = torch.float64) -> Chain:
+    """The joints that carry the first palm, on the CPU."""
+    return chain_of(workcell, workcell.palms[0], dtype=dtype)
+
+
+@cache
 def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
     """Read the shape of what carries a palm off the model."""
     model, chain = bare_model(workcell), chain_of(workcell, palm, dtype=torch.float64)
