@@ -20,7 +20,7 @@ from pixel2catch.identification.checks import (
 )
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.report_tables import check_grid
-from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
+from pixel2catch.identification.robot import JOINT_SPECS, ROBOT, ROBOTS
 
 WHOLE = ["measurement times", "command times", "speeds", "stalls", "repeated samples", "clock offset"]
 EACH = ["follows its command", "saturation", "excitation"]
@@ -172,15 +172,16 @@ def test_what_does_not_move_cannot_be_told():
 
 
 def test_saturation_is_the_share_at_the_limit():
-    """The elbow is at its limit in every fifth sample; a limit of one's own can clear it."""
+    """The elbow is at its limit in every fifth sample; another robot's limit can clear it."""
     effort = np.zeros_like(clean().q)
     effort[::5, 2] = -150.0
     recording = replace(clean(), effort=effort)
     check = find(check_recording(recording), "saturation", "elbow_joint")
     assert check.is_good is False
     assert check.detail.startswith("20.0 % of the samples at the limit of 150 N·m")
-    limits = dict.fromkeys(ARM, 250.0)
-    assert find(check_recording(recording, limits), "saturation", "elbow_joint").is_good
+    strong = tuple(replace(spec, effort_limit=250.0) for spec in ROBOT.groups[0].joints)
+    arm = replace(ROBOT, groups=(replace(ROBOT.groups[0], joints=strong),))
+    assert find(check_recording(replace(recording, robot=arm)), "saturation", "elbow_joint").is_good
     assert find(check_recording(clean()), "saturation", "elbow_joint").is_good is None
 
 

@@ -4,7 +4,7 @@ They look at speed, acceleration, elapsed time and lag, as the recorded position
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -94,47 +94,48 @@ class Check:
         return "good" if self.is_good else "BAD" if self.forbids_fit else "weak"
 
 
-def check_recording(recording: Recording, effort_limits: Mapping[str, float] | None = None) -> list[Check]:
-    """All checks of a recording, or those of its clocks alone if one of them failed.
-
-    The torque limits [N·m] by joint are those of the simulated robot if not given.
-    """
-    limits = effort_limits or {name: spec.effort_limit for name, spec in recording.robot.specs.items()}
+def check_recording(recording: Recording) -> list[Check]:
+    """All checks of a recording, or those of its clocks alone if one of them failed."""
     clocks = [_measurement_times(recording), _command_times(recording)]
     if not all(clock.is_good for clock in clocks):
         return clocks
     lag = command_lag(recording)
     samples = [_speeds(recording), _stalls(recording), _repeated_samples(recording)]
-    whole = [*clocks, *samples, _clock_offset(lag)]
-    return [*whole, *_joint_checks(recording, lag or 0.0, limits)]
+    return [*clocks, *samples, _clock_offset(lag), *_joint_checks(recording, lag or 0.0)]
+
+
+def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None = None) -> Check:
+    """A check with its remedy if it failed."""
+    return Check(name=name, joint=joint, is_good=is_good, detail=found if is_good else found + remedy)
+
+
+def _clock(name: str, time: np.ndarray, longest: str, faults: Mapping[str, bool]) -> Check:
+    """A check of a clock, with what is wrong of it."""
+    span, step = time[-1] - time[0], 1e3 * time_step(time)
+    found = f"{len(time)} times in {span:.1f} s, median step {step:.1f} ms{longest}"
+    wrong = "".join(text for text, is_there in faults.items() if is_there)
+    return _judged(name, not wrong, found, wrong)
 
 
 def _measurement_times(recording: Recording) -> Check:
     steps = np.diff(recording.t_meas)
     num_equal, longest = int((steps == 0).sum()), float(steps.max())
-    detail = f"{_clock(recording.t_meas)}, longest {1e3 * longest:.1f} ms"
     faults = {
         f"; fewer than {MIN_SAMPLES} samples: record longer": len(recording.t_meas) < MIN_SAMPLES,
         f"; {num_equal} times twice: record the controller's time": num_equal > 0,
         f"; a gap of more than {MAX_GAP} s: split the recording there": longest > MAX_GAP,
     }
-    fault = "".join(text for text, is_there in faults.items() if is_there)
-    return Check(name="measurement times", is_good=not fault, detail=detail + fault)
+    return _clock("measurement times", recording.t_meas, f", longest {1e3 * longest:.1f} ms", faults)
 
 
 def _command_times(recording: Recording) -> Check:
     num_equal = int((np.diff(recording.t_cmd) == 0).sum())
-    is_long = np.ptp(recording.t_cmd) > MAX_SPAN_RATIO * np.ptp(recording.t_meas)
+    is_long = bool(np.ptp(recording.t_cmd) > MAX_SPAN_RATIO * np.ptp(recording.t_meas))
     faults = {
         f"; {num_equal} times twice: record the time of sending": num_equal > 0,
         "; far longer than the measurements: are both in seconds?": is_long,
     }
-    fault = "".join(text for text, is_there in faults.items() if is_there)
-    return Check(name="command times", is_good=not fault, detail=_clock(recording.t_cmd) + fault)
-
-
-def _clock(time: np.ndarray) -> str:
-    return f"{len(time)} times in {time[-1] - time[0]:.1f} s, median step {1e3 * time_step(time):.1f} ms"
+    return _clock("command times", recording.t_cmd, "", faults)
 
 
 def _speeds(recording: Recording) -> Check:
@@ -142,10 +143,9 @@ def _speeds(recording: Recording) -> Check:
     if recording.qd is None:
         return Check(name="speeds", is_good=None, detail="no speed was recorded")
     ratio = progress(recording)
+    found = f"the positions change by {ratio:.3g} of the recorded speeds"
     is_good = PROGRESS_RANGE[0] <= ratio <= PROGRESS_RANGE[1]
-    remedy = "" if is_good else ": are the speeds in rad/s, the times in seconds?"
-    detail = f"the positions change by {ratio:.3g} of the recorded speeds{remedy}"
-    return Check(name="speeds", is_good=is_good, detail=detail)
+    return _judged("speeds", is_good, found, ": are the speeds in rad/s, the times in seconds?")
 
 
 def _stalls(recording: Recording) -> Check:
@@ -158,12 +158,11 @@ def _stalls(recording: Recording) -> Check:
     is_stall = (excess > STALL_TIME + step) & (angle > STALL_ANGLE)
     is_stall &= np.diff(recording.t_meas) < LONG_STEP * step
     num_stalls, share = int(is_stall.sum()), float(is_stall.mean())
-    detail = f"{num_stalls} steps ({100 * share:.2f} %) lasted longer than their times say"
+    found = f"{num_stalls} steps ({100 * share:.2f} %) lasted longer than their times say"
     if num_stalls:
-        detail += f", {1e3 * float(np.median(excess[is_stall])):.0f} ms in the median"
-    is_good = share <= MAX_STALL_SHARE
-    remedy = "" if is_good else ": record the controller's time, not a count of loops"
-    return Check(name="stalls", is_good=is_good, detail=detail + remedy)
+        found += f", {1e3 * float(np.median(excess[is_stall])):.0f} ms in the median"
+    remedy = ": record the controller's time, not a count of loops"
+    return _judged("stalls", share <= MAX_STALL_SHARE, found, remedy)
 
 
 def _repeated_samples(recording: Recording) -> Check:
@@ -174,58 +173,53 @@ def _repeated_samples(recording: Recording) -> Check:
     if not is_moving.any():
         return Check(name="repeated samples", is_good=None, detail="the robot does not move")
     share = float(is_repeated[is_moving].mean())
-    is_good = share <= MAX_REPEATED_SHARE
-    remedy = "" if is_good else ": record at the controller's rate, not faster"
-    detail = f"{100 * share:.1f} % of the samples while moving{remedy}"
-    return Check(name="repeated samples", is_good=is_good, detail=detail)
+    found = f"{100 * share:.1f} % of the samples while moving"
+    remedy = ": record at the controller's rate, not faster"
+    return _judged("repeated samples", share <= MAX_REPEATED_SHARE, found, remedy)
 
 
 def _clock_offset(lag: float | None) -> Check:
-    name = "clock offset"
     if lag is None:
-        return Check(name=name, is_good=None, detail="no motion follows a command")
+        return Check(name="clock offset", is_good=None, detail="no motion follows a command")
     low, high = LAG_RANGE
-    is_good = low <= lag <= high
     remedy = (
         f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command's times "
         "(--shift-commands)"
     )
-    detail = f"the motion is {1e3 * lag:.1f} ms behind its command" + ("" if is_good else remedy)
-    return Check(name=name, is_good=is_good, detail=detail)
+    found = f"the motion is {1e3 * lag:.1f} ms behind its command"
+    return _judged("clock offset", low <= lag <= high, found, remedy)
 
 
-def _joint_checks(recording: Recording, lag: float, limits: Mapping[str, float]) -> Iterator[Check]:
-    """The checks that are made joint by joint."""
+def _joint_checks(recording: Recording, lag: float) -> Iterator[Check]:
     speed, acceleration = smoothed(recording.t_meas, recording.q)
     command = recording.held(recording.t_meas - lag)
     for column, joint in enumerate(recording.joints):
+        spec = recording.robot.specs[joint]
         effort = None if recording.effort is None else recording.effort[:, column]
         yield _following(joint, command[:, column], recording.q[:, column])
-        yield _saturation(joint, effort, limits[joint])
-        yield _excitation(recording.robot.specs[joint], speed[:, column], acceleration[:, column])
+        yield _saturation(spec, effort)
+        yield _excitation(spec, speed[:, column], acceleration[:, column])
 
 
 def _following(joint: str, command: np.ndarray, position: np.ndarray) -> Check:
     name = "follows its command"
-    has_moved = np.ptp(position) >= MOVED_ANGLE
+    has_moved = bool(np.ptp(position) >= MOVED_ANGLE)
     if np.ptp(command) < MOVED_ANGLE:
         remedy = "it moves without a command: are joints swapped?"
         detail = remedy if has_moved else "it is not commanded to move"
         return Check(name=name, joint=joint, is_good=False if has_moved else None, detail=detail)
     correlation = float(np.corrcoef(command, position)[0, 1]) if has_moved else 0.0
-    is_good = correlation >= MIN_CORRELATION
-    remedy = "" if is_good else ": are joints swapped, of another sign, or stopped?"
-    return Check(name=name, joint=joint, is_good=is_good, detail=f"correlation {correlation:.3f}{remedy}")
+    remedy = ": are joints swapped, of another sign, or stopped?"
+    return _judged(name, correlation >= MIN_CORRELATION, f"correlation {correlation:.3f}", remedy, joint)
 
 
-def _saturation(joint: str, effort: np.ndarray | None, limit: float) -> Check:
+def _saturation(spec: JointSpec, effort: np.ndarray | None) -> Check:
     if effort is None:
-        return Check(name="saturation", joint=joint, is_good=None, detail="no effort was recorded")
-    share = float((np.abs(effort) >= SATURATED * limit).mean())
-    is_good = share <= MAX_SATURATED_SHARE
-    remedy = "" if is_good else ": move more gently"
-    detail = f"{100 * share:.1f} % of the samples at the limit of {limit:g} N·m{remedy}"
-    return Check(name="saturation", joint=joint, is_good=is_good, is_advice=True, detail=detail)
+        return Check(name="saturation", joint=spec.name, is_good=None, detail="no effort was recorded")
+    share = float((np.abs(effort) >= SATURATED * spec.effort_limit).mean())
+    found = f"{100 * share:.1f} % of the samples at the limit of {spec.effort_limit:g} N·m"
+    check = _judged("saturation", share <= MAX_SATURATED_SHARE, found, ": move more gently", spec.name)
+    return replace(check, is_advice=True)
 
 
 def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> Check:
@@ -241,11 +235,8 @@ def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) ->
         f"{MIN_REVERSALS} reversal": reversals < MIN_REVERSALS,
     }
     lacking = ", ".join(text for text, is_lacking in needs.items() if is_lacking)
-    detail = (
-        f"{_range(speed, 2)} rad/s, {_range(acceleration, 1)} rad/s², {reversals} reversals"
-        f"{f'; needs {lacking}' if lacking else ''}"
-    )
-    return Check(name="excitation", joint=spec.name, is_good=not lacking, is_advice=True, detail=detail)
+    found = f"{_range(speed, 2)} rad/s, {_range(acceleration, 1)} rad/s², {reversals} reversals"
+    return replace(_judged("excitation", not lacking, found, f"; needs {lacking}", spec.name), is_advice=True)
 
 
 def _peak(values: np.ndarray) -> float:
@@ -273,11 +264,8 @@ def smoothed(time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nd
     dt = time_step(time)
     even = _resampled(np.arange(time[0], time[-1], dt), time, positions)
     window = min(max(5, 2 * round(SMOOTHING / dt / 2) + 1), len(even) - 1 + len(even) % 2)
-    speed, acceleration = (
-        np.asarray(savgol_filter(even, window, polyorder=3, deriv=order, delta=dt, axis=0))
-        for order in (1, 2)
-    )
-    return speed, acceleration
+    speed = savgol_filter(even, window, polyorder=3, deriv=1, delta=dt, axis=0)
+    return np.asarray(speed), np.asarray(savgol_filter(even, window, 3, deriv=2, delta=dt, axis=0))
 
 
 def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,6 @@ from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, Float64, Shaped
-from numpy.lib.npyio import NpzFile
 
 from pixel2catch.errors import RecordingError, UnknownNameError
 from pixel2catch.identification.robot import ROBOT, Robot
@@ -117,39 +116,33 @@ class Recording:
         Raises:
             RecordingError: If it is no such file, or what it says cannot be.
         """
+        required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
         try:
             with np.load(path, allow_pickle=False) as file:
-                return _read(path, file, ours, robot)
+                arrays = {name: file[name] for name in (*required, "qd", "effort") if name in file}
+                missing = [name for name in required if name not in arrays]
+                if missing:
+                    raise RecordingError(
+                        f"{path}: no array {', '.join(missing)}; a recording has {', '.join(required)}, "
+                        "and may have qd and effort."
+                    )
+                joints = ours(map(str, np.atleast_1d(arrays.pop("joints"))))
+                arrays = {name: np.asarray(values, dtype=np.float64) for name, values in arrays.items()}
         except (OSError, EOFError, BadZipFile, ValueError) as error:
             raise RecordingError(
                 f"{path}: not a readable npz file ({error}); record or convert it again."
             ) from None
+        unknown = [joint for joint in joints if joint not in robot.specs]
+        if unknown:
+            raise RecordingError(
+                f"{path}: {', '.join(unknown)} are no joints of ours; rename them (--rename OURS=THEIRS), "
+                f"or leave them out. Ours are {', '.join(robot.specs)}."
+            )
+        return Recording(name=str(path), robot=robot, joints=joints, **arrays)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         arrays = {field.name: getattr(self, field.name) for field in fields(self)[3:]}
         return {name: values for name, values in arrays.items() if values is not None}
-
-
-def _read(
-    path: Path, file: NpzFile, ours: Callable[[Iterable[str]], tuple[str, ...]], robot: Robot
-) -> Recording:
-    required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
-    missing = [name for name in required if name not in file]
-    if missing:
-        raise RecordingError(
-            f"{path}: no array {', '.join(missing)}; a recording has {', '.join(required)}, "
-            "and may have qd and effort."
-        )
-    present = [name for name in (*required[1:], "qd", "effort") if name in file]
-    arrays = {name: np.asarray(file[name], dtype=np.float64) for name in present}
-    recorded = ours(map(str, np.atleast_1d(file["joints"])))
-    unknown = [joint for joint in recorded if joint not in robot.specs]
-    if unknown:
-        raise RecordingError(
-            f"{path}: {', '.join(unknown)} are no joints of ours; rename them (--rename OURS=THEIRS), "
-            f"or leave them out. Ours are {', '.join(robot.specs)}."
-        )
-    return Recording(name=str(path), robot=robot, joints=recorded, **arrays)
 
 
 def require_motion(
