@@ -5,7 +5,7 @@ import numpy as np
 from pixel2catch.evaluation.rendered.film import Shot
 from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
 from pixel2catch.perception.factory import make_robot_mask
-from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, MotionPrompter
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.timing import StageClock
 from pixel2catch.robot.allegro import Handedness
@@ -26,10 +26,9 @@ class Watcher:
             handedness: Which hand the robot has.
             seed: Of the person's errors.
         """
-        self._person, self._rng = GivenPrompter(), np.random.default_rng(seed)
-        prompter = FirstPrompter(self._person, MotionPrompter())
+        self._person, self._rng = Prompter(), np.random.default_rng(seed)
         robot = make_robot_mask(handedness=handedness)
-        self._extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot)
+        self._extractor = PixelFeatureExtractor(segmenter, self._person, robot=robot)
         self._is_prompted, self._num_seen = False, 0
 
     @property
