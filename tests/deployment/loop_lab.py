@@ -22,7 +22,7 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import PixelFeatureExtractor
-from pixel2catch.perception.prompt import GivenPrompter
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import JOINTS
@@ -51,7 +51,7 @@ def remembering(method: str = "shared_reward+boxes") -> Controller:
 def brain(segmenter: Segmenter | None = None, controller: Controller | None = None) -> Brain:
     """The policy of the paper, which is not told of ages, and eyes for red if nothing is said."""
     policy, _ = load_policy(Path("proposed"))
-    person = GivenPrompter()
+    person = Prompter(finds_flights=False)
     extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
     return Brain(controller or Controller(policy, PROFILE.handedness), extractor, person)
 

@@ -25,7 +25,7 @@ from pixel2catch.deployment.tape import Images, Tape
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorThreshold
-from pixel2catch.perception.prompt import MotionPrompter
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 
 EPOCH = 1_790_000_000.0
@@ -36,7 +36,7 @@ PERIOD = 17
 def brain(controller: Controller | None = None) -> Brain:
     policy, _ = load_policy(None)
     controller = controller or Controller(policy, PROFILE.handedness)
-    return make_brain(controller, ColorThreshold(RED), MotionPrompter(), RGB_CAMERA, None)
+    return make_brain(controller, ColorThreshold(RED), Prompter(), RGB_CAMERA, None)
 
 
 def record(folder: Path, images: Images, thinking: Brain) -> None:

@@ -19,7 +19,7 @@ from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame, Extraction, ExtractorCfg, PixelFeatureExtractor
 from pixel2catch.perception.factory import make_robot_mask
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict
-from pixel2catch.perception.prompt import ColorPrompter, GivenPrompter
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image, Mask, PointPrompt, Prompt, Segmentation, Segmenter
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS, RGB_CAMERA
@@ -47,7 +47,9 @@ def painted_box(box: torch.Tensor) -> np.ndarray:
 
 def extractor(cfg: ExtractorCfg | None = None, robot: RobotMask | None = None) -> PixelFeatureExtractor:
     """Follows red, pointed out by its colour."""
-    return PixelFeatureExtractor(ColorThreshold(REDS), ColorPrompter(REDS), robot=robot, cfg=cfg)
+    return PixelFeatureExtractor(
+        ColorThreshold(REDS), Prompter(colors=REDS, finds_flights=False), robot=robot, cfg=cfg
+    )
 
 
 def play(images: Sequence[np.ndarray | None], subject: PixelFeatureExtractor) -> list[Extraction]:
@@ -148,7 +150,9 @@ class EverythingRed(Segmenter):
 
 
 def everything_red() -> PixelFeatureExtractor:
-    return PixelFeatureExtractor(EverythingRed(), GivenPrompter(PointPrompt(center=(315.0, 165.0))))
+    return PixelFeatureExtractor(
+        EverythingRed(), Prompter(PointPrompt(center=(315.0, 165.0)), finds_flights=False)
+    )
 
 
 def test_of_two_regions_the_box_is_that_of_the_largest():

@@ -6,13 +6,7 @@ import pytest
 from painted import HEIGHT, NUM_EMPTY, RED, WIDTH, Disc
 
 from pixel2catch.perception.color import ColorRange
-from pixel2catch.perception.prompt import (
-    ColorPrompter,
-    FirstPrompter,
-    GivenPrompter,
-    MotionPrompter,
-    Prompter,
-)
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt, Prompt
 
 BLANK = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
@@ -35,7 +29,7 @@ def first_prompt(
 
 def test_a_given_prompt_is_given_once_in_every_throw():
     click = PointPrompt(center=(3.0, 4.0))
-    prompter = GivenPrompter(click)
+    prompter = Prompter(click, finds_flights=False)
     assert [prompter.look(BLANK) for _ in range(3)] == [click, None, None]
     prompter.reset()
     assert prompter.look(BLANK) == click
@@ -43,7 +37,7 @@ def test_a_given_prompt_is_given_once_in_every_throw():
 
 def test_a_click_in_the_middle_of_a_stream_is_for_the_next_image():
     click = PointPrompt(center=(3.0, 4.0))
-    prompter = GivenPrompter()
+    prompter = Prompter(finds_flights=False)
     assert prompter.look(BLANK) is None
     prompter.give(click)
     assert [prompter.look(BLANK) for _ in range(2)] == [click, None]
@@ -56,7 +50,7 @@ def test_the_largest_thing_of_a_colour_is_prompted_with_its_box():
     image = BLANK.copy()
     image[10:20, 30:50] = RED
     image[100:105, 200:205] = RED
-    assert ColorPrompter(REDS).look(image) == BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
+    assert Prompter(colors=REDS, finds_flights=False).look(image) == BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
 
 
 def test_a_region_of_interest_leaves_the_rest_out():
@@ -64,16 +58,21 @@ def test_a_region_of_interest_leaves_the_rest_out():
     image[10:20, 30:50] = RED
     image[100:105, 200:205] = RED
     region = (190.0, 90.0, 220.0, 120.0)
-    assert ColorPrompter(REDS, region=region).look(image) == BoxPrompt(box=(200.0, 100.0, 205.0, 105.0))
-    assert ColorPrompter(REDS, region=(0.0, 150.0, 300.0, 240.0)).look(image) is None
+    assert Prompter(colors=REDS, finds_flights=False, region=region).look(image) == BoxPrompt(
+        box=(200.0, 100.0, 205.0, 105.0)
+    )
+    assert Prompter(colors=REDS, finds_flights=False, region=(0.0, 150.0, 300.0, 240.0)).look(image) is None
 
 
 def test_a_red_wall_is_no_object():
-    assert ColorPrompter(REDS).look(np.full((HEIGHT, WIDTH, 3), RED, dtype=np.uint8)) is None
+    assert (
+        Prompter(colors=REDS, finds_flights=False).look(np.full((HEIGHT, WIDTH, 3), RED, dtype=np.uint8))
+        is None
+    )
 
 
 def test_a_flight_is_found_in_its_third_image():
-    answer = first_prompt(MotionPrompter(), (BALL,))
+    answer = first_prompt(Prompter(), (BALL,))
     assert answer is not None
     step, prompt = answer
     assert step == NUM_EMPTY + 2
@@ -94,16 +93,16 @@ def swinging(num_steps: int, amplitude: float, radius: float) -> Disc:
     ids=["an arm", "something slow", "something that turns back"],
 )
 def test_what_does_not_fly_is_not_found(amplitude: float, radius: float):
-    assert first_prompt(MotionPrompter(), (swinging(NUM_EMPTY + 20, amplitude, radius),)) is None
+    assert first_prompt(Prompter(), (swinging(NUM_EMPTY + 20, amplitude, radius),)) is None
 
 
 def test_the_robots_own_motion_is_not_found():
-    assert first_prompt(MotionPrompter(), (BALL,), ignored=BALL) is None
+    assert first_prompt(Prompter(), (BALL,), ignored=BALL) is None
 
 
-def test_a_prompter_that_comes_first_is_preferred():
+def test_what_a_person_gave_is_preferred_to_the_colour():
     click = PointPrompt(center=(3.0, 4.0))
-    both = FirstPrompter(GivenPrompter(click), ColorPrompter(REDS))
+    both = Prompter(click, colors=REDS, finds_flights=False)
     image = BLANK.copy()
     image[10:20, 30:50] = RED
     box = BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))

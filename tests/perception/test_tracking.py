@@ -12,7 +12,7 @@ from pixel2catch.camera.features import PIXEL_FEATURES
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.prompt import ColorPrompter, LaterPrompter
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.sources import Tick, on_control_clock
 from pixel2catch.perception.tracking import COLUMNS, Sighting, Tally, follow
 from pixel2catch.robot.constants import CONTROL_DT
@@ -26,8 +26,8 @@ def ticks() -> Iterator[Tick]:
 
 
 def sightings(begin: float) -> list[Sighting]:
-    prompter = LaterPrompter(ColorPrompter(RED))
-    extractor = PixelFeatureExtractor(ColorThreshold(RED), prompter, camera=CAMERA)
+    prompter = Prompter(colors=RED, finds_flights=False)
+    extractor = PixelFeatureExtractor(ColorThreshold(RED), prompter, camera=CAMERA, waits=True)
     return list(follow(ticks(), extractor, begin))
 
 

@@ -87,16 +87,16 @@ class Track:
         from contextlib import closing
 
         from pixel2catch.perception.extractor import PixelFeatureExtractor
-        from pixel2catch.perception.prompt import LaterPrompter
         from pixel2catch.perception.sources import SourceCfg, ticks_of
         from pixel2catch.perception.tracking import follow
 
         camera = self.perception.camera_spec(notes)
         extractor = PixelFeatureExtractor(
             self.perception.make_segmenter(),
-            LaterPrompter(self.perception.make_prompter(camera)),
+            self.perception.make_prompter(camera),
             robot=make_robot_mask(camera) if self.mask_robot else None,
             camera=camera,
+            waits=True,
         )
         source = SourceCfg(
             name=self.source, topic=self.topic, joint_states=self.joint_states, joints=JOINT_NAMES

@@ -15,7 +15,7 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, LaterPrompter, Prompter
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
 from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
@@ -49,9 +49,7 @@ class Brain:
         knows_age: Whether the policy is told how old the boxes are. One that is not gets all of the same age.
     """
 
-    def __init__(
-        self, controller: Controller, extractor: PixelFeatureExtractor, person: GivenPrompter
-    ) -> None:
+    def __init__(self, controller: Controller, extractor: PixelFeatureExtractor, person: Prompter) -> None:
         """Begin before the first throw.
 
         Args:
@@ -174,10 +172,9 @@ def make_brain(
     Args:
         controller: The policy.
         segmenter: What finds the object.
-        prompter: What points it out where the operator does not.
+        prompter: What points it out, and where the operator points it out.
         camera: The camera.
         robot: The robot, whose motion is not the object's; None where that does no harm.
     """
-    person = GivenPrompter()
-    either = LaterPrompter(FirstPrompter(person, prompter))
-    return Brain(controller, PixelFeatureExtractor(segmenter, either, robot=robot, camera=camera), person)
+    extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot, camera=camera, waits=True)
+    return Brain(controller, extractor, prompter)

@@ -151,6 +151,7 @@ class PixelFeatureExtractor:
         robot: RobotMask | None = None,
         camera: CameraSpec = RGB_CAMERA,
         cfg: ExtractorCfg | None = None,
+        waits: bool = False,
     ) -> None:
         """Begin before the first throw.
 
@@ -160,18 +161,19 @@ class PixelFeatureExtractor:
             robot: The robot, whose motion is not the object's; None where that does no harm.
             camera: The camera, for the size of the image.
             cfg: When a box counts.
+            waits: Look for no object, and only learn, before the first throw begins with a reset.
         """
         self.clock = StageClock()
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
         self._camera, self._cfg = camera, cfg or ExtractorCfg()
         self._state = TrackState()
-        self._is_checked = False
+        self._is_checked, self._has_begun = False, not waits
 
     def reset(self) -> None:
         """Begin a new throw, whose stamps may begin anew; what is known of the background stays."""
         self._segmenter.reset()
         self._prompter.reset()
-        self._state = TrackState()
+        self._state, self._has_begun = TrackState(), True
 
     def step(self, frame: CameraFrame | None, now: float) -> Extraction:
         """Process the newest image; call it once in every control step.
@@ -242,7 +244,7 @@ class PixelFeatureExtractor:
         is_lost = state.num_lost >= self._cfg.patience and not state.is_at_robot
         if is_lost or not state.is_pointed_out:
             prompt = self._prompter.look(image, ignored)
-            if prompt is not None:
+            if prompt is not None and self._has_begun:
                 state.is_pointed_out, state.is_continued, state.num_lost = True, False, 0
                 return self._segmenter.start(image, prompt, ignored)
         return self._segmenter.track(image, ignored)

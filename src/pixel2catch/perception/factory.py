@@ -103,21 +103,19 @@ class PerceptionArgs:
         Raises:
             InvalidValueError: If box and point are given, or one of them or the region is not on the image.
         """
-        from pixel2catch.perception.prompt import ColorPrompter, FirstPrompter, GivenPrompter, MotionPrompter
+        from pixel2catch.perception.prompt import Prompter
         from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt
 
         if self.box and self.point:
             raise InvalidValueError("give the object's box or a point on it, not both.")
-        prompters: list[Prompter] = []
+        prompt = None
         if self.box:
-            prompters.append(GivenPrompter(BoxPrompt(box=_on_image("box", self.box, camera))))
+            prompt = BoxPrompt(box=_on_image("box", self.box, camera))
         if self.point:
             corners = _on_image("point", (*self.point, camera.width, camera.height), camera)
-            prompters.append(GivenPrompter(PointPrompt(center=corners[:2])))
+            prompt = PointPrompt(center=corners[:2])
         region = self.region and _on_image("region", self.region, camera)
-        if colors := self._colors():
-            prompters.append(ColorPrompter(colors, region=region))
-        return FirstPrompter(*prompters, MotionPrompter(region=region))
+        return Prompter(prompt, colors=self._colors(), region=region)
 
     def _colors(self) -> "ColorRange | None":
         from pixel2catch.perception.color import ColorRange

@@ -1,6 +1,5 @@
 """What says which of all the things in an image is the object: a person, its colour, or its flight."""
 
-from abc import ABC, abstractmethod
 from itertools import product
 
 import cv2
@@ -25,10 +24,44 @@ LARGEST_GROWTH = 2.5
 """How many times larger a flying thing may be in one of three images than in another. Source: ours."""
 
 
-class Prompter(ABC):
-    """Looks for the object; asked about one image after the other until it is found, and when it is lost."""
+class Prompter:
+    """Looks for the object; asked about one image after the other until it is found, and when it is lost.
 
-    @abstractmethod
+    Preferred is a box or a click by a person, best while the object is held still; then the largest thing of
+    its colour; then what flies: of an object's size, and moved twice by about the same. Flights are found in
+    the foreground, which takes some images of the background before.
+    """
+
+    def __init__(
+        self,
+        prompt: Prompt | None = None,
+        *,
+        colors: ColorRange | None = None,
+        region: Region | None = None,
+        finds_flights: bool = True,
+    ) -> None:
+        """Begin before the first throw.
+
+        Args:
+            prompt: Where the object is when a throw begins, such as on a stand; None if a person says so.
+            colors: The object's colours, if they are known.
+            region: Where it may be found by colour or flight; the whole image if absent.
+            finds_flights: Whether a flight points it out.
+        """
+        self._usual = prompt
+        self._colors, self._region = colors, region
+        self._foreground = Foreground() if finds_flights else None
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a new throw; what is known of the background stays."""
+        self._given = self._usual
+        self._before: tuple[list[Blob], list[Blob]] = ([], [])
+
+    def give(self, prompt: Prompt) -> None:
+        """Point the object out in the next image, once."""
+        self._given = prompt
+
     def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
         """Return where the object is, or None where it is not known yet.
 
@@ -36,99 +69,21 @@ class Prompter(ABC):
             image: The newest image.
             ignored: Pixels in which motion means nothing, such as those of the robot; None for no such pixel.
         """
+        given, self._given = self._given, None
+        flying = self._flying(image, ignored)  # looks at every image, because it learns
+        return given or self._colored(image) or flying
 
-    @abstractmethod
-    def reset(self) -> None:
-        """Begin a new throw."""
+    def _colored(self, image: Image) -> BoxPrompt | None:
+        """The largest thing of the object's colours."""
+        if self._colors is None:
+            return None
+        blobs = find_blobs(_within(self._colors.mask(image), self._region))
+        return next((_box(blob) for blob in blobs if blob.is_plausible), None)
 
-
-class GivenPrompter(Prompter):
-    """A box or a click by a person, best while the object is held still."""
-
-    def __init__(self, prompt: Prompt | None = None) -> None:
-        """Begin each throw with the same prompt, such as for an object on a stand, or with none."""
-        self._usual = self._next = prompt
-
-    def give(self, prompt: Prompt) -> None:
-        """Point the object out in the next image, once."""
-        self._next = prompt
-
-    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
-        """See `Prompter.look`."""
-        prompt, self._next = self._next, None
-        return prompt
-
-    def reset(self) -> None:
-        """See `Prompter.reset`."""
-        self._next = self._usual
-
-
-class FirstPrompter(Prompter):
-    """Several ways to look, in the order of preference: such as a box first, and after a loss motion."""
-
-    def __init__(self, *prompters: Prompter) -> None:
-        """Ask these, the first first."""
-        self._prompters = prompters
-
-    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
-        """See `Prompter.look`; all are asked, because some learn."""
-        answers = [prompter.look(image, ignored) for prompter in self._prompters]
-        return next((prompt for prompt in answers if prompt is not None), None)
-
-    def reset(self) -> None:
-        """Reset all of them."""
-        for prompter in self._prompters:
-            prompter.reset()
-
-
-class LaterPrompter(Prompter):
-    """Another one, that says nothing before the first throw begins with a reset; it may learn until then."""
-
-    def __init__(self, prompter: Prompter) -> None:
-        """Silence this one."""
-        self._prompter, self._has_begun = prompter, False
-
-    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
-        """See `Prompter.look`."""
-        prompt = self._prompter.look(image, ignored)
-        return prompt if self._has_begun else None
-
-    def reset(self) -> None:
-        """See `Prompter.reset`."""
-        self._prompter.reset()
-        self._has_begun = True
-
-
-class ColorPrompter(Prompter):
-    """The largest thing of a colour, in a region of interest."""
-
-    def __init__(self, colors: ColorRange, *, region: Region | None = None) -> None:
-        """Look for these colours where the object is held: the whole image if no region is given."""
-        self._colors, self._region = colors, region
-
-    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
-        """See `Prompter.look`."""
-        mask = _within(self._colors.mask(image), self._region)
-        return next((_box(blob) for blob in find_blobs(mask) if blob.is_plausible), None)
-
-    def reset(self) -> None:
-        """Nothing is remembered."""
-
-
-class MotionPrompter(Prompter):
-    """What flies: of an object's size, and moved twice by about the same.
-
-    It looks at the foreground, so it needs some images of the background before. A thrower's arm is longer
-    than an object.
-    """
-
-    def __init__(self, *, region: Region | None = None) -> None:
-        """Look for a flight in a region, the whole image if none is given."""
-        self._foreground, self._region = Foreground(), region
-        self.reset()
-
-    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
-        """See `Prompter.look`."""
+    def _flying(self, image: Image, ignored: Mask | None) -> BoxPrompt | None:
+        """What flew in the last three images; a thrower's arm is longer than an object."""
+        if self._foreground is None:
+            return None
         moving, _ = self._foreground.step(image, ignored)
         whole = cv2.morphologyEx(moving.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
         newest = [blob for blob in find_blobs(_within(whole, self._region)) if blob.is_plausible]
@@ -136,10 +91,6 @@ class MotionPrompter(Prompter):
         self._before = (middle, newest)
         triples = product(newest, middle, oldest)
         return next((_box(now) for now, *before in triples if _flies(now, *before)), None)
-
-    def reset(self) -> None:
-        """Forget what moved; what is known of the background stays."""
-        self._before: tuple[list[Blob], list[Blob]] = ([], [])
 
 
 def _flies(now: Blob, before: Blob, oldest: Blob) -> bool:
@@ -162,6 +113,5 @@ def _within(mask: Mask, region: Region | None) -> Mask:
 
 
 def _box(blob: Blob) -> BoxPrompt:
-    """The box around a blob."""
     (u, v), half_width, half_height = blob.center, 0.5 * blob.width, 0.5 * blob.height
     return BoxPrompt(box=(u - half_width, v - half_height, u + half_width, v + half_height))

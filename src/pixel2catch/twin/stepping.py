@@ -15,7 +15,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.factory import make_robot_mask
-from pixel2catch.perception.prompt import MotionPrompter
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image, Segmenter
 from pixel2catch.policy import Policy
@@ -124,7 +124,7 @@ def _brain(cfg: SteppingCfg, policy: Policy, segmenter: Segmenter, robot: RobotM
     """What catches."""
     scene = cfg.task.scene
     controller = Controller(policy, scene.handedness, scene.camera)
-    return make_brain(controller, segmenter, MotionPrompter(), scene.camera, robot)
+    return make_brain(controller, segmenter, Prompter(), scene.camera, robot)
 
 
 def plain_image(lab: Lab, _: Exposure) -> Image:
