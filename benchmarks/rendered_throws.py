@@ -19,18 +19,17 @@ from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
-from pixel2catch.perception.finder import CameraFrame
-from pixel2catch.perception.gate import Verdict
-from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, MotionPrompter
+from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
-from pixel2catch.perception.stages import StageClock
+from pixel2catch.perception.timing import StageClock
 from pixel2catch.rendering.camera import ARM, OBJECT, ROBOT, CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.rendering.video import RecordedThrow
-from pixel2catch.robot.allegro import Handedness
 from pixel2catch.robot.constants import CONTROL_DT
-from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.robots.geometry import first_chain
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 from pixel2catch.robot.scene import SceneCfg
 
 NUM_EMPTY_AGAIN = 3
@@ -126,7 +125,7 @@ class ThrowFilm:
         mask = self._camera.object_mask(exposure)
         box, _ = box_of_mask(torch.from_numpy(mask)[None])
         joint_pos = moment.qpos[ROBOT]
-        palm_pos, _ = palm_pose(torch.from_numpy(moment.qpos[None, ARM]))
+        palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(moment.qpos[None, ARM]))
         return LabelledImage(
             image=self._camera.image(exposure),
             joint_pos=joint_pos + self._cfg.encoder_noise * self._rng.standard_normal(len(joint_pos)),
@@ -171,9 +170,8 @@ class PerceptionRunner:
             handedness: Which hand the robot has.
             seed: Of the person's errors.
         """
-        self._person, self._rng = GivenPrompter(), np.random.default_rng(seed)
-        prompter = FirstPrompter(self._person, MotionPrompter())
-        robot = RobotMask(handedness=handedness)
+        self._person, self._rng = Prompter(), np.random.default_rng(seed)
+        robot = make_robot_mask(workcell=workcell)
         self._extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot)
         self._is_prompted, self._num_seen = False, 0
 

@@ -18,7 +18,7 @@ from pixel2catch.evaluation.comparison.report import (
     write_report,
 )
 from pixel2catch.evaluation.comparison.summary import object_rows, summary_rows, training_rows
-from pixel2catch.evaluation.report import markdown
+from pixel2catch.evaluation.report import latex, markdown
 
 TABLES = {f"table.{ending}" for ending in ("md", "tex", "csv", "json")} | {
     "by_object.md",
@@ -85,6 +85,21 @@ def test_markdown_lines_have_equal_columns(study: ComparisonFolder):
     lines = markdown(rates_table(list(summary_rows(study, plan())))).splitlines()
     assert len(lines) == 2 + 4
     assert len({line.count("|") for line in lines}) == 1
+
+
+def test_latex_escapes_what_markdown_does_not():
+    table = [{"method": "only_wh", "objects": "seen", "S.R. [%]": "8.0 ± 0.6"}]
+    assert latex(table).splitlines() == [
+        r"\begin{tabular}{llr}",
+        r"\toprule",
+        r"method & objects & S.R. [\%] \\",
+        r"\midrule",
+        r"only\_wh & seen & 8.0 $\pm$ 0.6 \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+    marked = [{"setting": "**mean**", "first": r"90.0 [85, 93] \*"}]
+    assert r"mean & 90.0 [85, 93] * \\" in latex(marked, num_text_columns=1)
 
 
 def test_csv_has_all_numbers_unrounded(study: ComparisonFolder):

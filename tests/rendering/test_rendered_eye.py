@@ -17,7 +17,7 @@ from pixel2catch.perception.background import BackgroundSubtraction
 <<<<<<< HEAD:tests/evaluation/test_rendered_eye.py
 from pixel2catch.perception.plausibility import Verdict
 =======
-from pixel2catch.perception.gate import Verdict
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.rendering.camera import OBJECT
 from pixel2catch.rendering.renderer import find_gl_backend
 >>>>>>> rebuild-evaluation:tests/rendering/test_rendered_eye.py

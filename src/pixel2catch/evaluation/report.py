@@ -44,54 +44,44 @@ Cells = Mapping[str, str]
 
 
 def results_table(results: Mapping[str, Metrics], method: str) -> Table:
-    """Rates of one or several sets of objects, each beside the paper's where it has them.
-
-    Args:
-        results: Metrics by name of the set.
-        method: The method that was evaluated.
-    """
-    table = Table(title=f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds")
-    _add_columns(table, "objects")
+    """Rates of one or several sets of objects by name, each beside the paper's where it has them."""
+    rows = []
     for name, result in results.items():
-        table.add_row(name, *_cells(result))
-        paper = PAPER.get((method, tuple(result["objects_thrown"])))
-        if paper:
-            table.add_row("  paper", "", *(f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in paper))
-    return table
+        rows.append({"objects": name, **_cells(result)})
+        if paper := PAPER.get((method, tuple(result["objects_thrown"]))):
+            texts = (f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in paper)
+            rows.append({"objects": "  paper", **dict(zip(MAIN_RATES, texts, strict=True))})
+    return _table(f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds", rows)
 
 
 def objects_table(result: Metrics) -> Table:
     """Rates object by object."""
-    table = Table(title="by object")
-    _add_columns(table, "object")
-    for name, rates in result["objects"].items():
-        table.add_row(name, *_cells(rates))
-    return table
+    return _table("by object", [{"object": name, **_cells(each)} for name, each in result["objects"].items()])
 
 
 def quality_table(results: Mapping[str, Metrics]) -> Table:
     """Failure modes, quality of contacts and holds, one column per set of objects."""
-    table = Table(title="failures and contact")
-    table.add_column("")
-    for name in results:
-        table.add_column(name, justify="right")
-    columns = [_quality(result) for result in results.values()]
-    for name in columns[0]:
-        table.add_row(name, *(column[name] for column in columns))
+    columns = {name: _quality(result) for name, result in results.items()}
+    rows = [
+        {"": row, **{name: column[row] for name, column in columns.items()}}
+        for row in next(iter(columns.values()))
+    ]
+    return _table("failures and contact", rows)
+
+
+def _table(title: str, rows: Sequence[Cells]) -> Table:
+    """A table for the terminal; numbers, right of the first column, are aligned to the right."""
+    table = Table(title=title)
+    for number, column in enumerate(rows[0]):
+        table.add_column(column, justify="right" if number else "left")
+    for row in rows:
+        table.add_row(*(row.get(column, "") for column in rows[0]))
     return table
 
 
-def _add_columns(table: Table, first: str) -> None:
-    table.add_column(first)
-    for name in ("trials", *RATES):
-        table.add_column(name, justify="right")
-
-
-def _cells(rates: Metrics) -> list[str]:
-    cells = [f"{rates['trials']}"]
-    for name in RATES.values():
-        cells.append(percent(rates[name], rates[f"{name}_interval"]))
-    return cells
+def _cells(rates: Metrics) -> dict[str, str]:
+    shown = {title: percent(rates[name], rates[f"{name}_interval"]) for title, name in RATES.items()}
+    return {"trials": f"{rates['trials']}", **shown}
 
 
 def _quality(result: Metrics) -> dict[str, str]:
@@ -133,8 +123,10 @@ def markdown(table: Sequence[Cells], num_text_columns: int = 2) -> str:
 
 def latex(table: Sequence[Cells], num_text_columns: int = 2) -> str:
     """A table in LaTeX, with the rules of the package booktabs."""
-    columns = list(table[0]) if table else []
-    kinds = "l" * min(num_text_columns, len(columns)) + "r" * max(0, len(columns) - num_text_columns)
+    if not table:
+        return "% Nothing has been finished yet.\n"
+    columns = list(table[0])
+    kinds = "l" * num_text_columns + "r" * (len(columns) - num_text_columns)
     head, *rows = (
         " & ".join(_escaped(text) for text in line) + r" \\"
         for line in (columns, *([row[column] for column in columns] for row in table))
