@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from pixel2catch.deployment.limits import JointLimits, ServoLimits
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.files import write_atomically
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.objects import select_objects
-from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
+from pixel2catch.servo.limits import JointLimits, ServoLimits
+from pixel2catch.twin.stepped import SteppingCfg, rehearse_in_step
 
 SHARD = 10
 """Throws that a process makes before it takes others."""

@@ -15,11 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.transport import Topic
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
 IMAGES = Topic(name="/benchmark/image", type=messages.IMAGE)
 STATES = Topic(name="/benchmark/joint_states", type=messages.JOINT_STATE)

@@ -9,14 +9,12 @@ import numpy as np
 from loop_lab import BOX, picture
 from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock, RealClock
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.priority import set_niceness
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.servo_link import Decision, Orders
-from pixel2catch.deployment.transport import Transport
 from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.servo.link import Decision, Orders
+from pixel2catch.servo.process import set_niceness
 
 DT = 0.002
 IMAGE_TICKS = round(CONTROL_DT / DT)

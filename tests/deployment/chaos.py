@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from servo_rows import HOME
 
-from pixel2catch.deployment.limits import ServoLimits
-from pixel2catch.deployment.watchdog import Inputs
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.watchdogs import Inputs
 
 STRANGE = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e3, 0.0])
 WRONG_STAMPS = np.array([np.nan, np.inf, -np.inf, 0.0])

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from pixel2catch.deployment.limits import STOP_TIME, ServoLimits
-from pixel2catch.deployment.servo_state import Mode, Output
-from pixel2catch.deployment.watchdog import Fault, Inputs
-from pixel2catch.deployment.workspace import Workspace
+from pixel2catch.servo.limits import STOP_TIME, ServoLimits
+from pixel2catch.servo.state import Mode, Output
+from pixel2catch.servo.watchdogs import Fault, Inputs
+from pixel2catch.servo.workspace import Workspace
 
 ROUNDING = 1e-9
 ALLOWED = {

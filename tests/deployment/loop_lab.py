@@ -8,16 +8,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.brain import Brain
-from pixel2catch.deployment.clock import Clock, RealClock
-from pixel2catch.deployment.connection import Connection
-from pixel2catch.deployment.controller import Controller
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.servo_link import Decision, ServoEnd, link
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.transport import Transport
+from pixel2catch.deployment.policy_pipeline import Brain, Controller
+from pixel2catch.deployment.recorder import Connection
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
@@ -26,6 +18,12 @@ from pixel2catch.perception.prompt import GivenPrompter
 from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, RealClock, Transport
+from pixel2catch.servo.link import Decision, ServoEnd, link
+from pixel2catch.servo.state import Mode
 
 HOME = np.array([joint.home for joint in JOINTS])
 PROFILE = Profile.load("ur5e_allegro_v4")

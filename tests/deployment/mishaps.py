@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixel2catch.deployment.watchdog import Fault, Inputs
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.servo.watchdogs import Fault, Inputs
 
 ELBOW = np.arange(len(JOINTS)) == 2
 

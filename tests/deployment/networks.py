@@ -4,10 +4,8 @@ import os
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.transport import Transport
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.transport import RealClock, Transport, make_transport
 
 MakeNode = Callable[[str], Transport]
 """Makes a node with a name."""

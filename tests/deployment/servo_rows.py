@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixel2catch.deployment.limits import ServoLimits
-from pixel2catch.deployment.servo_core import ServoCore
-from pixel2catch.deployment.servo_state import Output, ServoState
-from pixel2catch.deployment.watchdog import Inputs
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.servo.core import ServoCore
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.state import Output, ServoState
+from pixel2catch.servo.watchdogs import Inputs
 
 HOME = np.array([joint.home for joint in JOINTS])
 LIMITS = ServoLimits(ramp_time=0.1)

@@ -7,13 +7,13 @@ from itertools import groupby, repeat
 from servo_rows import LIMITS
 from wire_lab import WireLab
 
-from pixel2catch.deployment.clock import Clock
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.servo_link import BrainEnd, ServoEnd
-from pixel2catch.deployment.servo_process import Servo, ServoSetup
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.watchdog import reasons
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock
+from pixel2catch.servo.link import BrainEnd, ServoEnd
+from pixel2catch.servo.process import Servo, ServoSetup
+from pixel2catch.servo.state import Mode
+from pixel2catch.servo.watchdogs import reasons
 
 
 class ClockOfScript(Clock):

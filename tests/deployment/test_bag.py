@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.bag import ReplayTransport
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.compressed import compress, compressed_topic
 from pixel2catch.deployment.recorder import Recorder
-from pixel2catch.deployment.transport import Subscription, Topic
+from pixel2catch.deployment.replay import ReplayTransport
 from pixel2catch.errors import PerceptionError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.messages import compress, compressed_topic
+from pixel2catch.ros2.transport import RealClock, Subscription, Topic
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)

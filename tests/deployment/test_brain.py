@@ -7,9 +7,7 @@ import pytest
 import torch
 from loop_lab import BOX, HOME, PROFILE, brain, picture, remembering
 
-from pixel2catch.deployment.brain import BOX_AGE, LONGEST_LOOK, Brain
-from pixel2catch.deployment.controller import Controller
-from pixel2catch.deployment.servo_link import Orders
+from pixel2catch.deployment.policy_pipeline import BOX_AGE, LONGEST_LOOK, Brain, Controller
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
@@ -17,6 +15,7 @@ from pixel2catch.perception.finder import CameraFrame
 from pixel2catch.perception.gate import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.servo.link import Orders
 
 PROMPT = BoxPrompt(box=BOX)
 

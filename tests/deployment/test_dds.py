@@ -19,14 +19,10 @@ from cyclonedds.topic import Topic as DdsTopic
 from networks import dds_nodes, own_domain
 from rosbags.typesys import Stores, get_typestore
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.dds import LOOPBACK
-from pixel2catch.deployment.dds_node import MESSAGE
-from pixel2catch.deployment.dds_types import dds_type
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.transport import Topic
 from pixel2catch.errors import DeploymentError, UnknownNameError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.dds import LOOPBACK, MESSAGE, dds_type
+from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
 MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)
@@ -197,6 +193,6 @@ def test_a_rehearsal_does_not_hear_a_robots_driver_on_this_machine(make, monkeyp
 
 def test_a_node_and_a_profile_need_no_simulator():
     """The servo's process starts fast: neither torch, MuJoCo nor OpenCV is loaded for a node."""
-    script = "import sys, pixel2catch.deployment.dds, pixel2catch.deployment.profile; print(*sys.modules)"
+    script = "import sys, pixel2catch.ros2.dds, pixel2catch.ros2.profile; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
     assert not {"torch", "mujoco", "cv2"} & set(loaded.split())

@@ -19,20 +19,20 @@ from loop_lab import (
     surroundings,
 )
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.controller import Controller
-from pixel2catch.deployment.deploying import Deployment, read_prompt
-from pixel2catch.deployment.eyes import Eyes
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.stepwise import StepClock
-from pixel2catch.deployment.watchdog import Fault
-from pixel2catch.deployment.worker import CallerWorker, ThreadWorker, Worker
+from pixel2catch.deployment.control_loop import Deployment, read_prompt
+from pixel2catch.deployment.image_subscriber import Eyes
+from pixel2catch.deployment.perception_thread import CallerWorker, ThreadWorker, Worker
+from pixel2catch.deployment.policy_pipeline import Controller
+from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.ros2 import messages
+from pixel2catch.servo.state import Mode
+from pixel2catch.servo.watchdogs import Fault
 
 
 class Course:

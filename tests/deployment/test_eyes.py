@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from loop_lab import HOME, PROFILE, Surroundings, picture, surroundings
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.eyes import Eyes
+from pixel2catch.deployment.image_subscriber import Eyes
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.ros2 import messages
 
 
 def eyes_in(around: Surroundings, *, assumes_age: bool = False) -> Eyes:

@@ -18,12 +18,10 @@ from camera_lab import laboratory
 from networks import own_domain
 from servo_rows import LIMITS
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.limits import STOP_TIME
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.transport import Topic, Transport
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import RealClock, Topic, Transport, make_transport
+from pixel2catch.servo.limits import STOP_TIME
 
 RATE = 0.4
 """Rate of the clock: what is late on a machine that is busy with tests is not late by this one."""

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from loop_lab import HOME, decision, surroundings
 
-from pixel2catch.deployment.following import Follower
-from pixel2catch.deployment.servo_link import Orders
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.watchdog import Fault
+from pixel2catch.deployment.follower import Follower
 from pixel2catch.errors import DeploymentError
+from pixel2catch.servo.link import Orders
+from pixel2catch.servo.state import Mode
+from pixel2catch.servo.watchdogs import Fault
 
 RAMP = 0.05
 

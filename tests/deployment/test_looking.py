@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from loop_lab import BOX, HOME, RED, brain, picture, remembering
 
-from pixel2catch.deployment.brain import Brain
-from pixel2catch.deployment.looking import LONGEST_WAIT, Looking
-from pixel2catch.deployment.stepwise import PerceptionTime, StepClock
-from pixel2catch.deployment.worker import CallerWorker, ThreadWorker
+from pixel2catch.deployment.perception_thread import LONGEST_WAIT, CallerWorker, Looking, ThreadWorker
+from pixel2catch.deployment.policy_pipeline import Brain
+from pixel2catch.deployment.stepped import PerceptionTime, StepClock
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.finder import CameraFrame

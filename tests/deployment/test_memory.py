@@ -2,10 +2,9 @@
 
 import threading
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.transport import Topic
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.transport import RealClock, Topic
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pixel2catch.deployment.pace import QUANTILE, SHIFT, STEP, DecisionTimer, Pace
+from pixel2catch.deployment.timing import QUANTILE, SHIFT, STEP, DecisionTimer, Pace
 from pixel2catch.robot.constants import CONTROL_DT
 
 

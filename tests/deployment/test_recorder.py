@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from pixel2catch.deployment import messages, recorder
-from pixel2catch.deployment.profile import Profile
+from pixel2catch.deployment import recorder
 from pixel2catch.deployment.recorder import Recorder
-from pixel2catch.deployment.transport import Topic
 from pixel2catch.errors import DeploymentError
 from pixel2catch.identification.names import Names
 from pixel2catch.identification.rosbag import read_rosbag
 from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Topic
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 IMAGE = Topic(name="/image", type=messages.IMAGE)
@@ -145,9 +146,9 @@ def test_after_a_kill_all_but_the_last_chunk_is_on_the_disk(tmp_path: Path):
     script = """
 import sys, time, numpy as np
 from pathlib import Path
-from pixel2catch.deployment import messages
+from pixel2catch.ros2 import messages
 from pixel2catch.deployment.recorder import Recorder
-from pixel2catch.deployment.transport import Topic
+from pixel2catch.ros2.transport import Topic
 bag = Recorder(Path(sys.argv[1]))
 image = messages.image(np.zeros((480, 640, 3), np.uint8), 1.0)
 for i in range(10):

@@ -12,21 +12,19 @@ from loop_lab import BOX, HOME, PROFILE, RED, picture, remembering
 from wire_lab import WireLab
 
 from pixel2catch.cli.main import main
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.brain import Brain, make_brain
-from pixel2catch.deployment.controller import Controller
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.recorder import Recorder
-from pixel2catch.deployment.replaying import Decided, ReplayCfg, compare, decided, replay
-from pixel2catch.deployment.servo_link import link
-from pixel2catch.deployment.servo_process import ServoSetup
-from pixel2catch.deployment.stepwise import Nodes, PerceptionTime, StepClock, Stepwise
-from pixel2catch.deployment.tape import Images, Tape
+from pixel2catch.deployment.policy_pipeline import Brain, Controller, make_brain
+from pixel2catch.deployment.recorder import Images, Recorder, Tape
+from pixel2catch.deployment.replay import Decided, ReplayCfg, compare, decided, replay
+from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, Stepwise
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.choice import PromptCfg, make_prompter
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.servo.link import link
+from pixel2catch.servo.process import ServoSetup
 
 EPOCH = 1_790_000_000.0
 PERIOD = 17

@@ -7,11 +7,11 @@ import pytest
 from mishaps import MISHAPS, all_at_once
 from servo_rows import HOME, LIMITS, Lab, given
 
-from pixel2catch.deployment.limits import STOP_TIME, JointLimits
-from pixel2catch.deployment.servo_state import Clamp, Mode
-from pixel2catch.deployment.watchdog import Fault, reasons
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.servo.limits import STOP_TIME, JointLimits
+from pixel2catch.servo.state import Clamp, Mode
+from pixel2catch.servo.watchdogs import Fault, reasons
 
 STEP_TICKS = round(CONTROL_DT / LIMITS.dt) + 1
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)

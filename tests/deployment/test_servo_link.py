@@ -11,8 +11,8 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from pixel2catch.deployment.servo_link import BrainEnd, Decision, Orders, ServoEnd, link
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.servo.link import BrainEnd, Decision, Orders, ServoEnd, link
 
 NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))
 

@@ -10,12 +10,12 @@ from servo_rows import HOME, LIMITS
 from servo_stage import Cut, Stage, wait
 from wire_lab import frozen, shuffled, twice, with_nan, without_elbow
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.limits import STOP_TIME
-from pixel2catch.deployment.profile import Profile, StatusTopics
-from pixel2catch.deployment.servo_link import BrainEnd, ServoEnd, link
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.watchdog import reasons
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile, StatusTopics
+from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.link import BrainEnd, ServoEnd, link
+from pixel2catch.servo.state import Mode
+from pixel2catch.servo.watchdogs import reasons
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)

@@ -12,15 +12,13 @@ from networks import own_domain
 from servo_rows import HOME, LIMITS
 from wire_lab import WireLab
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.limits import STOP_TIME
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.servo_process import RunningServo, ServoSetup, start_servo
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.transport import Transport
-from pixel2catch.deployment.watchdog import reasons
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import RealClock, Transport, make_transport
+from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.process import RunningServo, ServoSetup, start_servo
+from pixel2catch.servo.state import Mode
+from pixel2catch.servo.watchdogs import reasons
 
 RATE = 0.2
 """Rate of the clock: what is late on a machine that is busy with tests is not late by this one."""

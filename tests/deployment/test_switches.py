@@ -13,14 +13,13 @@ import pytest
 from loop_lab import PROFILE
 from networks import dds_nodes, own_domain
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.console import SWITCH_TIME, Console
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.operating import Operating
-from pixel2catch.deployment.stepwise import StepClock
+from pixel2catch.deployment.operator import SWITCH_TIME, Console, Operating
+from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.deployment.switches import DROPPED, EVENT, KEY, SYNC, Keys, Press, Switches
-from pixel2catch.deployment.transport import Subscription
 from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.transport import Subscription
 
 HOLD, ARM, STOP, OTHER = 57, 28, 1, 30
 REPEATED = 2

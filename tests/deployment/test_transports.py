@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from networks import MakeNode, dds_nodes, memory_nodes, own_domain
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.transport import Subscription, Topic, Transport
 from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.transport import Subscription, Topic, Transport
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 MODE = Topic(name="/mode", type=messages.SAFETY_MODE, is_latched=True)

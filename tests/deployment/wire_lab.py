@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 from servo_rows import HOME, LIMITS
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.cdr import decode
-from pixel2catch.deployment.clock import Clock
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.robot_part import RobotPart
-from pixel2catch.deployment.servo_link import BrainEnd, Decision, Orders
-from pixel2catch.deployment.transport import Topic, Transport
 from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.messages import decode
+from pixel2catch.ros2.profile import Profile, RobotPart
+from pixel2catch.ros2.transport import Clock, Topic, Transport
+from pixel2catch.servo.link import BrainEnd, Decision, Orders
 
 
 class WireLab:

@@ -17,7 +17,7 @@ from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.robot.objects import SEEN
 from pixel2catch.robot.scene import SceneCfg
-from pixel2catch.twin.lab import EMPTY_TIME, Lab, Phase
+from pixel2catch.twin.simulated_lab import EMPTY_TIME, Lab, Phase
 
 DECIMATION = 4
 QUIET = RandomizationCfg(

@@ -10,20 +10,19 @@ import pytest
 import torch
 
 from pixel2catch.cli.main import main
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.pace import SHIFT
-from pixel2catch.deployment.servo_link import Orders
-from pixel2catch.deployment.stepwise import StepClock
-from pixel2catch.deployment.tape import ORDERS
+from pixel2catch.deployment.recorder import ORDERS
+from pixel2catch.deployment.stepped import StepClock
+from pixel2catch.deployment.timing import SHIFT
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.methods import find_method
 from pixel2catch.perception.rosbag_images import opened_bag
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.ros2 import messages
+from pixel2catch.servo.link import Orders
 from pixel2catch.twin.camera import LATENCY
 from pixel2catch.twin.drivers import CYCLE
-from pixel2catch.twin.lockstep import HOP, PERCEPTION_TIME
-from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
+from pixel2catch.twin.stepped import HOP, PERCEPTION_TIME, SteppingCfg, rehearse_in_step
 
 POLICY, _ = load_policy(Path("proposed"))
 ONE = SteppingCfg(task=task_of(POLICY, physics_hz=120.0), throws=1, seed=3, is_plain=True)

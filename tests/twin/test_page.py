@@ -11,15 +11,15 @@ import pytest
 import torch
 from twin_bench import PROFILE, Bench
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robot.constants import PALM_POS
 from pixel2catch.robot.kinematics import palm_pose
-from pixel2catch.twin.lab import Phase
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.transport import RealClock
 from pixel2catch.twin.page import BOX_COLOR, Page, with_box
-from pixel2catch.twin.stepping import SteppingCfg, in_step
+from pixel2catch.twin.simulated_lab import Phase
+from pixel2catch.twin.stepped import SteppingCfg, in_step
 
 PORT = 18080
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pixel2catch.evaluation.rendered.camera import Moment
-from pixel2catch.twin.camera import Camera
-from pixel2catch.twin.view import Exposure, Image
+from pixel2catch.twin.camera import Camera, Exposure, Image
 
 
 class SlowDrawing:

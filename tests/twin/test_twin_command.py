@@ -12,13 +12,12 @@ from typing import Any
 
 import pytest
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.profile import Profile
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.rendering import find_gl_backend
-from pixel2catch.twin.wires import COMMAND, STATE
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import RealClock, make_transport
+from pixel2catch.twin.lab_node import COMMAND, STATE
 
 RATE = 0.5
 DOMAIN = str(150 + os.getpid() % 80)

@@ -13,8 +13,8 @@ from pixel2catch.evaluation.rendered.room import build_room
 from pixel2catch.evaluation.rendering import Renderer, find_gl_backend
 from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.scene import SceneCfg, build_model
-from pixel2catch.twin.thrower import Thrower
-from pixel2catch.twin.view import CAMERA, Exposure, RoomView
+from pixel2catch.twin.camera import CAMERA, Exposure, RoomView
+from pixel2catch.twin.simulated_lab import Thrower
 
 RELEASE = np.array((2.6, 0.1, 0.8))
 MODEL = build_model(SceneCfg())

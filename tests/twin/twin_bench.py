@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.profile import Profile
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.robot.constants import JOINTS
-from pixel2catch.twin.camera import Camera
-from pixel2catch.twin.lab import Lab
-from pixel2catch.twin.view import Exposure, Image
-from pixel2catch.twin.wires import COMMAND, STATE, Wires
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import RealClock
+from pixel2catch.twin.camera import Camera, Exposure, Image
+from pixel2catch.twin.lab_node import COMMAND, STATE, Wires
+from pixel2catch.twin.simulated_lab import Lab
 
 PROFILE = Profile.load("ur5e_allegro_v4")
 BLACK = np.zeros((480, 640, 3), dtype=np.uint8)

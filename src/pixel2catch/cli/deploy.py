@@ -13,11 +13,11 @@ from pixel2catch.cli.link import Link
 from pixel2catch.cli.sight import Sight
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.brain import Brain
-    from pixel2catch.deployment.clock import Clock
-    from pixel2catch.deployment.deploying import Deployment
-    from pixel2catch.deployment.profile import Profile
+    from pixel2catch.deployment.control_loop import Deployment
+    from pixel2catch.deployment.policy_pipeline import Brain
     from pixel2catch.robot.constants import CameraSpec
+    from pixel2catch.ros2.profile import Profile
+    from pixel2catch.ros2.transport import Clock
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +53,10 @@ class Deploy:
         from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.deploying import Deployment
-            from pixel2catch.deployment.eyes import Eyes
-            from pixel2catch.deployment.priority import BRAIN, set_niceness
-            from pixel2catch.deployment.worker import ThreadWorker
+            from pixel2catch.deployment.control_loop import Deployment
+            from pixel2catch.deployment.image_subscriber import Eyes
+            from pixel2catch.deployment.perception_thread import ThreadWorker
+            from pixel2catch.servo.process import BRAIN, set_niceness
         set_niceness(BRAIN)
         self.sight.prepare()
         notes: list[str] = []
@@ -79,8 +79,7 @@ class Deploy:
 
     def make_brain(self, profile: "Profile", camera: "CameraSpec") -> "Brain":
         """Perception and policy, for this robot and camera."""
-        from pixel2catch.deployment.brain import make_brain
-        from pixel2catch.deployment.controller import Controller
+        from pixel2catch.deployment.policy_pipeline import Controller, make_brain
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.perception.robot_mask import RobotMask
 

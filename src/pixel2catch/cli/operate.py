@@ -38,8 +38,7 @@ class Operate:
         from pixel2catch.interruption import StopRequest
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.console import Console
-            from pixel2catch.deployment.operating import Operating
+            from pixel2catch.deployment.operator import Console, Operating
             from pixel2catch.deployment.switches import Switches
         profile = self.network.load()
         teller = _Teller()

@@ -10,9 +10,9 @@ from tyro.conf import Positional
 from pixel2catch.cli.link import Link
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.following import Follower
-    from pixel2catch.deployment.robot_part import RobotPart
+    from pixel2catch.deployment.follower import Follower
     from pixel2catch.identification.trajectory import Trajectory
+    from pixel2catch.ros2.profile import RobotPart
 
 ROBOTS = {"arm": "ur5e", "hand": "allegro"}
 """What `identify` calls the parts."""
@@ -43,8 +43,8 @@ class Record:
         from pixel2catch.identification.trajectory import Trajectory
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.following import Follower
-            from pixel2catch.deployment.limits import ServoLimits
+            from pixel2catch.deployment.follower import Follower
+            from pixel2catch.servo.limits import ServoLimits
         prepare("cpu")
         trajectory, profile = Trajectory.load(self.trajectory), self.link.load()
         profile.require(trajectory.joints)

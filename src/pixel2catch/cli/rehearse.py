@@ -86,9 +86,9 @@ class Rehearse:
 
     def _refuse_nonsense(self) -> None:
         """Refuse what cannot be rehearsed, before anything starts."""
-        from pixel2catch.deployment.clock import RealClock
         from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.rendering import find_gl_backend
+        from pixel2catch.ros2.transport import RealClock
 
         RealClock(self.clock)  # refuses what is no rate
         if self.throws < 1:
@@ -110,7 +110,7 @@ class Rehearse:
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.robot.objects import select_objects
-        from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
+        from pixel2catch.twin.stepped import SteppingCfg, rehearse_in_step
 
         prepare("cpu")
         policy, _ = load_policy(Path(self.policy) if self.policy else None)

@@ -44,8 +44,8 @@ class Replay:
         from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.profile import Profile
-            from pixel2catch.deployment.replaying import ReplayCfg, compare, decided, replay
+            from pixel2catch.deployment.replay import ReplayCfg, compare, decided, replay
+            from pixel2catch.ros2.profile import Profile
         self.sight.prepare()
         notes: list[str] = []
         profile, camera = Profile.load(self.profile), self.sight.camera_spec(notes)

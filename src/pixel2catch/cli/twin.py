@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pixel2catch.twin.running import Pace
-    from pixel2catch.twin.wires import Wires
+    from pixel2catch.twin.lab_node import Wires
+    from pixel2catch.twin.realtime import Pace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Twin:
         from pixel2catch.robot.objects import select_objects
 
         with needs_extra("twin"):
-            from pixel2catch.twin.running import TwinCfg, serve
+            from pixel2catch.twin.realtime import TwinCfg, serve
         prepare("cpu")
         if self.domain is not None:
             os.environ["ROS_DOMAIN_ID"] = str(self.domain)

@@ -17,21 +17,18 @@ import torch
 import viser
 
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock, RealClock
-from pixel2catch.deployment.console import Console, newest
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.transport import Transport
+from pixel2catch.deployment.operator import Console, newest
 from pixel2catch.robot import shapes
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 from pixel2catch.robot.objects import OBJECTS
 from pixel2catch.robot.scene import OBJECT_RGBA, SceneCfg, build_model
 from pixel2catch.robot.shapes import ConvexPart
-from pixel2catch.twin.children import LAST, obey_parent
-from pixel2catch.twin.operator import Operator
-from pixel2catch.twin.trials import run_trial
-from pixel2catch.twin.wires import COMMAND, STATE
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.twin.lab_node import COMMAND, STATE
+from pixel2catch.twin.processes import LAST, obey_parent
+from pixel2catch.twin.trials import Operator, run_trial
 
 HOST = "127.0.0.1"
 """The page is for this machine only; others come by a tunnel."""

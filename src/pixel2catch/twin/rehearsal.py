@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.profile import Profile
 from pixel2catch.errors import DeploymentError
-from pixel2catch.twin.operator import Operator
-from pixel2catch.twin.running import PROFILE
-from pixel2catch.twin.trials import Outcome, of_twin, rates, run_trial
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import RealClock, make_transport
+from pixel2catch.twin.realtime import PROFILE
+from pixel2catch.twin.trials import Operator, Outcome, of_twin, rates, run_trial
 
 START_TIME = 120.0
 """Real time in which both processes must be there [s]: on loaded machines imports are slow. Source: ours."""
