@@ -1,4 +1,4 @@
-"""A brain's surroundings in memory: network, camera, and the servo's end of the link."""
+"""A control loop's surroundings in memory: network, camera, and the servo's end of the link."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pixel2catch.deployment.policy_pipeline import Brain, Controller
+from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline
 from pixel2catch.deployment.recorder import Connection
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
@@ -22,7 +22,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport
-from pixel2catch.servo.link import Decision, ServoEnd, link
+from pixel2catch.servo.link import ServoEnd, ServoStatus, link
 from pixel2catch.servo.state import Mode
 
 HOME = np.array([joint.home for joint in JOINTS])
@@ -46,17 +46,17 @@ def remembering(method: str = "shared_reward+boxes") -> Controller:
     return Controller(Policy(contract_of(find_method(method), PROFILE.handedness)).eval(), PROFILE.handedness)
 
 
-def brain(segmenter: Segmenter | None = None, controller: Controller | None = None) -> Brain:
+def new_pipeline(segmenter: Segmenter | None = None, controller: Controller | None = None) -> PolicyPipeline:
     """The policy of the paper, which is not told of ages, and eyes for red if nothing is said."""
     policy, _ = load_policy(Path("proposed"))
     person = GivenPrompter()
     extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
-    return Brain(controller or Controller(policy, PROFILE.handedness), extractor, person)
+    return PolicyPipeline(controller or Controller(policy, PROFILE.handedness), extractor, person)
 
 
-def decision(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Decision:
+def servo_status(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> ServoStatus:
     """A tick of the servo, at home, in which nothing happens but what is given."""
-    return Decision(
+    return ServoStatus(
         time=time,
         mode=int(mode),
         stopped_by=int(others.get("stopped_by", 0)),
@@ -96,5 +96,5 @@ def surroundings() -> Iterator[Surroundings]:
         end, servo = link()
         stack.callback(end.close)
         stack.callback(servo.close)
-        connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, tape=None)
+        connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, recording=None)
         yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixel2catch.deployment.recorder import Recorder
+from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.deployment.replay import ReplayTransport
 from pixel2catch.errors import PerceptionError
 from pixel2catch.ros2 import messages
@@ -27,7 +27,7 @@ PERIOD = 0.1
 def folder(tmp_path: Path) -> Path:
     """Three numbers, joint states and images, a period apart; stamps are 10 ms older than the messages."""
     pixels = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
         for i in range(3):
             moment = EPOCH + PERIOD * i
             bag.record(NUMBER, messages.number(i), moment)
@@ -40,11 +40,11 @@ def play(
     node: ReplayTransport, subscription: Subscription, reader: Callable[[bytes], Any]
 ) -> list[tuple[float, Any]]:
     """When each message arrived, and what the reader makes of it."""
-    packets = []
+    received = []
     while not (node.is_over and not node.wait(0.0)):
         node.wait(0.02)
-        packets += [(packet.arrival, reader(packet.data)) for packet in subscription.take()]
-    return packets
+        received += [(message.arrival, reader(message.data)) for message in subscription.take()]
+    return received
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.5])
@@ -67,8 +67,8 @@ def test_messages_come_in_their_order_at_their_time(folder: Path, rate: float):
 def test_stamps_are_as_old_as_they_were(folder: Path, topic: Topic, stamp):
     clock = RealClock()
     with closing(ReplayTransport(folder, clock)) as node:
-        packets = play(node, node.subscription(topic, 10), stamp)
-    ages = [arrival - (stamp - clock.stamp() + clock.now()) for arrival, stamp in packets]
+        received = play(node, node.subscription(topic, 10), stamp)
+    ages = [arrival - (stamp - clock.stamp() + clock.now()) for arrival, stamp in received]
     assert len(ages) == 3
     np.testing.assert_allclose(ages, 0.01, atol=0.05)
     assert min(ages) > 0.009
@@ -77,7 +77,7 @@ def test_stamps_are_as_old_as_they_were(folder: Path, topic: Topic, stamp):
 def test_jpeg_images_come_as_raw_ones(tmp_path: Path):
     """And one that is damaged does not come."""
     pixels = np.full((48, 64, 3), (200, 30, 20), dtype=np.uint8)
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
         for data in (messages.image(pixels, EPOCH), b"\x00\x01\x00\x00", messages.image(pixels, EPOCH + 1)):
             bag.record(compressed_topic(IMAGE), data, EPOCH, compress)
         bag.record(compressed_topic(IMAGE), b"\x00\x01\x00\x00nonsense", EPOCH)

@@ -101,8 +101,8 @@ def test_a_sender_with_a_wrong_clock_cannot_make_messages_older_or_newer_than_th
     sent = round(1e9 * (clock.stamp() + 3600.0 * hours))
     writer.write(kind(messages.joint_state([], [], 0.0)), sent)
     assert node.wait(5.0)
-    (packet,) = subscription.take()
-    assert before - 1e-3 < packet.arrival <= clock.now()
+    (message,) = subscription.take()
+    assert before - 1e-3 < message.arrival <= clock.now()
 
 
 @pytest.mark.parametrize("text", ["233", "-1", "one"])
@@ -130,8 +130,8 @@ def echo() -> None:
         states, answers = node.subscription(STATES, depth=10), node.publisher(ECHO)
         node.publisher(MODE).publish(messages.safety_mode(1))
         while node.wait(10.0):
-            for packet in states.take():
-                reading = messages.read_joint_state(packet.data)
+            for message in states.take():
+                reading = messages.read_joint_state(message.data)
                 if not reading.names:
                     return
                 answers.publish(messages.float_array(-reading.position))
@@ -151,7 +151,7 @@ def test_two_processes_talk_over_the_loopback_interface(make):
     process.start()
     try:
         assert node.wait(20.0), "the other process has come: its latched message is here"
-        assert [messages.read_safety_mode(packet.data) for packet in mode.take()] == [1]
+        assert [messages.read_safety_mode(message.data) for message in mode.take()] == [1]
         for value in range(20):
             states.publish(messages.joint_state(["a", "b"], [value, 1.0], 0.0))
             assert node.wait(5.0)

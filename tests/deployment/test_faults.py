@@ -76,9 +76,9 @@ class Watcher:
 
     def listen(self) -> None:
         """Take what has arrived."""
-        self.statuses += [json.loads(messages.read_text(packet.data)) for packet in self._statuses.take()]
+        self.statuses += [json.loads(messages.read_text(message.data)) for message in self._statuses.take()]
         self.commands += [
-            (packet.arrival, messages.read_float_array(packet.data)) for packet in self._commands.take()
+            (message.arrival, messages.read_float_array(message.data)) for message in self._commands.take()
         ]
 
     @property
@@ -168,7 +168,7 @@ def test_joints_in_another_order_change_nothing(watcher: Watcher):
 
 
 def test_a_policy_that_hangs_stops_the_robot(watcher: Watcher):
-    """The brain sleeps; the servo does not."""
+    """The control loop sleeps; the servo does not."""
     watcher.run()
     watcher.deploy.send_signal(signal.SIGSTOP)
     begun = watcher.clock.now()

@@ -26,7 +26,7 @@ def test_nodes_in_several_threads_lose_nothing():
     received = []
     while any(thread.is_alive() for thread in threads) or receiver.wait(0.0):
         if receiver.wait(0.1):
-            received += [messages.read_number(packet.data) for packet in subscription.take()]
+            received += [messages.read_number(message.data) for message in subscription.take()]
     assert sorted(received) == list(range(2000))
     assert receiver.num_other_publishers(NUMBER) == 0
 

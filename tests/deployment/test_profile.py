@@ -91,7 +91,7 @@ def test_joint_states_are_read_by_name_in_any_order_and_some_at_a_time():
 def test_what_is_sent_to_the_hand_comes_back_to_the_same_joints():
     for name in SHIPPED:
         hand = Profile.load(name).robots[1]
-        names = {wire.index_in_command: wire.name_in_state for wire in hand.joints.values()}
+        names = {theirs.index_in_command: theirs.name_in_state for theirs in hand.joints.values()}
         targets = np.arange(len(JOINTS), dtype=np.float64)
         sent: Any = decode(hand.command(targets), hand.command_topic.type)
         values = sent.data if hasattr(sent, "data") else sent.position

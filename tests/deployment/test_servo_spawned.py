@@ -40,12 +40,12 @@ class Theatre:
             self.lab.clock.sleep_until(due)
 
     def is_in(self, mode: Mode) -> bool:
-        decisions = self.lab.decisions
-        return bool(decisions) and decisions[-1].mode == mode
+        servo_statuses = self.lab.servo_statuses
+        return bool(servo_statuses) and servo_statuses[-1].mode == mode
 
     def run(self) -> None:
         """Everybody is heard of, the operator arms, and the arm is in motion."""
-        self.until(lambda: bool(self.lab.decisions) and self.lab.decisions[-1].found == 0)
+        self.until(lambda: bool(self.lab.servo_statuses) and self.lab.servo_statuses[-1].found == 0)
         self.lab.ask_to_arm()
         self.until(lambda: self.is_in(Mode.RUN))
         self.lab.target = HOME + 0.1
@@ -54,7 +54,9 @@ class Theatre:
     @property
     def story(self) -> list[str]:
         """What was found last, for the message of a test that fails."""
-        return [str((each.mode, *reasons(each.found | each.stopped_by))) for each in self.lab.decisions[-5:]]
+        return [
+            str((each.mode, *reasons(each.found | each.stopped_by))) for each in self.lab.servo_statuses[-5:]
+        ]
 
 
 @pytest.fixture
@@ -81,7 +83,7 @@ def terminate(theatre: Theatre) -> None:
 
 @pytest.mark.parametrize("end", [leave, terminate])
 def test_however_it_ends_it_stops_the_robot_first(end: Callable[[Theatre], None], theatre: Theatre):
-    """Armed and run; Ctrl-C is not for it; the brain goes, or it is to terminate itself."""
+    """Armed and run; Ctrl-C is not for it; the control loop goes, or it is to terminate itself."""
     process, lab = theatre.servo.process, theatre.lab
     theatre.run()
     assert process.pid is not None
@@ -102,7 +104,7 @@ def test_the_operator_stops_and_goes_on(theatre: Theatre):
     theatre.run()
     theatre.lab.say(theatre.lab.profile.operator.stop, messages.boolean(True))
     theatre.until(lambda: theatre.is_in(Mode.STOPPED))
-    assert reasons(theatre.lab.decisions[-1].stopped_by) == ("stop request",)
+    assert reasons(theatre.lab.servo_statuses[-1].stopped_by) == ("stop request",)
     theatre.lab.target = theatre.lab.joint_pos.copy()
     begun = theatre.lab.clock.now()
     theatre.until(lambda: theatre.lab.clock.now() > begun + 1.5 * STOP_TIME)

@@ -28,13 +28,13 @@ def make(request, monkeypatch):
 
 
 def numbers(subscription: Subscription) -> list[float]:
-    return [messages.read_number(packet.data) for packet in subscription.take()]
+    return [messages.read_number(message.data) for message in subscription.take()]
 
 
 def wait_for(node: Transport, subscription: Subscription) -> bytes:
     assert node.wait(ENOUGH)
-    (packet,) = subscription.take()
-    return packet.data
+    (message,) = subscription.take()
+    return message.data
 
 
 def test_a_message_reaches_all_others_and_the_node_itself(make: MakeNode):
@@ -151,7 +151,7 @@ def test_packets_say_when_they_arrived_though_they_are_taken_late(make: MakeNode
         moments.append(time.monotonic())
         publisher.publish(messages.number(value))
         time.sleep(0.02)
-    arrivals = [packet.arrival for packet in subscription.take()]
+    arrivals = [message.arrival for message in subscription.take()]
     assert len(arrivals) == 4
     assert arrivals == sorted(arrivals)
     for moment, next_moment, arrival in zip(moments, [*moments[1:], time.monotonic()], arrivals, strict=True):

@@ -53,8 +53,8 @@ def test_it_throws_when_asked_and_ends_with_ctrl_c(twin: subprocess.Popen[str]):
             end = time.monotonic() + PATIENCE
             while time.monotonic() < end:
                 node.wait(0.1)
-                for packet in states.take():
-                    state = json.loads(messages.read_text(packet.data))
+                for message in states.take():
+                    state = json.loads(messages.read_text(message.data))
                     if state["phase"] == phase:
                         return state
             raise AssertionError(f"never {phase}")

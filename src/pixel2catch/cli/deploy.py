@@ -13,8 +13,8 @@ from pixel2catch.cli.link import Link
 from pixel2catch.cli.sight import Sight
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.control_loop import Deployment
-    from pixel2catch.deployment.policy_pipeline import Brain
+    from pixel2catch.deployment.control_loop import ControlLoop
+    from pixel2catch.deployment.policy_pipeline import PolicyPipeline
     from pixel2catch.robot.constants import CameraSpec
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.ros2.transport import Clock
@@ -53,33 +53,35 @@ class Deploy:
         from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.control_loop import Deployment
-            from pixel2catch.deployment.image_subscriber import Eyes
+            from pixel2catch.deployment.control_loop import ControlLoop
+            from pixel2catch.deployment.image_subscriber import ImageSubscriber
             from pixel2catch.deployment.perception_thread import ThreadWorker
-            from pixel2catch.servo.process import BRAIN, set_niceness
-        set_niceness(BRAIN)
+            from pixel2catch.servo.process import CONTROL_LOOP, set_niceness
+        set_niceness(CONTROL_LOOP)
         self.sight.prepare()
         notes: list[str] = []
         camera, profile = self.sight.camera_spec(notes), self.link.load()
-        brain = self.make_brain(profile, camera)
+        pipeline = self.make_pipeline(profile, camera)
         for note in notes:
             say(note)
         with ExitStack() as stack:
-            worker = stack.enter_context(closing(ThreadWorker())) if brain.knows_age else None
+            worker = stack.enter_context(closing(ThreadWorker())) if pipeline.knows_age else None
             connection = self.link.connect(profile, self.record, self.record_images, stack)
             clock = connection.clock
-            eyes = Eyes(connection.transport, profile.camera, camera, clock, assumes_age=brain.knows_age)
-            deployment = Deployment(brain, eyes, connection, profile.operator, worker)
-            self._loop(deployment, clock)
+            images = ImageSubscriber(
+                connection.transport, profile.camera, camera, clock, assumes_age=pipeline.knows_age
+            )
+            control_loop = ControlLoop(pipeline, images, connection, profile.operator, worker)
+            self._loop(control_loop, clock)
         print(
-            json.dumps({"summary": deployment.diary.summary()})
+            json.dumps({"summary": control_loop.statistics.summary()})
             if self.json
-            else "\n".join(lines(deployment.diary.summary()))
+            else "\n".join(lines(control_loop.statistics.summary()))
         )
 
-    def make_brain(self, profile: "Profile", camera: "CameraSpec") -> "Brain":
+    def make_pipeline(self, profile: "Profile", camera: "CameraSpec") -> "PolicyPipeline":
         """Perception and policy, for this robot and camera."""
-        from pixel2catch.deployment.policy_pipeline import Controller, make_brain
+        from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.perception.robot_mask import RobotMask
 
@@ -88,9 +90,9 @@ class Deploy:
         profile.require(policy.contract.commands)
         robot = RobotMask(camera, handedness=profile.handedness) if self.mask_robot else None
         prompter = self.sight.make_prompter(camera)
-        return make_brain(controller, self.sight.make_segmenter(), prompter, camera, robot)
+        return make_pipeline(controller, self.sight.make_segmenter(), prompter, camera, robot)
 
-    def _loop(self, deployment: "Deployment", clock: "Clock") -> None:
+    def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""
         from pixel2catch.cli.console import say
         from pixel2catch.interruption import StopRequest
@@ -106,7 +108,7 @@ class Deploy:
                 say(f"{clock.now() - begin:7.1f} s  {line}")
 
         with StopRequest() as stop:
-            deployment.run(lambda: stop.is_set or self._is_late(clock.now() - begin), report)
+            control_loop.run(lambda: stop.is_set or self._is_late(clock.now() - begin), report)
 
     def _is_late(self, time: float) -> bool:
         """Whether it is time to end."""

@@ -77,18 +77,18 @@ class Link(Network):
             images: How images are recorded.
             stack: Ends it all: first the servo, which stops the robot.
         """
-        from pixel2catch.deployment.recorder import Connection, Recorder, Tape
+        from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
         from pixel2catch.ros2.transport import make_transport
         from pixel2catch.servo.process import start_servo
 
         setup = self._setup(profile)
         join = partial(make_transport, self.transport, f"{NODE}_servo", self.loopback)
-        recorder = stack.enter_context(Recorder(record)) if record else None
+        recorder = stack.enter_context(BagRecorder(record)) if record else None
         transport, clock = stack.enter_context(self.join(NODE))
-        tape = Tape(recorder, transport, profile, clock, images) if recorder else None
+        recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(
-            transport=transport, servo=servo.link, servo_dt=setup.limits.dt, clock=clock, tape=tape
+            transport=transport, servo=servo.link, servo_dt=setup.limits.dt, clock=clock, recording=recording
         )
 
     def _setup(self, profile: "Profile") -> "ServoSetup":

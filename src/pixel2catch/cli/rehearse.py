@@ -110,12 +110,12 @@ class Rehearse:
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.robot.objects import select_objects
-        from pixel2catch.twin.stepped import SteppingCfg, rehearse_in_step
+        from pixel2catch.twin.stepped import SteppedRehearsalCfg, rehearse_stepped
 
         prepare("cpu")
         policy, _ = load_policy(Path(self.policy) if self.policy else None)
         task = replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
-        cfg = SteppingCfg(
+        cfg = SteppedRehearsalCfg(
             task=task,
             throws=self.throws,
             seed=self.seed,
@@ -125,7 +125,7 @@ class Rehearse:
             is_plain=self.plain,
             record=self.record,
         )
-        return rehearse_in_step(cfg, policy, show)
+        return rehearse_stepped(cfg, policy, show)
 
     def _cfg(self) -> "RehearsalCfg":
         """What is rehearsed."""

@@ -8,12 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.deployment.image_subscriber import Eyes
-from pixel2catch.deployment.perception_thread import CallerWorker, Look, Looking, Worker
-from pixel2catch.deployment.policy_pipeline import BOX_AGE, Brain
+from pixel2catch.deployment.image_subscriber import ImageSubscriber
+from pixel2catch.deployment.perception_thread import (
+    CallerWorker,
+    ConcurrentPerception,
+    PerceptionResult,
+    Worker,
+)
+from pixel2catch.deployment.policy_pipeline import BOX_AGE, PolicyPipeline
 from pixel2catch.deployment.recorder import ORDERS, SERVO, Connection
-from pixel2catch.deployment.statistics import ACTIVE, Diary
-from pixel2catch.deployment.timing import DecisionTimer, Pace
+from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
+from pixel2catch.deployment.timing import DecisionDelay, DecisionTimer
 from pixel2catch.errors import DeploymentError, NonFiniteError
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.finder import CameraFrame
@@ -21,7 +26,7 @@ from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
-from pixel2catch.servo.link import Orders
+from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.state import Mode
 
 POLL = 0.002
@@ -34,20 +39,20 @@ PATIENCE = 1.5 * CONTROL_DT
 """Time after an image from which the next one is missing [s]. Source: ours."""
 
 
-class Deployment:
-    """Runs a brain.
+class ControlLoop:
+    """Runs a control loop.
 
     A policy that knows how old its boxes are decides at even times, while images are looked at. One that does
     not decides on each image when it has been looked at, and when the box is as old as in its training.
 
     Attributes:
-        diary: What has happened.
+        statistics: What has happened.
     """
 
     def __init__(
         self,
-        brain: Brain,
-        eyes: Eyes,
+        pipeline: PolicyPipeline,
+        images: ImageSubscriber,
         connection: Connection,
         topics: OperatorTopics,
         worker: Worker[Extraction] | None = None,
@@ -55,15 +60,15 @@ class Deployment:
         """Announce and listen.
 
         Args:
-            brain: Perception and policy.
-            eyes: The camera.
+            pipeline: Perception and policy.
+            images: The camera.
             connection: Network, servo, clock and recording.
             topics: Topics of the operator.
             worker: Who looks at images; the caller itself if absent.
         """
-        self.diary = Diary()
-        self._brain, self._eyes = brain, eyes
-        self._servo, self._clock, self._tape = connection.servo, connection.clock, connection.tape
+        self.statistics = RunStatistics()
+        self._pipeline, self._images = pipeline, images
+        self._servo, self._clock, self._recording = connection.servo, connection.clock, connection.recording
         self._servo_dt = connection.servo_dt
         self._transport = connection.transport
         self._prompts = connection.transport.subscription(topics.prompt)
@@ -71,12 +76,12 @@ class Deployment:
         self._joint_pos = np.full(len(JOINTS), np.nan)
         self._mode = int(Mode.IDLE)
         self._worker = worker or CallerWorker(connection.clock)
-        self._looking = Looking(brain, self._worker, connection.clock)
+        self._perception = ConcurrentPerception(pipeline, self._worker, connection.clock)
         self._frame: CameraFrame | None = None
-        self._look: Look | None = None
+        self._look: PerceptionResult | None = None
         self._seen: Extraction | None = None
         self._due = connection.clock.now()
-        self._message, self._pace, self._timer = "", Pace(LONGEST_AGE), DecisionTimer(self._due)
+        self._message, self._delay, self._timer = "", DecisionDelay(LONGEST_AGE), DecisionTimer(self._due)
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
         """Go from control step to control step.
@@ -107,10 +112,10 @@ class Deployment:
             PerceptionError: As `run` does.
         """
         self._hear()
-        frame = self._eyes.newest()
-        if self._tape:
-            self._tape.see(self._eyes.packets)
-        if self._brain.knows_age:
+        frame = self._images.newest()
+        if self._recording:
+            self._recording.record_images(self._images.received)
+        if self._pipeline.knows_age:
             return self._poll_at_even_times(frame)
         if frame is None and self._clock.now() < self._due:
             return None
@@ -118,27 +123,27 @@ class Deployment:
 
     def _hear(self) -> None:
         """Take what servo and operator have said."""
-        for decision in self._servo.receive():
-            self.diary.obey(decision, self._servo_dt)
-            self._eyes.remember(decision.time, decision.joint_pos)
-            self._joint_pos = decision.joint_pos
-            if decision.mode == Mode.ARMED and self._mode != Mode.ARMED:
-                self._looking.begin(None)
-            self._mode = decision.mode
-            if self._tape:
-                self._tape.note(SERVO, decision.row, decision.time)
+        for servo_status in self._servo.receive():
+            self.statistics.note_status(servo_status, self._servo_dt)
+            self._images.remember(servo_status.time, servo_status.joint_pos)
+            self._joint_pos = servo_status.joint_pos
+            if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
+                self._perception.begin(None)
+            self._mode = servo_status.mode
+            if self._recording:
+                self._recording.record_row(SERVO, servo_status.row, servo_status.time)
         if self._servo.is_closed:
             raise DeploymentError(
                 "the servo process has ended, and nothing guards the robot: press its stop. What the process "
                 "said of the reason is above."
             )
-        for packet in self._prompts.take():
-            self._point(packet.data)
+        for message in self._prompts.take():
+            self._point(message.data)
 
     def _point(self, data: bytes) -> None:
         """Begin a throw where the operator points."""
         try:
-            self._looking.begin(read_prompt(data))
+            self._perception.begin(read_prompt(data))
             self._message = ""
         except DeploymentError as error:
             self._message = str(error)
@@ -146,8 +151,8 @@ class Deployment:
     def _poll_at_even_times(self, frame: CameraFrame | None) -> dict[str, Any] | None:
         """Have images looked at, and decide when it is time, whether that is done or not."""
         if frame:
-            self._looking.offer(frame)
-        if look := self._looking.go_on():
+            self._perception.offer(frame)
+        if look := self._perception.go_on():
             self._look, self._seen = look, look.seen
             self._timer.learn(look.frame.stamp, look.end)
         now = self._clock.now()
@@ -155,55 +160,55 @@ class Deployment:
             return None
         took, is_missed = self._look.took if self._look else 0.0, self._look is None
         self._look = None
-        orders, complaint = self._decide()
-        if orders:
-            self.diary.order(orders)
-            orders = replace(orders, image_stamp=min(self._eyes.stamp, now))
-        self._timer.advance(now, is_even=orders is not None)
+        policy_command, complaint = self._decide()
+        if policy_command:
+            self.statistics.note_command(policy_command)
+            policy_command = replace(policy_command, image_stamp=min(self._images.stamp, now))
+        self._timer.advance(now, is_even=policy_command is not None)
         self._due = self._timer.due
-        return self._conclude(orders, complaint, began=now - took, is_missed=is_missed)
+        return self._conclude(policy_command, complaint, began=now - took, is_missed=is_missed)
 
     def _step(self, frame: CameraFrame | None) -> dict[str, Any]:
         """One control step; without a new image it is the last one's again."""
         is_missed = frame is None
         begin = self._clock.now()
         self._frame = frame or self._frame
-        look = partial(self._brain.perceive, self._frame, begin)
+        look = partial(self._pipeline.perceive, self._frame, begin)
         if frame:
             self._worker.start(look)
         self._seen = self._worker.finish() if frame else look()
-        self._brain.remember(self._frame, self._seen)
+        self._pipeline.remember(self._frame, self._seen)
         looked = self._clock.now()
         if frame:
-            self._clock.sleep_until(self._pace.moment(frame.stamp, looked))
+            self._clock.sleep_until(self._delay.moment(frame.stamp, looked))
         waited = self._clock.now() - looked
         self._hear()
-        orders, complaint = self._decide()
+        policy_command, complaint = self._decide()
         self._due = self._due + CONTROL_DT if is_missed else begin + PATIENCE
-        return self._conclude(orders, complaint, began=begin + waited, is_missed=is_missed)
+        return self._conclude(policy_command, complaint, began=begin + waited, is_missed=is_missed)
 
     def _conclude(
-        self, orders: Orders | None, complaint: str, *, began: float, is_missed: bool
+        self, policy_command: PolicyCommand | None, complaint: str, *, began: float, is_missed: bool
     ) -> dict[str, Any]:
         """Send orders, and publish and record what happened in a control step that began at a time [s]."""
-        if orders and self._mode in ACTIVE:
-            self._servo.send(orders)
+        if policy_command and self._mode in ACTIVE:
+            self._servo.send(policy_command)
         end, seen = self._clock.now(), self._seen
         if self._mode in ACTIVE:
-            self.diary.think(took=end - began, is_missed=is_missed)
-        message = self._message or self._eyes.message or complaint or (seen.message if seen else "")
-        status = self.diary.status(seen, self._eyes.take_notice() or message)
+            self.statistics.count_step(took=end - began, is_missed=is_missed)
+        message = self._message or self._images.message or complaint or (seen.message if seen else "")
+        status = self.statistics.status(seen, self._images.take_notice() or message)
         self._status.publish(messages.text(json.dumps(status)))
-        if self._tape:
-            if orders:
-                self._tape.note(ORDERS, orders.row, end)
-            self._tape.roll()
+        if self._recording:
+            if policy_command:
+                self._recording.record_row(ORDERS, policy_command.row, end)
+            self._recording.record_messages()
         return status
 
-    def _decide(self) -> tuple[Orders | None, str]:
+    def _decide(self) -> tuple[PolicyCommand | None, str]:
         """Orders, if there can be any, and what is wrong."""
         try:
-            return self._brain.decide(self._joint_pos, self._clock.now()), ""
+            return self._pipeline.decide(self._joint_pos, self._clock.now()), ""
         except (NonFiniteError, DeploymentError) as error:
             return None, str(error)
 

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.deployment.recorder import ORDERS, SERVO, Connection
-from pixel2catch.deployment.statistics import Diary
+from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
 from pixel2catch.servo.limits import STOP_TIME
-from pixel2catch.servo.link import Decision, Orders
+from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.motion import Joints
 from pixel2catch.servo.state import Mode
 
@@ -17,13 +17,13 @@ PERIOD = 0.01
 """Time between two orders [s]. Source: ours."""
 
 
-class Follower:
+class TrajectoryFollower:
     """Gives the servo the targets that are due; the operator arms, and the servo guards, as with a policy.
 
     The servo moves evenly to a new target within a control step. What it sent is what a recording has.
 
     Attributes:
-        diary: What has happened.
+        statistics: What has happened.
         is_done: Whether the trajectory was followed to its end.
     """
 
@@ -38,7 +38,7 @@ class Follower:
             ramp_time: How long it waits at its first target, in which the servo goes there [s].
             connection: Network, servo, clock and recording.
         """
-        self.diary, self.is_done = Diary(), False
+        self.statistics, self.is_done = RunStatistics(), False
         self._targets, self._duration, self._ramp_time = targets, duration, ramp_time
         self._connection = connection
         self._armed_at = np.inf
@@ -58,7 +58,7 @@ class Follower:
         while not (is_over() or self.is_done):
             self._hear()
             self._order(clock.now())
-            on_status(self.diary.status(None, ""))
+            on_status(self.statistics.status(None, ""))
             due = max(due + PERIOD, clock.now())
             clock.sleep_until(due)
         self._rest()
@@ -66,39 +66,41 @@ class Follower:
     def _hear(self) -> None:
         """Take what the servo has said, and record everything."""
         connection = self._connection
-        for decision in connection.servo.receive():
-            self.diary.obey(decision, connection.servo_dt)
-            self._follow(decision)
-            if connection.tape:
-                connection.tape.note(SERVO, decision.row, decision.time)
+        for servo_status in connection.servo.receive():
+            self.statistics.note_status(servo_status, connection.servo_dt)
+            self._follow(servo_status)
+            if connection.recording:
+                connection.recording.record_row(SERVO, servo_status.row, servo_status.time)
         if connection.servo.is_closed:
             raise DeploymentError(
                 "the servo process has ended, and nothing guards the robot: press its stop."
             )
-        if connection.tape:
-            connection.tape.roll()
+        if connection.recording:
+            connection.recording.record_messages()
 
-    def _follow(self, decision: Decision) -> None:
+    def _follow(self, servo_status: ServoStatus) -> None:
         """Begin when it is armed; give up when it is stopped."""
-        if decision.mode == Mode.ARMED and self._mode != Mode.ARMED:
-            self._armed_at = decision.time
-        if decision.mode == Mode.STOPPED and np.isfinite(self._armed_at):
-            reasons, elapsed = ", ".join(self.diary.stops), decision.time - self._armed_at
+        if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
+            self._armed_at = servo_status.time
+        if servo_status.mode == Mode.STOPPED and np.isfinite(self._armed_at):
+            reasons, elapsed = ", ".join(self.statistics.stops), servo_status.time - self._armed_at
             raise DeploymentError(
                 f"the robot was stopped ({reasons}) {elapsed:.1f} s after it was armed; the recording ends "
                 "there: mend the reason, and record anew."
             )
-        self._mode = decision.mode
+        self._mode = servo_status.mode
 
     def _order(self, now: float) -> None:
         """Tell the servo the target that is due."""
         if not np.isfinite(self._armed_at):
             return
         elapsed = now - self._armed_at - self._ramp_time
-        orders = Orders(joint_pos_target=self._targets(elapsed), target_stamp=now, image_stamp=now)
-        self._connection.servo.send(orders)
-        if self._connection.tape:
-            self._connection.tape.note(ORDERS, orders.row, now)
+        policy_command = PolicyCommand(
+            joint_pos_target=self._targets(elapsed), target_stamp=now, image_stamp=now
+        )
+        self._connection.servo.send(policy_command)
+        if self._connection.recording:
+            self._connection.recording.record_row(ORDERS, policy_command.row, now)
         self.is_done = elapsed > self._duration
 
     def _rest(self) -> None:
@@ -108,8 +110,10 @@ class Follower:
             now = connection.clock.now()
             still = self._targets(self._duration)
             connection.servo.send(
-                Orders(joint_pos_target=still, target_stamp=now, image_stamp=now, is_stop_requested=True)
+                PolicyCommand(
+                    joint_pos_target=still, target_stamp=now, image_stamp=now, is_stop_requested=True
+                )
             )
         connection.clock.sleep_until(connection.clock.now() + STOP_TIME)
-        if connection.tape:
-            connection.tape.roll()
+        if connection.recording:
+            connection.recording.record_messages()

@@ -12,7 +12,7 @@ from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading
 from pixel2catch.ros2.profile import CameraProfile
-from pixel2catch.ros2.transport import Clock, Packet, Transport
+from pixel2catch.ros2.transport import Clock, Message, Transport
 from pixel2catch.servo.motion import Joints
 
 DEPTH = 4
@@ -28,12 +28,12 @@ EARLIEST, LATEST = -0.05, 0.5
 """Age at arrival of images whose stamps can be meant [s]. Source: ours; outside it is another clock's."""
 
 
-class Eyes:
+class ImageSubscriber:
     """Takes images from the network.
 
     Attributes:
         stamp: When the newest good image was taken [s].
-        packets: The messages of the last call of `newest`, for a recording.
+        received: The messages of the last call of `newest`, for a recording.
         num_lost: Images that came while another was looked at.
         message: Why the last image was no good; empty if it was.
     """
@@ -61,7 +61,7 @@ class Eyes:
         self._images = transport.subscription(profile.image, DEPTH)
         self._lens = transport.subscription(profile.info) if profile.info else None
         self._joints: deque[tuple[float, Joints]] = deque()
-        self.packets: list[Packet] = []
+        self.received: list[Message] = []
         self.num_lost, self.message, self.stamp = 0, "", -inf
         self._assumes_age, self._is_stamped, self._notices = assumes_age, False, list[str]()
 
@@ -78,18 +78,18 @@ class Eyes:
             DeploymentError: The camera has another lens than the one that it was calibrated with.
         """
         self._check_lens()
-        self.packets = self._images.take()
-        self.num_lost += max(len(self.packets) - 1, 0)
-        if not self.packets:
+        self.received = self._images.take()
+        self.num_lost += max(len(self.received) - 1, 0)
+        if not self.received:
             return None
         try:
-            reading = messages.read_image(self.packets[-1].data)
+            reading = messages.read_image(self.received[-1].data)
             self._profile.require(reading)
         except DeploymentError as error:
             self.message = str(error)
             return None
         self.message = ""
-        stamp = self.stamp = self._exposed(reading, self.packets[-1].arrival)
+        stamp = self.stamp = self._exposed(reading, self.received[-1].arrival)
         return CameraFrame(image=reading.pixels, stamp=stamp, joint_pos=self._joints_at(stamp))
 
     def take_notice(self) -> str:
@@ -120,8 +120,8 @@ class Eyes:
 
     def _check_lens(self) -> None:
         """Compare what the camera says of its lens with the calibration."""
-        for packet in self._lens.take() if self._lens else ():
-            lens, camera = messages.read_camera_info(packet.data), self._camera
+        for message in self._lens.take() if self._lens else ():
+            lens, camera = messages.read_camera_info(message.data), self._camera
             pairs = (
                 (lens.fx, camera.fx, camera.fx),
                 (lens.fy, camera.fy, camera.fy),

@@ -17,7 +17,7 @@ DEPTH = 64
 """Messages that are kept from one look to the next."""
 
 
-class Console:
+class OperatorConsole:
     """What an operator has at hand; call `watch` more often than `SWITCH_TIME`.
 
     Attributes:
@@ -69,18 +69,18 @@ def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
         subscription: Of a topic of texts.
         known: The message before.
     """
-    packets = subscription.take()
-    return json.loads(messages.read_text(packets[-1].data)) if packets else known
+    received = subscription.take()
+    return json.loads(messages.read_text(received[-1].data)) if received else known
 
 
 POLL = 0.005
 """Time between two looks at the keys [s]. Source: ours."""
 
 
-class Operating:
+class KeyOperator:
     """Holds, arms and stops as the keys say."""
 
-    def __init__(self, console: Console, switches: Switches, keys: Keys) -> None:
+    def __init__(self, console: OperatorConsole, switches: Switches, keys: Keys) -> None:
         """Begin with the switch let go, whatever is pressed already."""
         self._console, self._switches, self._keys = console, switches, keys
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, TypeVar, final
 
-from pixel2catch.deployment.policy_pipeline import Brain
+from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.finder import CameraFrame
 from pixel2catch.perception.segmenter import Prompt
@@ -130,7 +130,7 @@ than with half a control step, and up to 22 ms younger than where whatever waits
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
+class PerceptionResult:
     """One look at an image.
 
     Attributes:
@@ -146,22 +146,22 @@ class Look:
     end: float
 
 
-class Looking:
-    """Looks at the newest images and has the brain remember what was seen.
+class ConcurrentPerception:
+    """Looks at the newest images and has the control loop remember what was seen.
 
     While an image is looked at, the newest of those that arrive waits. Where an image takes 60 ms, every
     second one of a camera of 30 Hz is looked at, as soon as it arrives.
     """
 
-    def __init__(self, brain: Brain, worker: Worker[Extraction], clock: Clock) -> None:
+    def __init__(self, pipeline: PolicyPipeline, worker: Worker[Extraction], clock: Clock) -> None:
         """Look at nothing yet.
 
         Args:
-            brain: Perception, and what remembers.
+            pipeline: Perception, and what remembers.
             worker: Who looks.
             clock: The clock of the images' stamps.
         """
-        self._brain, self._worker, self._clock = brain, worker, clock
+        self._pipeline, self._worker, self._clock = pipeline, worker, clock
         self._waiting: tuple[CameraFrame, float] | None = None
         self._work: tuple[CameraFrame, float] | None = None
         self._later: Callable[[], None] | None = None
@@ -172,8 +172,8 @@ class Looking:
         Args:
             prompt: Where the operator points, if he does.
         """
-        self._brain.forget()
-        point = partial(self._brain.point, prompt)
+        self._pipeline.forget()
+        point = partial(self._pipeline.point, prompt)
         if self._worker.is_free:
             point()
         else:
@@ -183,7 +183,7 @@ class Looking:
         """Have an image that has just arrived looked at, if no newer one comes before its turn."""
         self._waiting = (frame, self._clock.now())
 
-    def go_on(self) -> Look | None:
+    def go_on(self) -> PerceptionResult | None:
         """Take what was seen, if a look is done, and begin with the next image; call it often.
 
         Returns:
@@ -199,11 +199,11 @@ class Looking:
         if self._waiting and self._worker.is_free:
             frame, _ = self._waiting
             self._waiting, self._work = None, (frame, now)
-            self._worker.start(partial(self._brain.perceive, frame, now))
+            self._worker.start(partial(self._pipeline.perceive, frame, now))
         return look
 
-    def _done(self) -> Look | None:
-        """The look that is done; the brain remembers it."""
+    def _done(self) -> PerceptionResult | None:
+        """The look that is done; the control loop remembers it."""
         seen = self._worker.fetch()
         if seen is None or self._work is None:
             return None
@@ -213,6 +213,6 @@ class Looking:
             self._later()
             self._later = None
             return None
-        self._brain.remember(frame, seen)
+        self._pipeline.remember(frame, seen)
         end = self._clock.now()
-        return Look(frame=frame, seen=seen, took=end - begin, end=end)
+        return PerceptionResult(frame=frame, seen=seen, took=end - begin, end=end)

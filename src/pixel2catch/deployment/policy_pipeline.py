@@ -26,7 +26,7 @@ from pixel2catch.perception.tracking import LaterPrompter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, JOINTS, RGB_CAMERA, CameraSpec
 from pixel2catch.robot.kinematics import palm_pose
-from pixel2catch.servo.link import Orders
+from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.motion import Joints
 
 
@@ -172,7 +172,7 @@ Source: ours; where an image takes 100 ms, it is up to 0.25 s old when the next 
 """
 
 
-class Brain:
+class PolicyPipeline:
     """Perception and policy, without a network and without a clock.
 
     Only `perceive` may run in another thread than the rest; nothing else of perception may run meanwhile.
@@ -251,7 +251,7 @@ class Brain:
             self._stamps.append(frame.stamp)
             self._boxes.append(seen.box[0])
 
-    def decide(self, joint_pos: Joints, now: float) -> Orders | None:
+    def decide(self, joint_pos: Joints, now: float) -> PolicyCommand | None:
         """Let the policy decide on what was seen, and on joints as they are now.
 
         In training it acts in the very moment in which the joints are measured. Positions that are as old as
@@ -272,7 +272,9 @@ class Brain:
             return None
         boxes = self._measured(now) if self.knows_age else self._box_at(now - BOX_AGE)
         target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), boxes)
-        return Orders(joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=self._looked)
+        return PolicyCommand(
+            joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=self._looked
+        )
 
     def _measured(self, now: float) -> BoxHistory:
         """The measured boxes, each as old as it is."""
@@ -294,13 +296,13 @@ class Brain:
         )
 
 
-def make_brain(
+def make_pipeline(
     controller: Controller,
     segmenter: Segmenter,
     prompter: Prompter,
     camera: CameraSpec,
     robot: RobotMask | None,
-) -> Brain:
+) -> PolicyPipeline:
     """Put perception and policy together.
 
     Args:
@@ -312,4 +314,6 @@ def make_brain(
     """
     person = GivenPrompter()
     either = LaterPrompter(FirstPrompter(person, prompter))
-    return Brain(controller, PixelFeatureExtractor(segmenter, either, robot=robot, camera=camera), person)
+    return PolicyPipeline(
+        controller, PixelFeatureExtractor(segmenter, either, robot=robot, camera=camera), person
+    )

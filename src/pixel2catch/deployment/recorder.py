@@ -17,8 +17,8 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, Packet, Topic, Transport
-from pixel2catch.servo.link import BrainEnd
+from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
+from pixel2catch.servo.link import LoopEnd
 
 MOST_WAITING = 128 * 2**20
 """Messages that wait to be written [bytes]: 4 s of images. Source: ours."""
@@ -35,7 +35,7 @@ class _Entry(NamedTuple):
     convert: Convert
 
 
-class Recorder:
+class BagRecorder:
     """Writes messages in a thread of its own; use it as a context manager, which ends the file properly.
 
     A slow or full disk never holds up the caller: what cannot be written is dropped and counted. After a kill
@@ -95,7 +95,7 @@ class Recorder:
             with suppress(OSError):
                 self._writer.abort()
 
-    def __enter__(self) -> "Recorder":
+    def __enter__(self) -> "BagRecorder":
         """Return the recorder itself."""
         return self
 
@@ -141,10 +141,10 @@ def _open(folder: Path) -> Writer:
 
 
 SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)
-"""Every tick of the servo, `Decision.row`."""
+"""Every tick of the servo, `ServoStatus.row`."""
 
 ORDERS = Topic(name="/pixel2catch/orders", type=messages.FLOAT_ARRAY)
-"""What the servo was told, `Orders.row`."""
+"""What the servo was told, `PolicyCommand.row`."""
 
 DEPTH = 512
 """Messages that are kept between two control steps."""
@@ -156,11 +156,11 @@ Images = Literal["jpeg", "raw", "none"]
 """How images are recorded; raw ones are 27 MB a second."""
 
 
-class Tape:
+class DeploymentRecorder:
     """Records a deployment; what is sent over the network is recorded as everybody else hears it."""
 
     def __init__(
-        self, recorder: Recorder, transport: Transport, profile: Profile, clock: Clock, images: Images
+        self, recorder: BagRecorder, transport: Transport, profile: Profile, clock: Clock, images: Images
     ) -> None:
         """Begin to listen to joint states, commands and operator."""
         self._recorder, self._clock = recorder, clock
@@ -177,22 +177,22 @@ class Tape:
         topics |= {topic for topic in vars(profile.status).values() if topic}
         self._subscriptions = [(topic, transport.subscription(topic, DEPTH)) for topic in topics]
 
-    def roll(self) -> None:
+    def record_messages(self) -> None:
         """Record what has arrived since the last call."""
         for topic, subscription in self._subscriptions:
-            for packet in subscription.take():
-                self._write(topic, packet.data, packet.arrival)
+            for message in subscription.take():
+                self._write(topic, message.data, message.arrival)
 
-    def see(self, packets: list[Packet]) -> None:
+    def record_images(self, received: list[Message]) -> None:
         """Record images."""
         topic = self._profile.camera.image
-        for packet in packets:
+        for message in received:
             if self._images == "jpeg":
-                self._write(compressed_topic(topic), packet.data, packet.arrival, compress)
+                self._write(compressed_topic(topic), message.data, message.arrival, compress)
             elif self._images == "raw":
-                self._write(topic, packet.data, packet.arrival)
+                self._write(topic, message.data, message.arrival)
 
-    def note(self, topic: Topic, row: np.ndarray, time: float) -> None:
+    def record_row(self, topic: Topic, row: np.ndarray, time: float) -> None:
         """Record numbers of this time, `Clock.now` [s]."""
         self._write(topic, messages.float_array(row), time)
 
@@ -209,14 +209,14 @@ class Connection:
 
     Attributes:
         transport: The node of the network.
-        servo: The brain's end of the link to the servo process.
+        servo: The control loop's end of the link to the servo process.
         servo_dt: Time between two ticks of the servo [s].
         clock: The clock.
-        tape: The recording, if there is one.
+        recording: The recording, if there is one.
     """
 
     transport: Transport
-    servo: BrainEnd
+    servo: LoopEnd
     servo_dt: float
     clock: Clock
-    tape: Tape | None
+    recording: DeploymentRecorder | None

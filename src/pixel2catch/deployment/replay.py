@@ -14,19 +14,19 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from pixel2catch.deployment.policy_pipeline import Brain
-from pixel2catch.deployment.recorder import ORDERS, SERVO, Recorder, Tape
-from pixel2catch.deployment.statistics import Diary
-from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, Stepwise
+from pixel2catch.deployment.policy_pipeline import PolicyPipeline
+from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder, DeploymentRecorder
+from pixel2catch.deployment.statistics import RunStatistics
+from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.perception.rosbag_images import opened_bag
 from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, JOINTS, CameraSpec
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.memory import Inbox, Inboxes
+from pixel2catch.ros2.memory import MessageQueue, MessageQueues
 from pixel2catch.ros2.messages import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, JOINT_STATE, SUFFIX, uncompress
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, Packet, Publisher, Subscription, Topic, Transport
-from pixel2catch.servo.link import Decision, Orders
+from pixel2catch.ros2.transport import Clock, Message, Publisher, Subscription, Topic, Transport
+from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.process import ServoSetup
 
 STAMPED = (CAMERA_INFO, IMAGE, JOINT_STATE)
@@ -54,8 +54,8 @@ class ReplayTransport(Transport):
         Raises:
             PerceptionError: It cannot be read.
         """
-        self._clock, self._inboxes = clock, Inboxes(clock)
-        self._listeners: dict[tuple[str, str], list[Inbox]] = {}
+        self._clock, self._queues = clock, MessageQueues(clock)
+        self._listeners: dict[tuple[str, str], list[MessageQueue]] = {}
         self._bag = ExitStack()
         reader = self._bag.enter_context(opened_bag(path))
         self.start = 1e-9 * reader.start_time
@@ -75,9 +75,9 @@ class ReplayTransport(Transport):
 
     def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
         """Begin to listen to a recorded topic."""
-        inbox = self._inboxes.add(depth)
-        self._listeners.setdefault((topic.name, topic.type), []).append(inbox)
-        return _Replayed(inbox, self._play)
+        queue = self._queues.add(depth)
+        self._listeners.setdefault((topic.name, topic.type), []).append(queue)
+        return _Replayed(queue, self._play)
 
     def num_other_publishers(self, topic: Topic) -> int:
         """None: the recorded commands are not sent."""
@@ -88,7 +88,7 @@ class ReplayTransport(Transport):
         """Wait until a message can be taken, or for a time [s]; say which."""
         end = self._clock.now() + seconds
         self._play()
-        while not (has_come := self._inboxes.wait(0.0)) and self._clock.now() < end:
+        while not (has_come := self._queues.wait(0.0)) and self._clock.now() < end:
             self._clock.sleep_until(min(end, self._due))
             self._play()
         return has_come
@@ -117,15 +117,15 @@ class ReplayTransport(Transport):
         name, kind, data = recorded.name, recorded.type, recorded.data
         if kind == COMPRESSED_IMAGE:
             name, kind = name.removesuffix(SUFFIX), IMAGE
-        inboxes = self._listeners.get((name, kind), ())
-        if not inboxes:
+        queues = self._listeners.get((name, kind), ())
+        if not queues:
             return
         if recorded.type == COMPRESSED_IMAGE:
             data = uncompress(data)
         if kind in STAMPED:
             data = _shifted(data, self._later)
-        for inbox in inboxes:
-            inbox.put(data)
+        for queue in queues:
+            queue.put(data)
 
     def _read(self) -> "_Recorded | None":
         """The next message of the recording."""
@@ -157,12 +157,12 @@ class _Silence(Publisher):
 
 @final
 class _Replayed(Subscription):
-    def __init__(self, inbox: Inbox, play: Callable[[], None]) -> None:
-        self._inbox, self._play = inbox, play
+    def __init__(self, queue: MessageQueue, play: Callable[[], None]) -> None:
+        self._queue, self._play = queue, play
 
-    def take(self) -> list[Packet]:
+    def take(self) -> list[Message]:
         self._play()
-        return self._inbox.take()
+        return self._queue.take()
 
 
 def _shifted(data: bytes, seconds: float) -> bytes:
@@ -180,26 +180,26 @@ class ReplayCfg:
     """What is replayed.
 
     Attributes:
-        tape: The recording of a deployment, with images.
+        recording: The recording of a deployment, with images.
         out: New folder for the recording of this one, without images.
         profile: The robot of then.
         camera: Its camera.
         perception_time: Time that perception takes for an image [s].
     """
 
-    tape: Path
+    recording: Path
     out: Path
     profile: Profile
     camera: CameraSpec
     perception_time: float = 0.01
 
 
-def replay(cfg: ReplayCfg, brain: Brain) -> Diary:
+def replay(cfg: ReplayCfg, pipeline: PolicyPipeline) -> RunStatistics:
     """Replay, and return what happened.
 
     Args:
         cfg: What is replayed.
-        brain: Perception and policy.
+        pipeline: Perception and policy.
 
     Raises:
         PerceptionError: The recording cannot be read.
@@ -208,13 +208,13 @@ def replay(cfg: ReplayCfg, brain: Brain) -> Diary:
     _require_images(cfg)
     with ExitStack() as stack:
         clock = StepClock(lambda moment: run_until(moment))
-        node = stack.enter_context(closing(ReplayTransport(cfg.tape, clock)))
+        node = stack.enter_context(closing(ReplayTransport(cfg.recording, clock)))
         clock.time = node.start
-        recorder = stack.enter_context(Recorder(cfg.out))
-        tape = Tape(recorder, node, cfg.profile, clock, "none")
-        nodes = Nodes(servo=node, brain=node, clock=clock, tape=tape)
+        recorder = stack.enter_context(BagRecorder(cfg.out))
+        recording = DeploymentRecorder(recorder, node, cfg.profile, clock, "none")
+        nodes = Nodes(servo=node, loop=node, clock=clock, recording=recording)
         setup = ServoSetup(profile=cfg.profile, is_dry_run=True)
-        robot = Stepwise(setup, cfg.camera, nodes, brain, PerceptionTime(cfg.perception_time))
+        robot = SteppedDeployment(setup, cfg.camera, nodes, pipeline, PerceptionTime(cfg.perception_time))
         stack.callback(robot.close)
 
         def run_until(moment: float) -> None:
@@ -225,23 +225,23 @@ def replay(cfg: ReplayCfg, brain: Brain) -> Diary:
 
         while not node.is_over:
             run_until(clock.time + CONTROL_DT)
-        return robot.deployment.diary
+        return robot.control_loop.statistics
 
 
 def _require_images(cfg: ReplayCfg) -> None:
     """Refuse a recording without images."""
     name = cfg.profile.camera.image.name
-    with opened_bag(cfg.tape) as reader:
+    with opened_bag(cfg.recording) as reader:
         topics = sorted({connection.topic for connection in reader.connections})
     if not any(topic.startswith(name) for topic in topics):
         raise DeploymentError(
-            f"{cfg.tape} has no images on {name}, but {', '.join(topics) or 'nothing'}: record with "
+            f"{cfg.recording} has no images on {name}, but {', '.join(topics) or 'nothing'}: record with "
             "--record-images jpeg or raw, and replay with the profile of then."
         )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Decided:
+class RecordedTargets:
     """The policy's targets of a recording.
 
     Attributes:
@@ -253,31 +253,31 @@ class Decided:
     target: Float[np.ndarray, "num_orders num_joints"]
 
 
-def decided(tape: Path) -> Decided:
+def recorded_targets(recording: Path) -> RecordedTargets:
     """Read what was decided on every image, at first.
 
     Args:
-        tape: A recording of a deployment.
+        recording: A recording of a deployment.
 
     Raises:
         PerceptionError: It cannot be read.
     """
-    orders: dict[float, np.ndarray] = {}
+    policy_command: dict[float, np.ndarray] = {}
     offset = 0.0
-    with opened_bag(tape) as reader:
+    with opened_bag(recording) as reader:
         wanted = [each for each in reader.connections if each.topic in (ORDERS.name, SERVO.name)]
         for connection, time, data in reader.messages(wanted):
             row = messages.read_float_array(data)
             if connection.topic == SERVO.name:
-                offset = 1e-9 * time - Decision.of(row).time
+                offset = 1e-9 * time - ServoStatus.of(row).time
             else:
-                order = Orders.of(row)
-                orders.setdefault(order.image_stamp, np.array([offset, *order.joint_pos_target]))
-    rows = np.array(list(orders.values())).reshape(-1, 1 + len(JOINTS))
-    return Decided(time=np.array(list(orders)) + rows[:, 0], target=rows[:, 1:])
+                order = PolicyCommand.of(row)
+                policy_command.setdefault(order.image_stamp, np.array([offset, *order.joint_pos_target]))
+    rows = np.array(list(policy_command.values())).reshape(-1, 1 + len(JOINTS))
+    return RecordedTargets(time=np.array(list(policy_command)) + rows[:, 0], target=rows[:, 1:])
 
 
-def compare(then: Decided, now: Decided) -> dict[str, Any]:
+def compare(then: RecordedTargets, now: RecordedTargets) -> dict[str, Any]:
     """How alike two recordings of the same images are.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.robot.constants import CONTROL_DT
-from pixel2catch.servo.link import Decision, Orders
+from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.state import Clamp, Mode
 from pixel2catch.servo.watchdogs import Fault
 
@@ -27,7 +27,7 @@ def words(kind: type[Fault] | type[Clamp], found: int) -> list[str]:
 
 
 @dataclass(kw_only=True)
-class Diary:
+class RunStatistics:
     """Counts what happens, from control step to control step.
 
     Attributes:
@@ -53,11 +53,11 @@ class Diary:
     _thinking: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _ticks: deque[float] = field(default_factory=lambda: deque(maxlen=SERVO_MEMORY))
     _orders: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
-    _last: Decision | None = None
+    _last: ServoStatus | None = None
     _refused: int = 0
     _clamped: int = 0
 
-    def think(self, *, took: float, is_missed: bool) -> None:
+    def count_step(self, *, took: float, is_missed: bool) -> None:
         """Note a control step of an armed robot.
 
         Args:
@@ -70,28 +70,28 @@ class Diary:
             self._thinking.append(took)
             self.num_overruns += took > CONTROL_DT
 
-    def order(self, orders: Orders) -> None:
+    def note_command(self, policy_command: PolicyCommand) -> None:
         """Note orders by the image that they were decided on, of which the servo is not told."""
-        self._orders.append((orders.target_stamp, orders.image_stamp))
+        self._orders.append((policy_command.target_stamp, policy_command.image_stamp))
 
-    def obey(self, decision: Decision, dt: float) -> None:
+    def note_status(self, servo_status: ServoStatus, dt: float) -> None:
         """Note a tick of the servo, which is to come every so often [s]."""
         last = self._last
         self.num_ticks += 1
-        self._ticks.append(decision.duration)
-        self._refused |= decision.refused
-        self._clamped |= decision.clamped
-        self.clamps.update(words(Clamp, decision.clamped))
-        if decision.refused:
-            self.refusals[", ".join(words(Fault, decision.refused))] += 1
+        self._ticks.append(servo_status.duration)
+        self._refused |= servo_status.refused
+        self._clamped |= servo_status.clamped
+        self.clamps.update(words(Clamp, servo_status.clamped))
+        if servo_status.refused:
+            self.refusals[", ".join(words(Fault, servo_status.refused))] += 1
         if last is not None:
-            self.num_late_ticks += decision.time - last.time > 2.0 * dt + 1e-4
-            if decision.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
-                self.stops[", ".join(words(Fault, decision.stopped_by))] += 1
-            if decision.mode in ACTIVE and decision.target_stamp > last.target_stamp:
-                image_stamp = dict(self._orders).get(decision.target_stamp, decision.image_stamp)
-                self._latencies.append(decision.time - image_stamp)
-        self._last = decision
+            self.num_late_ticks += servo_status.time - last.time > 2.0 * dt + 1e-4
+            if servo_status.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
+                self.stops[", ".join(words(Fault, servo_status.stopped_by))] += 1
+            if servo_status.mode in ACTIVE and servo_status.target_stamp > last.target_stamp:
+                image_stamp = dict(self._orders).get(servo_status.target_stamp, servo_status.image_stamp)
+                self._latencies.append(servo_status.time - image_stamp)
+        self._last = servo_status
 
     def status(self, seen: Extraction | None, message: str) -> dict[str, Any]:
         """What is going on now; requests that were refused are said once."""

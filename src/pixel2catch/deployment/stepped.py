@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from random import Random
 from typing import final
 
-from pixel2catch.deployment.control_loop import Deployment
-from pixel2catch.deployment.image_subscriber import Eyes
+from pixel2catch.deployment.control_loop import ControlLoop
+from pixel2catch.deployment.image_subscriber import ImageSubscriber
 from pixel2catch.deployment.perception_thread import CallerWorker
-from pixel2catch.deployment.policy_pipeline import Brain
-from pixel2catch.deployment.recorder import Connection, Tape
+from pixel2catch.deployment.policy_pipeline import PolicyPipeline
+from pixel2catch.deployment.recorder import Connection, DeploymentRecorder
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robot.constants import CameraSpec
 from pixel2catch.ros2.transport import Clock, Transport
@@ -83,22 +83,22 @@ class Nodes:
 
     Attributes:
         servo: The servo's node.
-        brain: The brain's node; it may be the same.
+        loop: The control loop's node; it may be the same.
         clock: The clock of both.
-        tape: The recording, if there is one.
+        recording: The recording, if there is one.
     """
 
     servo: Transport
-    brain: Transport
+    loop: Transport
     clock: Clock
-    tape: Tape | None = None
+    recording: DeploymentRecorder | None = None
 
 
-class Stepwise:
-    """Servo and brain, each of which does what it has to do when it is told to.
+class SteppedDeployment:
+    """Servo and control loop, each of which does what it has to do when it is told to.
 
     Attributes:
-        deployment: The brain's loop.
+        control_loop: The control loop's loop.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class Stepwise:
         setup: ServoSetup,
         camera: CameraSpec,
         nodes: Nodes,
-        brain: Brain,
+        pipeline: PolicyPipeline,
         perception_time: PerceptionTime,
     ) -> None:
         """Put both in place.
@@ -115,22 +115,22 @@ class Stepwise:
             setup: What the servo is the servo of.
             camera: The camera of the laboratory.
             nodes: How they hear of it.
-            brain: What catches.
+            pipeline: What catches.
             perception_time: How long it looks at an image.
         """
         brain_end, servo_end = link()
         self._ends, clock = (brain_end, servo_end), nodes.clock
         self._servo = Servo(servo_end, nodes.servo, setup, clock)
         connection = Connection(
-            transport=nodes.brain,
+            transport=nodes.loop,
             servo=brain_end,
             servo_dt=setup.limits.dt,
             clock=clock,
-            tape=nodes.tape,
+            recording=nodes.recording,
         )
         profile, worker = setup.profile, CallerWorker(clock, perception_time)
-        eyes = Eyes(nodes.brain, profile.camera, camera, clock, assumes_age=brain.knows_age)
-        self.deployment = Deployment(brain, eyes, connection, profile.operator, worker)
+        images = ImageSubscriber(nodes.loop, profile.camera, camera, clock, assumes_age=pipeline.knows_age)
+        self.control_loop = ControlLoop(pipeline, images, connection, profile.operator, worker)
         self._is_thinking = False
 
     def tick(self) -> None:
@@ -144,10 +144,10 @@ class Stepwise:
             raise self._servo.unforeseen
 
     def look(self) -> None:
-        """A look of the brain, which may take its time; while it does, it does not look again."""
+        """A look of the control loop, which may take its time; while it does, it does not look again."""
         if not self._is_thinking:
             self._is_thinking = True
-            self.deployment.poll()
+            self.control_loop.poll()
             self._is_thinking = False
 
     def close(self) -> None:

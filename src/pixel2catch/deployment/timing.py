@@ -14,7 +14,7 @@ STEP = 0.0005
 """How fast the time is adapted, for each image [s]. Source: ours."""
 
 
-class Pace:
+class DecisionDelay:
     """Learns how old images are when they have been looked at, and waits for those that are done sooner.
 
     What the policy sees of the object's speed is what has changed since the last control step. In training

@@ -31,7 +31,7 @@ from rosbags.typesys.store import Typestore
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.messages import STORE
-from pixel2catch.ros2.transport import Packet, Publisher, RealClock, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import Message, Publisher, RealClock, Subscription, Topic, Transport
 
 PLAIN_TYPES = {
     "bool": bool,
@@ -311,13 +311,13 @@ class _DdsSubscription(Subscription):
         self._most = depth + 1  # and what says that a publisher has left, which is no message
         self._taken = clock.now()
 
-    def take(self) -> list[Packet]:
+    def take(self) -> list[Message]:
         samples = [each for each in self._reader.take(N=self._most) if not isinstance(each, InvalidSample)]
         now, stamp, before = self._clock.now(), self._clock.stamp(), self._taken
         self._taken = now
         sent = (1e-9 * self._clock.rate * sample.sample_info.source_timestamp for sample in samples)
         arrivals = (min(max(now - (stamp - each), before), now) for each in sent)
-        return [Packet(data=each.cdr, arrival=time) for each, time in zip(samples, arrivals, strict=True)]
+        return [Message(data=each.cdr, arrival=time) for each, time in zip(samples, arrivals, strict=True)]
 
 
 def _durability(topic: Topic) -> object:

@@ -6,37 +6,37 @@ from threading import Condition, RLock
 from typing import final
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.ros2.transport import Clock, Packet, Publisher, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import Clock, Message, Publisher, Subscription, Topic, Transport
 
 
 @final
-class Inbox(Subscription):
-    """The messages of one subscription; made by `Inboxes`."""
+class MessageQueue(Subscription):
+    """The messages of one subscription; made by `MessageQueues`."""
 
     def __init__(self, clock: Clock, arrived: Condition, depth: int) -> None:
         """Begin empty."""
         self._clock, self._arrived = clock, arrived
-        self._packets: deque[Packet] = deque(maxlen=depth)
+        self._packets: deque[Message] = deque(maxlen=depth)
 
     def put(self, data: bytes) -> None:
         """Keep a message that has just arrived; any thread may call this."""
         with self._arrived:
-            self._packets.append(Packet(data=data, arrival=self._clock.now()))
+            self._packets.append(Message(data=data, arrival=self._clock.now()))
             self._arrived.notify_all()
 
-    def take(self) -> list[Packet]:
+    def take(self) -> list[Message]:
         """What arrived since the last call, oldest first; of more than the depth the oldest are lost."""
         with self._arrived:
-            packets = list(self._packets)
+            received = list(self._packets)
             self._packets.clear()
-        return packets
+        return received
 
     def __bool__(self) -> bool:
         """Return whether a message waits."""
         return bool(self._packets)
 
 
-class Inboxes:
+class MessageQueues:
     """All inboxes of a node, and the wait for any of them.
 
     Args:
@@ -46,18 +46,18 @@ class Inboxes:
     def __init__(self, clock: Clock) -> None:
         """Begin with none."""
         self._clock, self._arrived = clock, Condition()
-        self._inboxes: list[Inbox] = []
+        self._queues: list[MessageQueue] = []
 
-    def add(self, depth: int) -> Inbox:
+    def add(self, depth: int) -> MessageQueue:
         """Make one that keeps so many messages."""
-        inbox = Inbox(self._clock, self._arrived, depth)
-        self._inboxes.append(inbox)
-        return inbox
+        queue = MessageQueue(self._clock, self._arrived, depth)
+        self._queues.append(queue)
+        return queue
 
     def wait(self, seconds: float) -> bool:
         """Wait until there is a message in any of them, or for a real time [s]; say which."""
         with self._arrived:
-            return self._arrived.wait_for(lambda: any(self._inboxes), timeout=seconds)
+            return self._arrived.wait_for(lambda: any(self._queues), timeout=seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class _Listener:
 
     node: "MemoryTransport"
     topic: Topic
-    inbox: Inbox
+    queue: MessageQueue
 
 
 class Broker:
@@ -97,7 +97,7 @@ class Broker:
             self._listeners.append(listener)
             for publisher in self._publishers:
                 if publisher.last is not None and listener.topic.is_latched and _fits(publisher, listener):
-                    listener.inbox.put(publisher.last)
+                    listener.queue.put(publisher.last)
 
     def deliver(self, publisher: "_MemoryPublisher", data: bytes) -> None:
         """Bring a message to all that listen.
@@ -111,7 +111,7 @@ class Broker:
             publisher.last = data
             for listener in self._listeners:
                 if _fits(publisher, listener):
-                    listener.inbox.put(data)
+                    listener.queue.put(data)
 
     def num_publishers(self, topic: Topic, without: "MemoryTransport") -> int:
         """How many publishers of a topic there are, one node's left out."""
@@ -143,7 +143,7 @@ class MemoryTransport(Transport):
 
     def __init__(self, broker: Broker, clock: Clock) -> None:
         """Join."""
-        self._broker, self._inboxes = broker, Inboxes(clock)
+        self._broker, self._queues = broker, MessageQueues(clock)
 
     def publisher(self, topic: Topic) -> Publisher:
         """Announce a topic that this node sends."""
@@ -153,9 +153,9 @@ class MemoryTransport(Transport):
 
     def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
         """Begin to listen to a topic."""
-        inbox = self._inboxes.add(depth)
-        self._broker.listen(_Listener(self, topic, inbox))
-        return inbox
+        queue = self._queues.add(depth)
+        self._broker.listen(_Listener(self, topic, queue))
+        return queue
 
     def num_other_publishers(self, topic: Topic) -> int:
         """How many publishers of a topic there are besides those of this node."""
@@ -163,7 +163,7 @@ class MemoryTransport(Transport):
 
     def wait(self, seconds: float) -> bool:
         """Wait until a message can be taken, or for a real time [s]; say which."""
-        return self._inboxes.wait(seconds)
+        return self._queues.wait(seconds)
 
     def close(self) -> None:
         """Leave the broker."""

@@ -14,7 +14,7 @@ from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameEr
 from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading, JointReading
-from pixel2catch.ros2.schema import Sends, read_yaml
+from pixel2catch.ros2.schema import TopicType, read_yaml
 from pixel2catch.ros2.transport import Topic
 
 NAMES = tuple(joint.name for joint in JOINTS)
@@ -25,7 +25,7 @@ COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointWire:
+class DriverJoint:
     """What a driver calls a joint.
 
     Attributes:
@@ -52,8 +52,8 @@ class RobotPart:
     """
 
     name: Literal["arm", "hand"]
-    joints: dict[str, JointWire]
-    state_topic: Annotated[Topic, Sends(messages.JOINT_STATE)]
+    joints: dict[str, DriverJoint]
+    state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]
     command_topic: Topic
     command_size: int
     held: dict[int, float] = field(default_factory=dict)
@@ -66,9 +66,9 @@ class RobotPart:
                 raise UnknownNameError("joint", joint, NAMES)
         if self.command_topic.type not in COMMANDS:
             raise UnknownNameError("type of commands", self.command_topic.type, COMMANDS)
-        wires = self.joints.values()
-        require_once("the joint state's name", (wire.name_in_state for wire in wires))
-        places = [*(wire.index_in_command for wire in wires), *self.held]
+        all_theirs = self.joints.values()
+        require_once("the joint state's name", (theirs.name_in_state for theirs in all_theirs))
+        places = [*(theirs.index_in_command for theirs in all_theirs), *self.held]
         require_once("the command's place", places)
         if sorted(places) != list(range(self.command_size)):
             raise InvalidValueError(
@@ -88,7 +88,7 @@ class RobotPart:
         """A command with the held angles in it, and the places of the joints."""
         values = np.zeros(self.command_size)
         values[list(self.held)] = list(self.held.values())
-        return values, np.array([wire.index_in_command for wire in self.joints.values()], dtype=np.int64)
+        return values, np.array([theirs.index_in_command for theirs in self.joints.values()], dtype=np.int64)
 
     def command(self, joint_pos_target: Float[np.ndarray, " num_joints"], stamp: float = 0.0) -> bytes:
         """Encode the command of this part.
@@ -126,7 +126,7 @@ class RobotPart:
 
     @cached_property
     def _wanted(self) -> tuple[tuple[str, int], ...]:
-        return tuple((wire.name_in_state, NAMES.index(joint)) for joint, wire in self.joints.items())
+        return tuple((theirs.name_in_state, NAMES.index(joint)) for joint, theirs in self.joints.items())
 
 
 @lru_cache(maxsize=64)
@@ -168,8 +168,8 @@ class CameraProfile:
         encoding: Encoding of the images.
     """
 
-    image: Annotated[Topic, Sends(messages.IMAGE)]
-    info: Annotated[Topic, Sends(messages.CAMERA_INFO)] | None = None
+    image: Annotated[Topic, TopicType(messages.IMAGE)]
+    info: Annotated[Topic, TopicType(messages.CAMERA_INFO)] | None = None
     width: int
     height: int
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
@@ -199,10 +199,10 @@ class StatusTopics:
         speed_scaling: Topic of the speed scaling [%].
     """
 
-    safety_mode: Annotated[Topic, Sends(messages.SAFETY_MODE, is_latched=True)] | None = None
-    robot_mode: Annotated[Topic, Sends(messages.ROBOT_MODE, is_latched=True)] | None = None
-    program_running: Annotated[Topic, Sends(messages.BOOLEAN, is_latched=True)] | None = None
-    speed_scaling: Annotated[Topic, Sends(messages.NUMBER)] | None = None
+    safety_mode: Annotated[Topic, TopicType(messages.SAFETY_MODE, is_latched=True)] | None = None
+    robot_mode: Annotated[Topic, TopicType(messages.ROBOT_MODE, is_latched=True)] | None = None
+    program_running: Annotated[Topic, TopicType(messages.BOOLEAN, is_latched=True)] | None = None
+    speed_scaling: Annotated[Topic, TopicType(messages.NUMBER)] | None = None
 
 
 def _own(name: str, message: str) -> Topic:
@@ -221,11 +221,13 @@ class OperatorTopics:
         status: What the deployment does.
     """
 
-    arm: Annotated[Topic, Sends(messages.BOOLEAN)] = field(default=_own("arm", messages.BOOLEAN))
-    dead_man: Annotated[Topic, Sends(messages.BOOLEAN)] = field(default=_own("dead_man", messages.BOOLEAN))
-    stop: Annotated[Topic, Sends(messages.BOOLEAN)] = field(default=_own("stop", messages.BOOLEAN))
-    prompt: Annotated[Topic, Sends(messages.TEXT)] = field(default=_own("prompt", messages.TEXT))
-    status: Annotated[Topic, Sends(messages.TEXT)] = field(default=_own("status", messages.TEXT))
+    arm: Annotated[Topic, TopicType(messages.BOOLEAN)] = field(default=_own("arm", messages.BOOLEAN))
+    dead_man: Annotated[Topic, TopicType(messages.BOOLEAN)] = field(
+        default=_own("dead_man", messages.BOOLEAN)
+    )
+    stop: Annotated[Topic, TopicType(messages.BOOLEAN)] = field(default=_own("stop", messages.BOOLEAN))
+    prompt: Annotated[Topic, TopicType(messages.TEXT)] = field(default=_own("prompt", messages.TEXT))
+    status: Annotated[Topic, TopicType(messages.TEXT)] = field(default=_own("status", messages.TEXT))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosidl_runtime_py.utilities import get_message
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.ros2.memory import Inboxes
+from pixel2catch.ros2.memory import MessageQueues
 from pixel2catch.ros2.transport import Clock, Publisher, Subscription, Topic, Transport
 
 LOCALHOST = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
@@ -46,7 +46,7 @@ class RosTransport(Transport):
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node(node_name, context=self._context)
-        self._inboxes = Inboxes(clock)
+        self._queues = MessageQueues(clock)
         self._num_own: dict[str, int] = {}
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -60,10 +60,10 @@ class RosTransport(Transport):
 
     def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
         """Begin to listen to a topic."""
-        inbox = self._inboxes.add(depth)
+        queue = self._queues.add(depth)
         qos = _reader_qos(topic, depth)
-        self._node.create_subscription(_type(topic), topic.name, inbox.put, qos, raw=True)
-        return inbox
+        self._node.create_subscription(_type(topic), topic.name, queue.put, qos, raw=True)
+        return queue
 
     def num_other_publishers(self, topic: Topic) -> int:
         """How many publishers of a topic there are besides those of this node."""
@@ -71,7 +71,7 @@ class RosTransport(Transport):
 
     def wait(self, seconds: float) -> bool:
         """Wait until a message can be taken, or for a real time [s]; say which."""
-        return self._inboxes.wait(seconds)
+        return self._queues.wait(seconds)
 
     def close(self) -> None:
         """Leave the network."""

@@ -18,8 +18,8 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Sends:
-    """Of a field that is a topic, and in the file its name: `Annotated[Topic, Sends(type)]`.
+class TopicType:
+    """Of a field that is a topic, and in the file its name: `Annotated[Topic, TopicType(type)]`.
 
     Attributes:
         type: ROS type of its messages.

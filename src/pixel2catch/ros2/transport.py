@@ -76,7 +76,7 @@ class Topic:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Packet:
+class Message:
     """One message as it arrived.
 
     Attributes:
@@ -100,7 +100,7 @@ class Subscription(ABC):
     """Receives messages of one topic."""
 
     @abstractmethod
-    def take(self) -> list[Packet]:
+    def take(self) -> list[Message]:
         """What arrived since the last call, oldest first; of more than the depth the oldest are lost."""
 
 

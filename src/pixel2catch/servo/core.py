@@ -22,7 +22,7 @@ import numpy as np
 from pixel2catch.servo.limits import RETURN_TIME, ServoLimits
 from pixel2catch.servo.motion import Motion, Rows, braked, towards, wished
 from pixel2catch.servo.state import NUM_ARM_JOINTS, Clamp, Findings, Output, ServoState, changed
-from pixel2catch.servo.watchdogs import Bits, Flags, Inputs, bits
+from pixel2catch.servo.watchdogs import Bits, Flags, ServoInputs, bits
 
 ROUNDING = 1e-6
 """Excess of a limit that is rounding: policies are of single precision [rad, rad/s]."""
@@ -45,7 +45,7 @@ class ServoCore:
         longest = (self._arm.speed / (self._arm.acceleration * self._arm.dt)).max()
         self._braking_ticks = np.arange(int(np.ceil(longest)) + 1)
 
-    def tick(self, state: ServoState, inputs: Inputs) -> tuple[ServoState, Output]:
+    def tick(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Output]:
         """Decide on the commands of this tick; one that is late must not be made up for by two at once."""
         with np.errstate(invalid="ignore", over="ignore"):
             found = Findings.of(state, inputs, self.limits)
@@ -64,14 +64,14 @@ class ServoCore:
             clamped=np.where(is_idle, 0, clamped),
         )
 
-    def _directed(self, state: ServoState, inputs: Inputs) -> tuple[ServoState, Flags]:
+    def _directed(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Flags]:
         """The state on its way to the policy's newest target, and whether that is out of limits."""
         joints, target, is_driven = self.limits.joints, inputs.joint_pos_target, state.is_driven
-        course = state.course.turned(
+        interpolator = state.interpolator.turned(
             is_driven, target.clip(joints.lower, joints.upper), inputs.now, inputs.target_stamp
         )
         is_out = (target < joints.lower - ROUNDING) | (target > joints.upper + ROUNDING)
-        return replace(state, course=course), is_driven & is_out.any(axis=-1)
+        return replace(state, interpolator=interpolator), is_driven & is_out.any(axis=-1)
 
     def _goal(self, state: ServoState, found: Findings) -> tuple[Rows, Flags]:
         """Where the commands shall go [rad], and whether that is held back to stay near the joints."""
@@ -79,7 +79,7 @@ class ServoCore:
         is_driven = state.is_driven[:, None]
         share = np.minimum((state.ticks + 1) * self.limits.dt / self.limits.ramp_time, 1.0)
         share = np.where(state.is_ramping, share, 1.0)[:, None]
-        wanted = hold + share * (state.course.at(state.now + self.limits.dt) - hold)
+        wanted = hold + share * (state.interpolator.at(state.now + self.limits.dt) - hold)
         near = wanted.clip(found.joint_pos - joints.lead, found.joint_pos + joints.lead)
         returns = state.is_stopped & found.is_measured
         returns &= state.ticks * self.limits.dt < RETURN_TIME

@@ -1,4 +1,4 @@
-"""The link between the brain and the servo process: two ends of a socket that keeps packets whole.
+"""The link between the control loop and the servo process: two ends of a socket that keeps packets whole.
 
 Neither side ever waits for the other: what does not fit into the socket is dropped and counted. When a
 process ends, however it does, the other end is told so.
@@ -26,14 +26,14 @@ Row = Float64[np.ndarray, " size"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Orders:
-    """What the brain tells the servo.
+class PolicyCommand:
+    """What the control loop tells the servo.
 
     Attributes:
         joint_pos_target: Targets of the policy in joint order [rad].
         target_stamp: When they were decided, `Clock.now` [s].
         image_stamp: When the newest image was taken, `Clock.now` [s].
-        is_stop_requested: Whether the brain asks to stop.
+        is_stop_requested: Whether the control loop asks to stop.
     """
 
     joint_pos_target: Joints
@@ -42,13 +42,13 @@ class Orders:
     is_stop_requested: bool = False
 
     @classmethod
-    def none(cls) -> "Orders":
+    def none(cls) -> "PolicyCommand":
         """What holds before anything was ordered."""
         unknown = np.full(len(JOINTS), np.nan)
         return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf)
 
     @classmethod
-    def of(cls, row: Row) -> "Orders":
+    def of(cls, row: Row) -> "PolicyCommand":
         """Read it."""
         target_stamp, image_stamp, stop = row[:3].tolist()
         return cls(
@@ -66,8 +66,8 @@ class Orders:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Decision:
-    """What the servo tells the brain in every tick.
+class ServoStatus:
+    """What the servo tells the control loop in every tick.
 
     Attributes:
         time: When it was decided, `Clock.now` [s].
@@ -96,7 +96,7 @@ class Decision:
     image_stamp: float
 
     @classmethod
-    def of(cls, row: Row) -> "Decision":
+    def of(cls, row: Row) -> "ServoStatus":
         """Read it."""
         time, duration, target_stamp, image_stamp, *numbers = row[:_DECISION_HEAD].tolist()
         mode, stopped_by, found, refused, clamped = map(int, numbers)
@@ -126,8 +126,8 @@ class Decision:
 _DECISION_HEAD = 9
 
 
-Sent = TypeVar("Sent", Orders, Decision)
-Received = TypeVar("Received", Orders, Decision)
+Sent = TypeVar("Sent", PolicyCommand, ServoStatus)
+Received = TypeVar("Received", PolicyCommand, ServoStatus)
 
 
 @final
@@ -174,11 +174,11 @@ class LinkEnd(Generic[Sent, Received]):
         self._socket.close()
 
 
-BrainEnd = LinkEnd[Orders, Decision]
-ServoEnd = LinkEnd[Decision, Orders]
+LoopEnd = LinkEnd[PolicyCommand, ServoStatus]
+ServoEnd = LinkEnd[ServoStatus, PolicyCommand]
 
 
-def link() -> tuple[BrainEnd, ServoEnd]:
+def link() -> tuple[LoopEnd, ServoEnd]:
     """The two ends of a new link."""
-    brain, servo = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    return LinkEnd(brain, Decision), LinkEnd(servo, Orders)
+    loop, servo = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    return LinkEnd(loop, ServoStatus), LinkEnd(servo, PolicyCommand)

@@ -114,7 +114,7 @@ def braked(motion: Motion, limits: MotionLimits, num_ticks: Int64[np.ndarray, "r
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Course:
+class TargetInterpolator:
     """Even motion to the newest target, which is reached after a control step and held from then on.
 
     Attributes:
@@ -130,7 +130,7 @@ class Course:
     stamp: Times
 
     @classmethod
-    def resting(cls, position: Rows) -> "Course":
+    def resting(cls, position: Rows) -> "TargetInterpolator":
         """Stay at positions [rad] until the first target."""
         none = np.zeros(len(position))
         return cls(start=position, end=position, begun=none, stamp=none - np.inf)
@@ -140,22 +140,22 @@ class Course:
         share = ((time - self.begun) / CONTROL_DT).clip(0.0, 1.0)
         return self.start + share[:, None] * (self.end - self.start)
 
-    def rested(self, mask: Flags, position: Rows) -> "Course":
+    def rested(self, mask: Flags, position: Rows) -> "TargetInterpolator":
         """Stay at positions [rad] in the masked rows, until the next target of whatever stamp."""
         rows = mask[:, None]
-        return Course(
+        return TargetInterpolator(
             start=np.where(rows, position, self.start),
             end=np.where(rows, position, self.end),
             begun=self.begun,
             stamp=np.where(mask, -np.inf, self.stamp),
         )
 
-    def turned(self, mask: Flags, target: Rows, now: Times, stamp: Times) -> "Course":
+    def turned(self, mask: Flags, target: Rows, now: Times, stamp: Times) -> "TargetInterpolator":
         """Begin the motion to a new target [rad] from where it is now, in the masked rows, if it is newer."""
         is_new = mask & (stamp > self.stamp)
         if not is_new.any():
             return self
-        return Course(
+        return TargetInterpolator(
             start=np.where(is_new[:, None], self.at(now), self.start),
             end=np.where(is_new[:, None], target, self.end),
             begun=np.where(is_new, now, self.begun),

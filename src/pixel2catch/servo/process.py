@@ -1,6 +1,6 @@
-"""The servo as a process of its own: 500 times a second it hears, decides, commands, and tells the brain.
+"""The servo as a process of its own: 500 times a second it hears, decides and commands.
 
-It ends on SIGTERM, or when the brain is gone, whatever ended it: first it stops the robot.
+It ends on SIGTERM, or when the control loop is gone, whatever ended it: first it stops the robot.
 """
 
 import gc
@@ -21,14 +21,14 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport
 from pixel2catch.servo.core import ServoCore
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
-from pixel2catch.servo.link import BrainEnd, Decision, Orders, ServoEnd, link
+from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link
 from pixel2catch.servo.state import ServoState
-from pixel2catch.servo.subscriptions import Senses
+from pixel2catch.servo.subscriptions import ServoSubscriptions
 
-SERVO, BRAIN = -10, -8
+SERVO, CONTROL_LOOP = -10, -8
 """Niceness of the servo, which is a real-time process where that is allowed, and of perception and policy.
 
-Source: ours. Without it a busy machine takes the cores from the brain first: it works in one long piece.
+Source: ours. Without it a busy machine takes the cores from the policy first: it works in one long piece.
 """
 
 REAL_TIME_PRIORITY = 10
@@ -66,7 +66,7 @@ class ServoSetup:
     is_dry_run: bool = False
 
 
-class Hands:
+class CommandPublisher:
     """What sends commands to the drivers, to each one as often as it takes them; to none in a dry run."""
 
     def __init__(self, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
@@ -91,7 +91,7 @@ class Hands:
 
 
 class Servo:
-    """The loop: `run` until it is asked to `end`, or the brain is gone; or whoever runs it calls `tick`.
+    """The loop: `run` until it is asked to `end`, or nobody is left to command it; or call `tick`.
 
     Attributes:
         unforeseen: What came up that nobody foresaw; the robot was stopped for it.
@@ -104,8 +104,11 @@ class Servo:
             anywhere = np.full(len(JOINTS), np.inf)
             limits = replace(limits, joints=replace(limits.joints, tracking_error=anywhere))
         self._end, self._clock, self._core = end, clock, ServoCore(limits)
-        self._senses, self._hands = Senses(transport, setup.profile), Hands(transport, setup, clock)
-        self._state, self._orders = ServoState.idle(1, len(JOINTS)), Orders.none()
+        self._subscriptions, self._commands = (
+            ServoSubscriptions(transport, setup.profile),
+            CommandPublisher(transport, setup, clock),
+        )
+        self._state, self._orders = ServoState.idle(1, len(JOINTS)), PolicyCommand.none()
         self._is_ending = False
         self.unforeseen: Exception | None = None
 
@@ -137,14 +140,14 @@ class Servo:
         """Hear, decide, command and tell."""
         begun = perf_counter()
         self._guard(self._hear)
-        now, orders = self._clock.now(), self._orders
+        now, policy_command = self._clock.now(), self._orders
         if self._is_ending:
-            orders = replace(orders, is_stop_requested=True)
-        inputs = self._senses.inputs(now, orders)
+            policy_command = replace(policy_command, is_stop_requested=True)
+        inputs = self._subscriptions.inputs(now, policy_command)
         self._state, output = self._core.tick(self._state, inputs)
-        self._guard(lambda: self._hands.send(output.command[0]))
+        self._guard(lambda: self._commands.send(output.command[0]))
         self._end.send(
-            Decision(
+            ServoStatus(
                 time=now,
                 mode=int(output.mode[0]),
                 stopped_by=int(output.stopped_by[0]),
@@ -154,18 +157,18 @@ class Servo:
                 command=output.command[0],
                 joint_pos=inputs.joint_pos[0],
                 duration=perf_counter() - begun,
-                target_stamp=orders.target_stamp,
-                image_stamp=orders.image_stamp,
+                target_stamp=policy_command.target_stamp,
+                image_stamp=policy_command.image_stamp,
             )
         )
 
     def _hear(self) -> None:
-        """Take what brain, robot and operator have said."""
-        for orders in self._end.receive():
-            self._orders = orders
+        """Take what control loop, robot and operator have said."""
+        for policy_command in self._end.receive():
+            self._orders = policy_command
         if self._end.is_closed:
             self.end()
-        self._senses.hear(self._clock.now())
+        self._subscriptions.hear(self._clock.now())
 
     def _guard(self, action: Callable[[], None]) -> None:
         """Do it; if something comes up, stop the robot first, and raise it then."""
@@ -181,11 +184,11 @@ class RunningServo:
     """A servo process that was started; close it, or use it as a context manager.
 
     Attributes:
-        link: The brain's end of the link.
+        link: The control loop's end of the link.
         process: The process.
     """
 
-    link: BrainEnd
+    link: LoopEnd
     process: SpawnProcess
 
     def close(self) -> None:
@@ -217,13 +220,13 @@ def start_servo(setup: ServoSetup, make_transport: MakeTransport, clock_rate: fl
         make_transport: Joins the network there.
         clock_rate: Rate of its clock.
     """
-    brain, servo = link()
+    loop, servo = link()
     with closing(servo):
         process = multiprocessing.get_context("spawn").Process(
             target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
         )
         process.start()
-    return RunningServo(link=brain, process=process)
+    return RunningServo(link=loop, process=process)
 
 
 def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:

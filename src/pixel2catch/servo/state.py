@@ -8,12 +8,12 @@ from jaxtyping import Int64
 
 from pixel2catch.robot.constants import ARM_JOINTS
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
-from pixel2catch.servo.motion import Course, Motion, Rows
+from pixel2catch.servo.motion import Motion, Rows, TargetInterpolator
 from pixel2catch.servo.watchdogs import (
     Bits,
     Fault,
     Flags,
-    Inputs,
+    ServoInputs,
     Times,
     bits,
     faults_of_policy,
@@ -60,7 +60,7 @@ class ServoState:
         arm_stamp: Stamp of the last request to arm that was heeded, granted or not [s].
         motion: The commands.
         hold: The commands when the mode last changed to armed or stopped [rad].
-        course: The way of the policy's targets.
+        interpolator: The way of the policy's targets.
         expected: Where the joints should be, by the lag of their servos [rad].
     """
 
@@ -71,7 +71,7 @@ class ServoState:
     arm_stamp: Times
     motion: Motion
     hold: Rows
-    course: Course
+    interpolator: TargetInterpolator
     expected: Rows
 
     @classmethod
@@ -86,7 +86,7 @@ class ServoState:
             arm_stamp=np.full(num_rows, -np.inf),
             motion=Motion(position=zeros, velocity=zeros),
             hold=zeros,
-            course=Course.resting(zeros),
+            interpolator=TargetInterpolator.resting(zeros),
             expected=zeros,
         )
 
@@ -164,7 +164,7 @@ class Findings:
     policy: Bits
 
     @classmethod
-    def of(cls, state: ServoState, inputs: Inputs, limits: ServoLimits) -> "Findings":
+    def of(cls, state: ServoState, inputs: ServoInputs, limits: ServoLimits) -> "Findings":
         """Look at everything."""
         joints = limits.joints
         joint_pos = np.where(np.isfinite(inputs.joint_pos), inputs.joint_pos, state.motion.position)
@@ -184,7 +184,7 @@ class Findings:
 
 
 def changed(
-    state: ServoState, inputs: Inputs, found: Findings, limits: ServoLimits
+    state: ServoState, inputs: ServoInputs, found: Findings, limits: ServoLimits
 ) -> tuple[ServoState, Bits]:
     """The state in its mode of this tick, and the faults for which a request to arm was refused."""
     stop = _stop(state, found)
@@ -259,6 +259,6 @@ def _armed(state: ServoState, arm: Flags, first: Rows, joint_pos: Rows) -> Servo
             velocity=np.where(rows, 0.0, state.motion.velocity),
         ),
         hold=np.where(rows, first, state.hold),
-        course=state.course.rested(arm, first),
+        interpolator=state.interpolator.rested(arm, first),
         expected=np.where(rows, joint_pos, state.expected),
     )

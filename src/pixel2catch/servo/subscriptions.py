@@ -13,8 +13,8 @@ from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics, Profile, RobotPart, StatusTopics
 from pixel2catch.ros2.transport import Subscription, Topic, Transport
-from pixel2catch.servo.link import Orders
-from pixel2catch.servo.watchdogs import Inputs
+from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.watchdogs import ServoInputs
 
 DEPTH = 16
 """Messages that are kept from one tick to the next: several senders may share a topic. Source: ours."""
@@ -32,7 +32,7 @@ SCALING_DIGITS = 3
 T = TypeVar("T")
 
 
-class JointSenses:
+class JointStateSubscriber:
     """The newest position of each joint, by name, from any number of senders.
 
     Attributes:
@@ -69,7 +69,7 @@ class JointSenses:
         return ids[self._sent[ids] != reading.stamp], reading.stamp
 
 
-class StatusSenses:
+class DriverStatusSubscriber:
     """What the arm's driver says of itself. What the profile names and nobody has said yet is not well."""
 
     def __init__(self, transport: Transport, topics: StatusTopics) -> None:
@@ -99,7 +99,7 @@ class StatusSenses:
                 self.speed_scaling = round(percent / 100.0, SCALING_DIGITS)
 
 
-class OperatorSenses:
+class OperatorSubscriber:
     """What the operator does.
 
     Attributes:
@@ -125,15 +125,15 @@ class OperatorSenses:
         self.is_stop_requested = any(asks for asks, _ in _read(self._stop, messages.read_boolean))
 
 
-class Senses:
+class ServoSubscriptions:
     """All that the servo hears over the network."""
 
     def __init__(self, transport: Transport, profile: Profile) -> None:
         """Begin to listen to all that a profile names."""
         self._transport = transport
-        self.joints = JointSenses(transport, profile)
-        self._status = StatusSenses(transport, profile.status)
-        self._operator = OperatorSenses(transport, profile.operator)
+        self.joints = JointStateSubscriber(transport, profile)
+        self._status = DriverStatusSubscriber(transport, profile.status)
+        self._operator = OperatorSubscriber(transport, profile.operator)
         self._commands = [part.command_topic for part in profile.robots]
         self._has_other_publisher, self._next_poll = True, -np.inf
 
@@ -147,19 +147,19 @@ class Senses:
             others = (self._transport.num_other_publishers(topic) for topic in self._commands)
             self._has_other_publisher = any(others)
 
-    def inputs(self, now: float, orders: Orders) -> Inputs:
-        """What the servo is told in a tick, with what the brain has ordered last."""
+    def inputs(self, now: float, policy_command: PolicyCommand) -> ServoInputs:
+        """What the servo is told in a tick, with what the control loop has ordered last."""
         joints, status, operator = self.joints, self._status, self._operator
-        return Inputs(
+        return ServoInputs(
             now=np.array([now]),
             joint_pos=joints.joint_pos[None].copy(),
             joint_stamp=joints.joint_stamp[None].copy(),
-            joint_pos_target=orders.joint_pos_target[None],
-            target_stamp=np.array([orders.target_stamp]),
-            image_stamp=np.array([orders.image_stamp]),
+            joint_pos_target=policy_command.joint_pos_target[None],
+            target_stamp=np.array([policy_command.target_stamp]),
+            image_stamp=np.array([policy_command.image_stamp]),
             dead_man_stamp=np.array([operator.dead_man_stamp]),
             arm_stamp=np.array([operator.arm_stamp]),
-            is_stop_requested=np.array([operator.is_stop_requested or orders.is_stop_requested]),
+            is_stop_requested=np.array([operator.is_stop_requested or policy_command.is_stop_requested]),
             is_safe=np.array([status.is_safe]),
             speed_scaling=np.array([status.speed_scaling]),
             has_other_publisher=np.array([self._has_other_publisher]),
@@ -168,8 +168,8 @@ class Senses:
 
 def _read(subscription: Subscription, read: Callable[[bytes], T]) -> Iterator[tuple[T, float]]:
     """What has arrived and can be read, with its time of arrival [s]."""
-    for packet in subscription.take():
+    for message in subscription.take():
         try:
-            yield read(packet.data), packet.arrival
+            yield read(message.data), message.arrival
         except DeploymentError:
             continue

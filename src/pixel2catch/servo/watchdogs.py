@@ -42,7 +42,7 @@ class Fault(IntFlag):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Inputs:
+class ServoInputs:
     """What the servo is told in a tick, one row per robot, joints in joint order.
 
     Attributes:
@@ -92,7 +92,7 @@ def bits(flags: Mapping[AnyFlag, Flags]) -> Bits:
     return np.array([*flags], dtype=np.int64) @ np.array([*flags.values()])
 
 
-def faults_of_robot(inputs: Inputs, limits: ServoLimits, last_tick: Times) -> Bits:
+def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) -> Bits:
     """What is wrong with robot, operator and clock: all that can be known without the state of the servo.
 
     Args:
@@ -118,7 +118,7 @@ def faults_of_robot(inputs: Inputs, limits: ServoLimits, last_tick: Times) -> Bi
     )
 
 
-def faults_of_policy(inputs: Inputs, limits: ServoLimits) -> Bits:
+def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
     """What is wrong with what the policy sees and says."""
     return bits(
         {

@@ -13,7 +13,7 @@ from pixel2catch.ros2.profile import Profile, RobotPart, StatusTopics
 from pixel2catch.ros2.transport import Topic, Transport
 from pixel2catch.twin.camera import Camera
 from pixel2catch.twin.drivers import CYCLE, RUNNING, ArmDriver, Driver, HandDriver, Motion
-from pixel2catch.twin.simulated_lab import Lab, Phase
+from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
 
 COMMAND = Topic(name="/twin/command", type=messages.TEXT)
 """What the operator asks the twin for."""
@@ -36,7 +36,7 @@ STATUS_CYCLES = 5
 """Cycles between two messages of the speed scaling: 100 Hz. Source: ours."""
 
 
-class PartWires:
+class PartTopics:
     """Joint states and commands of one part.
 
     Attributes:
@@ -52,9 +52,9 @@ class PartWires:
         self._states = transport.publisher(part.state_topic)
         self._commands = transport.subscription(part.command_topic, DEPTH)
         self._waiting: deque[bytes] = deque(maxlen=DEPTH)
-        self._places = [wire.index_in_command for wire in part.joints.values()]
+        self._places = [theirs.index_in_command for theirs in part.joints.values()]
         self._cycles = max(round(1.0 / (part.rate_hz * CYCLE)), 1)
-        names = [wire.name_in_state for wire in part.joints.values()]
+        names = [theirs.name_in_state for theirs in part.joints.values()]
         held = [f"ah_joint{place // 4}{place % 4}" for place in part.held]
         self._order = np.argsort([*names, *held])  # a state's order is not a command's
         self._names = [[*names, *held][i] for i in self._order]
@@ -76,7 +76,7 @@ class PartWires:
             joints: All joints now.
             num_late: Cycles that are overdue; so many commands are left to them.
         """
-        self._waiting.extend(packet.data for packet in self._commands.take())
+        self._waiting.extend(message.data for message in self._commands.take())
         newest = None
         while len(self._waiting) > num_late:
             newest = self._waiting.popleft()
@@ -95,7 +95,7 @@ class PartWires:
         return values[self._places]
 
 
-class StatusWires:
+class StatusPublisher:
     """What the arm's driver says of itself; latched topics are sent when they change."""
 
     def __init__(self, topics: StatusTopics, transport: Transport) -> None:
@@ -122,7 +122,7 @@ class StatusWires:
             self._publishers[name].publish(data)
 
 
-class Wires:
+class LabNode:
     """The whole lab, one cycle of its drivers after the other; nothing here waits.
 
     Attributes:
@@ -132,7 +132,7 @@ class Wires:
         num_cycles: Cycles so far.
     """
 
-    def __init__(self, lab: Lab, profile: Profile, transport: Transport, camera: Camera) -> None:
+    def __init__(self, lab: SimulatedLab, profile: Profile, transport: Transport, camera: Camera) -> None:
         """Announce and listen.
 
         Args:
@@ -154,8 +154,8 @@ class Wires:
         arm, position = parts["arm"].ids, lab.joints.position
         self.arm = ArmDriver(position[arm], lab.lag[arm])
         drivers = {"arm": self.arm, "hand": HandDriver(position[parts["hand"].ids])}
-        self._parts = [PartWires(part, drivers[name], transport) for name, part in parts.items()]
-        self._status = StatusWires(profile.status, transport)
+        self._parts = [PartTopics(part, drivers[name], transport) for name, part in parts.items()]
+        self._status = StatusPublisher(profile.status, transport)
         self._image = transport.publisher(profile.camera.image)
         self._info = transport.publisher(profile.camera.info) if profile.camera.info else None
         self._requests = transport.subscription(COMMAND, DEPTH)
@@ -184,8 +184,8 @@ class Wires:
             self._image.publish(messages.image(image, start + time))
             if self._info:
                 self._info.publish(messages.camera_info(self._lens, start + time))
-        for packet in self._requests.take():
-            self._heed(packet.data)
+        for message in self._requests.take():
+            self._heed(message.data)
         before, aim = self._aim, self._aim.copy()
         joints = self.lab.joints
         for part in self._parts:

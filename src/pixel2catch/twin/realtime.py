@@ -14,9 +14,9 @@ from pixel2catch.ros2.transport import Clock, RealClock, make_transport
 from pixel2catch.servo.process import set_niceness
 from pixel2catch.twin.camera import Camera, drawing_process
 from pixel2catch.twin.drivers import CYCLE
-from pixel2catch.twin.lab_node import Wires
+from pixel2catch.twin.lab_node import LabNode
 from pixel2catch.twin.processes import FIRST, child
-from pixel2catch.twin.simulated_lab import Lab
+from pixel2catch.twin.simulated_lab import SimulatedLab
 
 LATE = 0.01
 """How late a cycle is that is counted [s]. Source: ours, half of what the servo lets joint states age."""
@@ -43,7 +43,7 @@ class TwinCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pace:
+class ClockStats:
     """How well the twin keeps to its clock.
 
     Attributes:
@@ -56,20 +56,20 @@ class Pace:
     num_late: int = 0
     worst: float = 0.0
 
-    def counted(self, lateness: float) -> "Pace":
+    def counted(self, lateness: float) -> "ClockStats":
         """The pace with one cycle more, so late [s]."""
-        return Pace(
+        return ClockStats(
             num_cycles=self.num_cycles + 1,
             num_late=self.num_late + (lateness > LATE),
             worst=max(self.worst, lateness),
         )
 
 
-OnCycle = Callable[[Wires, Pace], bool]
+OnCycle = Callable[[LabNode, ClockStats], bool]
 """Called after every cycle; says whether to go on."""
 
 
-def serve(cfg: TwinCfg, on_cycle: OnCycle) -> Pace:
+def serve(cfg: TwinCfg, on_cycle: OnCycle) -> ClockStats:
     """Be the lab on this machine's DDS network.
 
     Args:
@@ -89,9 +89,9 @@ def serve(cfg: TwinCfg, on_cycle: OnCycle) -> Pace:
         _page(cfg, profile),
         drawing_process(scene, cfg.seed) as draw,
         make_transport("dds", "pixel2catch_twin", loopback=True, clock=clock) as node,
-        Lab(cfg.task, cfg.seed) as lab,
+        SimulatedLab(cfg.task, cfg.seed) as lab,
     ):
-        return run(Wires(lab, profile, node, Camera(draw)), clock, on_cycle)
+        return run(LabNode(lab, profile, node, Camera(draw)), clock, on_cycle)
 
 
 def _page(cfg: TwinCfg, profile: Profile) -> AbstractContextManager[None]:
@@ -109,11 +109,11 @@ def _serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> No
     serve_page(port, scene, profile, rate)
 
 
-def run(wires: Wires, clock: Clock, on_cycle: OnCycle) -> Pace:
+def run(lab_node: LabNode, clock: Clock, on_cycle: OnCycle) -> ClockStats:
     """Run cycle after cycle, each at its time; those that are late are made up for.
 
     Args:
-        wires: The twin.
+        lab_node: The twin.
         clock: Its clock.
         on_cycle: Called after every cycle.
 
@@ -123,11 +123,11 @@ def run(wires: Wires, clock: Clock, on_cycle: OnCycle) -> Pace:
     gc.collect()
     gc.freeze()  # what there is now stays: it need not be looked through again and again
     begin, start = clock.now(), clock.stamp()
-    pace = Pace()
+    stats = ClockStats()
     while True:
-        clock.sleep_until(begin + wires.time)
-        lateness = clock.now() - begin - wires.time
-        wires.cycle(start, int(lateness / CYCLE))
-        pace = pace.counted(lateness)
-        if not on_cycle(wires, pace):
-            return pace
+        clock.sleep_until(begin + lab_node.time)
+        lateness = clock.now() - begin - lab_node.time
+        lab_node.cycle(start, int(lateness / CYCLE))
+        stats = stats.counted(lateness)
+        if not on_cycle(lab_node, stats):
+            return stats

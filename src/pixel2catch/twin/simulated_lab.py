@@ -50,7 +50,7 @@ class Thrower:
         return pos
 
 
-class Judge:
+class ThrowScorer:
     """Follows one throw at the control rate; after its end nothing counts any more.
 
     The time in which a success counts begins before the release, with the steps that the object would hover
@@ -118,7 +118,7 @@ class Phase(StrEnum):
     """It was caught, dropped, or its time is over."""
 
 
-class Lab:
+class SimulatedLab:
     """The simulation in steps of its physics; nothing here knows real time.
 
     Throws, dynamics and the noise of the encoders are those of the task. Its errors of actions and its delays
@@ -146,7 +146,7 @@ class Lab:
         qpos, qvel = (self._world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
         self._qpos, self._qvel = qpos, qvel
         self._log: PhysicsLog | None = None
-        self._steps, self._is_thrown, self._judge = 0, False, None
+        self._steps, self._is_thrown, self._scorer = 0, False, None
         self.num_throws, self.max_joint_speed = 0, 0.0
         dynamics = task.dynamics.over(JointDynamics.nominal())
         self.lag: Joints = dynamics.damping / dynamics.stiffness
@@ -176,14 +176,14 @@ class Lab:
     @property
     def record(self) -> EpisodeRecord | None:
         """What became of the throw so far, since its release."""
-        return None if self._judge is None else self._judge.record
+        return None if self._scorer is None else self._scorer.record
 
     @property
     def outcome(self) -> str:
         """How far the throw is, and how it ended, in a word."""
-        if self._judge is None or not self._judge.is_over:
+        if self._scorer is None or not self._scorer.is_over:
             return self.phase.value
-        record = self._judge.record
+        record = self._scorer.record
         reached = "reached, not caught" if record.is_tracked else "missed"
         return "caught" if record.is_success else reached
 
@@ -211,7 +211,7 @@ class Lab:
         release_pos = self.episode.throw.pos[0].double().numpy()
         phase = float(self._rng.uniform(0.0, 2.0 * pi))
         self._thrower = Thrower(bystanders=Bystanders(release_pos=release_pos, phase=phase))
-        self.phase, self._is_thrown, self._judge = Phase.EMPTY, False, None
+        self.phase, self._is_thrown, self._scorer = Phase.EMPTY, False, None
         self._held_from = self.time + EMPTY_TIME
 
     def throw(self) -> None:
@@ -267,7 +267,7 @@ class Lab:
         """Free the simulation."""
         self._world.close()
 
-    def __enter__(self) -> "Lab":
+    def __enter__(self) -> "SimulatedLab":
         """Return the lab itself."""
         return self
 
@@ -278,9 +278,9 @@ class Lab:
     def _end_control_step(self, log: PhysicsLog) -> None:
         """Judge, and go on with the throw."""
         self.max_joint_speed = max(self.max_joint_speed, float(log.joint_speed))
-        if self._judge is not None:
-            self._judge.follow(self._world.privileged(log), log)
-            if self._judge.is_over:
+        if self._scorer is not None:
+            self._scorer.follow(self._world.privileged(log), log)
+            if self._scorer.is_over:
                 self.phase = Phase.OVER
         elif self.phase is Phase.EMPTY and self.time >= self._held_from:
             self.phase = Phase.HELD
@@ -291,7 +291,7 @@ class Lab:
         """Let the object fly."""
         self._world.release(_YES, self.episode.throw)
         self._world.forward(_YES)
-        self._judge = Judge(self.episode, self._world.privileged(log))
+        self._scorer = ThrowScorer(self.episode, self._world.privileged(log))
         self._thrower = replace(self._thrower, release=self.time)
         self.phase, self.num_throws = Phase.FLYING, self.num_throws + 1
 

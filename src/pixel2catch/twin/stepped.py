@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.deployment.policy_pipeline import Brain, Controller, make_brain
-from pixel2catch.deployment.recorder import Recorder, Tape
-from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, Stepwise
+from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
+from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.choice import PromptCfg, SegmenterCfg, make_prompter, make_segmenter
 from pixel2catch.perception.color import ColorRange
@@ -24,13 +24,13 @@ from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.twin.camera import Camera, Exposure, RoomView
 from pixel2catch.twin.drivers import CYCLE
-from pixel2catch.twin.lab_node import Wires
+from pixel2catch.twin.lab_node import LabNode
 from pixel2catch.twin.realtime import PROFILE
-from pixel2catch.twin.simulated_lab import Lab
-from pixel2catch.twin.trials import Operator, Outcome, of_twin, rates, run_trial
+from pixel2catch.twin.simulated_lab import SimulatedLab
+from pixel2catch.twin.trials import Outcome, RehearsalOperator, of_twin, rates, run_trial
 
 HOP = 0.0005
-"""Time from a cycle of the drivers to the servo's tick, and from there to the brain [s].
+"""Time from a cycle of the drivers to the servo's tick, and from there to the control loop [s].
 
 Source: ours, for DDS between two processes.
 """
@@ -41,7 +41,7 @@ ROUNDING = 1e-9
 PERCEPTION_TIME = 0.010
 """Time that perception takes for an image [s]. Source: ours, background subtraction on one core."""
 
-Draw = Callable[[Lab, Exposure], Image]
+Draw = Callable[[SimulatedLab, Exposure], Image]
 """Draws what the camera sees."""
 
 
@@ -68,7 +68,7 @@ class LockstepCfg:
     record: Path | None = None
 
 
-class Lockstep:
+class SteppedRehearsal:
     """The twin, a deployment, and an operator.
 
     Attributes:
@@ -76,33 +76,35 @@ class Lockstep:
         broker: The network.
         lab: What is true.
         operator: Who asks for throws.
-        deployment: What catches.
+        control_loop: What catches.
     """
 
-    def __init__(self, cfg: LockstepCfg, draw: Draw, brain: Brain) -> None:
+    def __init__(self, cfg: LockstepCfg, draw: Draw, pipeline: PolicyPipeline) -> None:
         """Put everybody in place; nothing happens yet.
 
         Args:
             cfg: What is rehearsed.
             draw: Draws what the camera sees.
-            brain: What catches.
+            pipeline: What catches.
         """
         self.clock, self.broker = clock, broker = StepClock(self._wait), Broker()
         profile, self._num_cycles = Profile.load(PROFILE), 0
-        self.lab = Lab(cfg.task, cfg.seed)
+        self.lab = SimulatedLab(cfg.task, cfg.seed)
         camera = Camera(lambda exposure: _done(draw(self.lab, exposure)), clock_error=cfg.clock_error)
-        self._wires = Wires(self.lab, profile, broker.node(clock), camera)
+        self._lab_node = LabNode(self.lab, profile, broker.node(clock), camera)
         self._open = ExitStack()
         node = broker.node(clock)
-        tape = None
+        recording = None
         if cfg.record:
-            tape = Tape(self._open.enter_context(Recorder(cfg.record)), node, profile, clock, "jpeg")
-        nodes = Nodes(servo=broker.node(clock), brain=node, clock=clock, tape=tape)
+            recording = DeploymentRecorder(
+                self._open.enter_context(BagRecorder(cfg.record)), node, profile, clock, "jpeg"
+            )
+        nodes = Nodes(servo=broker.node(clock), loop=node, clock=clock, recording=recording)
         setup = ServoSetup(profile=profile, limits=cfg.limits)
         time = PerceptionTime(cfg.perception_time, cfg.perception_jitter, cfg.seed)
-        self._robot = Stepwise(setup, self.lab.camera, nodes, brain, time)
-        self.deployment = self._robot.deployment
-        self.operator = Operator(broker.node(clock), profile.operator, clock)
+        self._robot = SteppedDeployment(setup, self.lab.camera, nodes, pipeline, time)
+        self.control_loop = self._robot.control_loop
+        self.operator = RehearsalOperator(broker.node(clock), profile.operator, clock)
 
     def close(self) -> None:
         """Free the simulation, and end the recording."""
@@ -110,7 +112,7 @@ class Lockstep:
         self.lab.close()
         self._robot.close()
 
-    def __enter__(self) -> "Lockstep":
+    def __enter__(self) -> "SteppedRehearsal":
         """Return the rehearsal itself."""
         return self
 
@@ -124,11 +126,11 @@ class Lockstep:
             self._cycle()
 
     def _cycle(self) -> None:
-        """A cycle of the drivers, a tick of the servo, and a look of the brain, if it does not think."""
+        """A cycle of the drivers, a tick of the servo, and a look of the control loop, if it is free."""
         begin = self._num_cycles * CYCLE
         self._num_cycles += 1
         self.clock.time = begin
-        self._wires.cycle(start=0.0)
+        self._lab_node.cycle(start=0.0)
         self.clock.time = begin + HOP
         self._robot.tick()
         self.clock.time = begin + 2 * HOP
@@ -147,7 +149,7 @@ GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))
 
 
 @dataclass(frozen=True, kw_only=True)
-class SteppingCfg:
+class SteppedRehearsalCfg:
     """What is rehearsed in step.
 
     Attributes:
@@ -173,7 +175,9 @@ class SteppingCfg:
     record: Path | None = None
 
 
-def rehearse_in_step(cfg: SteppingCfg, policy: Policy, report: Callable[[Outcome], None]) -> dict[str, Any]:
+def rehearse_stepped(
+    cfg: SteppedRehearsalCfg, policy: Policy, report: Callable[[Outcome], None]
+) -> dict[str, Any]:
     """Throw, and count.
 
     Args:
@@ -189,22 +193,22 @@ def rehearse_in_step(cfg: SteppingCfg, policy: Policy, report: Callable[[Outcome
         PolicyMismatchError: The policy cannot be deployed.
     """
     outcomes: list[Outcome] = []
-    with in_step(cfg, policy) as lockstep:
+    with in_step(cfg, policy) as rehearsal:
         for seed in range(cfg.seed, cfg.seed + cfg.throws):
-            outcomes.append(run_trial(lockstep.operator, seed))
+            outcomes.append(run_trial(rehearsal.operator, seed))
             report(outcomes[-1])
         return {
             **rates(outcomes),
             "perception_time": cfg.perception_time,
             "perception_jitter": cfg.perception_jitter,
             "clock_error": cfg.clock_error,
-            "deploy": lockstep.deployment.diary.summary(),
-            "twin": of_twin(lockstep.operator.truth),
+            "deploy": rehearsal.control_loop.statistics.summary(),
+            "twin": of_twin(rehearsal.operator.truth),
         }
 
 
 @contextmanager
-def in_step(cfg: SteppingCfg, policy: Policy) -> Iterator[Lockstep]:
+def in_step(cfg: SteppedRehearsalCfg, policy: Policy) -> Iterator[SteppedRehearsal]:
     """Twin and deployment of a rehearsal, before the first throw.
 
     Args:
@@ -212,7 +216,7 @@ def in_step(cfg: SteppingCfg, policy: Policy) -> Iterator[Lockstep]:
         policy: What catches.
     """
     with ExitStack() as stack:
-        draw, brain = _plain(cfg, policy) if cfg.is_plain else _rendered(cfg, policy, stack)
+        draw, pipeline = _plain(cfg, policy) if cfg.is_plain else _rendered(cfg, policy, stack)
         world = LockstepCfg(
             task=cfg.task,
             limits=cfg.limits,
@@ -222,31 +226,33 @@ def in_step(cfg: SteppingCfg, policy: Policy) -> Iterator[Lockstep]:
             clock_error=cfg.clock_error,
             record=cfg.record,
         )
-        yield stack.enter_context(Lockstep(world, draw, brain))
+        yield stack.enter_context(SteppedRehearsal(world, draw, pipeline))
 
 
-def _rendered(cfg: SteppingCfg, policy: Policy, stack: ExitStack) -> tuple[Draw, Brain]:
+def _rendered(cfg: SteppedRehearsalCfg, policy: Policy, stack: ExitStack) -> tuple[Draw, PolicyPipeline]:
     """What `pixel2catch twin` shows, and what `pixel2catch deploy` sees in it."""
     scene = cfg.task.scene
     view = stack.enter_context(RoomView(scene, cfg.seed))
     robot = RobotMask(scene.camera, handedness=scene.handedness)
-    return lambda _, exposure: view.image(exposure), _brain(cfg, policy, SegmenterCfg(), robot)
+    return lambda _, exposure: view.image(exposure), _pipeline(cfg, policy, SegmenterCfg(), robot)
 
 
-def _plain(cfg: SteppingCfg, policy: Policy) -> tuple[Draw, Brain]:
+def _plain(cfg: SteppedRehearsalCfg, policy: Policy) -> tuple[Draw, PolicyPipeline]:
     """Red boxes, and eyes for red."""
-    return plain_image, _brain(cfg, policy, SegmenterCfg(kind="color", colors=RED_HUES), None)
+    return plain_image, _pipeline(cfg, policy, SegmenterCfg(kind="color", colors=RED_HUES), None)
 
 
-def _brain(cfg: SteppingCfg, policy: Policy, segmenter: SegmenterCfg, robot: RobotMask | None) -> Brain:
+def _pipeline(
+    cfg: SteppedRehearsalCfg, policy: Policy, segmenter: SegmenterCfg, robot: RobotMask | None
+) -> PolicyPipeline:
     """What catches."""
     scene = cfg.task.scene
     controller = Controller(policy, scene.handedness, scene.camera)
     prompter = make_prompter(PromptCfg(), scene.camera)
-    return make_brain(controller, make_segmenter(segmenter), prompter, scene.camera, robot)
+    return make_pipeline(controller, make_segmenter(segmenter), prompter, scene.camera, robot)
 
 
-def plain_image(lab: Lab, _: Exposure) -> Image:
+def plain_image(lab: SimulatedLab, _: Exposure) -> Image:
     """A grey image with a red box where the camera would see the object."""
     camera = lab.camera
     image = np.full((camera.height, camera.width, 3), GREY, dtype=np.uint8)

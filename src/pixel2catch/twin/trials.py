@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pixel2catch.deployment.operator import DEPTH, Console, newest
+from pixel2catch.deployment.operator import DEPTH, OperatorConsole, newest
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.ros2 import messages
@@ -19,7 +19,7 @@ POLL = 0.005
 """Time between two looks at the network [s]. Source: ours."""
 
 
-class Operator:
+class RehearsalOperator:
     """Watches twin and deployment over the network, and asks both for things.
 
     Attributes:
@@ -30,7 +30,7 @@ class Operator:
 
     def __init__(self, transport: Transport, topics: OperatorTopics, clock: Clock) -> None:
         """Announce and listen."""
-        self._clock, self.console = clock, Console(transport, topics, clock)
+        self._clock, self.console = clock, OperatorConsole(transport, topics, clock)
         self._request = transport.publisher(COMMAND)
         self._states = transport.subscription(STATE, DEPTH)
         self.console.holds = True
@@ -115,7 +115,7 @@ class Outcome:
     problem: str
 
 
-def run_trial(operator: Operator, seed: int) -> Outcome:
+def run_trial(operator: RehearsalOperator, seed: int) -> Outcome:
     """One throw, from an empty room to the stop after it.
 
     Args:
@@ -143,7 +143,7 @@ def run_trial(operator: Operator, seed: int) -> Outcome:
     )
 
 
-def _prepare(operator: Operator, seed: int) -> None:
+def _prepare(operator: RehearsalOperator, seed: int) -> None:
     """Robot at its start and armed, the object held out and pointed at, the policy in its run."""
     operator.ask_twin(do="prepare", seed=seed)
     operator.until(lambda: operator.phase == "empty", STEP_TIME, "the empty room")
@@ -155,7 +155,7 @@ def _prepare(operator: Operator, seed: int) -> None:
     operator.until(lambda: operator.mode == "run", STEP_TIME, "the policy's run")
 
 
-def _stop(operator: Operator) -> None:
+def _stop(operator: RehearsalOperator) -> None:
     """Stop, unless that has happened, and wait until the robot stands; nobody moves it before."""
     if operator.mode in ("armed", "ramp", "run"):
         operator.console.stop()

@@ -16,7 +16,7 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock
 from pixel2catch.twin.camera import LATENCY
 from pixel2catch.twin.drivers import CYCLE
-from pixel2catch.twin.lab_node import Wires
+from pixel2catch.twin.lab_node import LabNode
 
 TASK = CatchEnvCfg()
 EXACT = replace(TASK, sensing=replace(TASK.sensing, joint_noise=0.0, joint_bias=0.0))
@@ -32,12 +32,12 @@ def bench() -> Iterator[Bench]:
 
 def test_arm_and_hand_share_a_topic_with_their_own_rates_and_names(bench: Bench):
     bench.cycle(500)
-    readings = [messages.read_joint_state(packet.data) for packet in bench.inbox["joints"].take()]
+    readings = [messages.read_joint_state(message.data) for message in bench.queue["joints"].take()]
     arm = [reading for reading in readings if len(reading.names) == 6]
     hand = [reading for reading in readings if len(reading.names) == 16]
     assert (len(arm), len(hand), len(readings)) == (500, 100, 600)
-    assert arm[0].names == tuple(sorted(wire.name_in_state for wire in ARM))
-    assert {wire.name_in_state for wire in HAND} < set(hand[0].names)
+    assert arm[0].names == tuple(sorted(theirs.name_in_state for theirs in ARM))
+    assert {theirs.name_in_state for theirs in HAND} < set(hand[0].names)
     assert set(hand[0].names) == {f"ah_joint{finger}{joint}" for finger in range(4) for joint in range(4)}
     spread = dict(zip(hand[0].names, hand[0].position, strict=True))
     assert [spread[f"ah_joint{finger}0"] for finger in (1, 2, 3)] == [0.0, 0.0, 0.0]
@@ -54,11 +54,11 @@ def test_joint_states_are_those_of_the_joints_by_name(bench: Bench):
 def test_images_come_30_times_a_second_after_the_latency(bench: Bench):
     arrivals, stamps = [], []
     for _ in range(500):
-        now = bench.wires.time
+        now = bench.lab_node.time
         bench.cycle()
-        for packet in bench.inbox["image"].take():
+        for message in bench.queue["image"].take():
             arrivals.append(now)
-            stamps.append(messages.read_image(packet.data).stamp - START)
+            stamps.append(messages.read_image(message.data).stamp - START)
     assert len(stamps) == 29
     assert stamps == pytest.approx([(i + 1) * CONTROL_DT for i in range(29)], abs=1e-6)
     delays = np.array(arrivals) - stamps
@@ -70,9 +70,9 @@ def test_images_come_30_times_a_second_after_the_latency(bench: Bench):
 def test_the_lens_is_that_of_the_camera(bench: Bench):
     info = PROFILE.camera.info
     assert info is not None
-    inbox = bench.node.subscription(info)
+    queue = bench.node.subscription(info)
     bench.cycle(40)
-    lens = messages.read_camera_info(inbox.take()[0].data)
+    lens = messages.read_camera_info(queue.take()[0].data)
     assert (lens.fx, lens.fy, lens.cx, lens.cy) == pytest.approx(
         (RGB_CAMERA.fx, RGB_CAMERA.fy, RGB_CAMERA.cx, RGB_CAMERA.cy)
     )
@@ -89,7 +89,7 @@ def test_late_subscribers_learn_the_status_and_all_learn_of_a_stop(bench: Bench)
     bench.cycle(12)
     assert messages.read_safety_mode(late["safety_mode"].take()[0].data) == 3
     assert messages.read_boolean(late["program_running"].take()[0].data) is False
-    scaling = [messages.read_number(packet.data) for packet in bench.inbox["speed_scaling"].take()]
+    scaling = [messages.read_number(message.data) for message in bench.queue["speed_scaling"].take()]
     assert scaling == [100.0, 0.0, 0.0]  # after 0, 5 and 10 cycles, asked in the third
     bench.ask(do="resume")
     bench.cycle(2)
@@ -117,7 +117,7 @@ def test_when_commands_cease_the_arm_brakes_and_the_program_halts(bench: Bench):
     bench.cycle(21)
     before = bench.lab.joints
     assert before.velocity[1] == pytest.approx(0.8, abs=0.2)  # the target has stood still for 40 ms
-    assert not bench.wires.arm.is_running
+    assert not bench.lab_node.arm.is_running
     bench.cycle(round(before.velocity[1] / 4.0 / CYCLE) + 100)
     way = bench.lab.joints.position[1] - before.position[1]
     assert way == pytest.approx(before.velocity[1] ** 2 / (2 * 4.0), rel=0.2)
@@ -130,7 +130,7 @@ def test_a_late_twin_takes_waiting_commands_one_by_one(bench: Bench):
     for i in range(1, 31):  # 30 cycles of commands, at once far more than 0.04 rad
         bench.command(start + 0.005 * i)
     for left in range(29, -1, -1):
-        bench.wires.cycle(START, num_late=left)
+        bench.lab_node.cycle(START, num_late=left)
     bench.command(start + 0.155)
     bench.cycle(20)
     state = bench.states()[-1]
@@ -148,7 +148,7 @@ def test_a_command_of_a_wrong_length_is_no_command(bench: Bench):
     bench.cycle(20)
     assert bench.lab.joints.position == pytest.approx(start, abs=1e-6)
     assert bench.states()[-1]["ignored"] == 2
-    assert bench.wires.arm.is_running  # no command was taken, so nobody is silent
+    assert bench.lab_node.arm.is_running  # no command was taken, so nobody is silent
 
 
 @pytest.mark.parametrize(
@@ -176,4 +176,4 @@ def test_a_request_that_cannot_be_met_is_refused_with_the_reason(
 
 def test_another_drivers_commands_are_refused_at_the_start(bench: Bench):
     with pytest.raises(DeploymentError, match="ur5e_allegro_v4"):
-        Wires(bench.lab, Profile.load("ur5e_allegro_v5"), Broker().node(RealClock()), bench.camera)
+        LabNode(bench.lab, Profile.load("ur5e_allegro_v5"), Broker().node(RealClock()), bench.camera)

@@ -5,10 +5,15 @@ from threading import Event
 
 import numpy as np
 import pytest
-from loop_lab import BOX, HOME, RED, brain, picture, remembering
+from loop_lab import BOX, HOME, RED, new_pipeline, picture, remembering
 
-from pixel2catch.deployment.perception_thread import LONGEST_WAIT, CallerWorker, Looking, ThreadWorker
-from pixel2catch.deployment.policy_pipeline import Brain
+from pixel2catch.deployment.perception_thread import (
+    LONGEST_WAIT,
+    CallerWorker,
+    ConcurrentPerception,
+    ThreadWorker,
+)
+from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.stepped import PerceptionTime, StepClock
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.perception.color import ColorThreshold
@@ -25,16 +30,16 @@ LATENCY = 0.015
 def looks(took: Callable[[], float], seconds: float) -> list[tuple[float, float]]:
     """Stamps and ends of looks at a camera of 30 Hz [s], by a loop of 500 Hz."""
     clock = StepClock(lambda _: pytest.fail("nobody waits"))
-    thinking = brain(controller=remembering())
-    looking = Looking(thinking, CallerWorker(clock, took), clock)
-    looking.begin(PROMPT)
+    pipeline = new_pipeline(controller=remembering())
+    perception = ConcurrentPerception(pipeline, CallerWorker(clock, took), clock)
+    perception.begin(PROMPT)
     found: list[tuple[float, float]] = []
     num_images = 0
     while clock.time < seconds:
         if clock.time >= num_images * CONTROL_DT + LATENCY:
-            looking.offer(CameraFrame(image=picture(), stamp=num_images * CONTROL_DT))
+            perception.offer(CameraFrame(image=picture(), stamp=num_images * CONTROL_DT))
             num_images += 1
-        if look := looking.go_on():
+        if look := perception.go_on():
             assert look.seen.verdict is Verdict.SEEN
             assert look.end - look.took >= look.frame.stamp + LATENCY
             found.append((look.frame.stamp, look.end))
@@ -95,14 +100,14 @@ class Threaded:
     def __init__(self, worker: ThreadWorker) -> None:
         self.clock = StepClock(lambda _: None)
         self.segmenter = HeldUp()
-        self.brain: Brain = brain(self.segmenter, remembering())
-        self.looking = Looking(self.brain, worker, self.clock)
+        self.pipeline: PolicyPipeline = new_pipeline(self.segmenter, remembering())
+        self.perception = ConcurrentPerception(self.pipeline, worker, self.clock)
         self._worker = worker
 
     def show(self, stamp: float) -> None:
         self.clock.time = stamp
-        self.looking.offer(CameraFrame(image=picture(), stamp=stamp))
-        assert self.looking.go_on() is None
+        self.perception.offer(CameraFrame(image=picture(), stamp=stamp))
+        assert self.perception.go_on() is None
         assert self.segmenter.has_begun.wait(10.0)
         self.segmenter.has_begun.clear()
 
@@ -110,7 +115,7 @@ class Threaded:
         """End the look; return whether it was at an image of this throw."""
         self.segmenter.may_go_on.set()
         while not self._worker.is_free:
-            if self.looking.go_on():
+            if self.perception.go_on():
                 return True
         return False
 
@@ -118,19 +123,19 @@ class Threaded:
 def test_decisions_go_on_while_a_thread_looks_and_boxes_get_older():
     worker = ThreadWorker()
     lab = Threaded(worker)
-    lab.looking.begin(PROMPT)
+    lab.perception.begin(PROMPT)
     lab.show(1.0)
-    assert lab.brain.decide(HOME, 1.01) is None
+    assert lab.pipeline.decide(HOME, 1.01) is None
     assert lab.end()
     lab.show(1.1)
     for now in (1.11, 1.11 + CONTROL_DT):
-        orders = lab.brain.decide(HOME, now)
-        assert orders is not None
-        assert (orders.target_stamp, orders.image_stamp) == (now, 1.0)
+        policy_command = lab.pipeline.decide(HOME, now)
+        assert policy_command is not None
+        assert (policy_command.target_stamp, policy_command.image_stamp) == (now, 1.0)
     assert lab.end()
-    orders = lab.brain.decide(HOME, 1.2)
-    assert orders is not None
-    assert orders.image_stamp == 1.1
+    policy_command = lab.pipeline.decide(HOME, 1.2)
+    assert policy_command is not None
+    assert policy_command.image_stamp == 1.1
     worker.close()
 
 
@@ -138,15 +143,15 @@ def test_a_look_that_ends_after_a_new_throw_began_is_forgotten():
     """And where the operator points is known when the next image is looked at."""
     worker = ThreadWorker()
     lab = Threaded(worker)
-    lab.looking.begin(PROMPT)
+    lab.perception.begin(PROMPT)
     lab.show(1.0)
-    lab.looking.begin(None)
-    lab.looking.begin(PROMPT)
+    lab.perception.begin(None)
+    lab.perception.begin(PROMPT)
     assert not lab.end()
-    assert lab.brain.decide(HOME, 1.1) is None
+    assert lab.pipeline.decide(HOME, 1.1) is None
     lab.show(1.1)
     assert lab.end()
-    assert lab.brain.decide(HOME, 1.2)
+    assert lab.pipeline.decide(HOME, 1.2)
     worker.close()
 
 

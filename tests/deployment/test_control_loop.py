@@ -12,15 +12,15 @@ from loop_lab import (
     HOME,
     PROFILE,
     Surroundings,
-    brain,
-    decision,
+    new_pipeline,
     picture,
     remembering,
+    servo_status,
     surroundings,
 )
 
-from pixel2catch.deployment.control_loop import Deployment, read_prompt
-from pixel2catch.deployment.image_subscriber import Eyes
+from pixel2catch.deployment.control_loop import ControlLoop, read_prompt
+from pixel2catch.deployment.image_subscriber import ImageSubscriber
 from pixel2catch.deployment.perception_thread import CallerWorker, ThreadWorker, Worker
 from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.deployment.stepped import StepClock
@@ -35,7 +35,7 @@ from pixel2catch.servo.state import Mode
 from pixel2catch.servo.watchdogs import Fault
 
 
-class Course:
+class LedLoop:
     """A deployment that is led step by step."""
 
     def __init__(
@@ -45,17 +45,17 @@ class Course:
         controller: Controller | None = None,
     ) -> None:
         self.around = around
-        thinking, camera = brain(controller=controller), PROFILE.camera
-        eyes = Eyes(
-            around.connection.transport, camera, RGB_CAMERA, around.clock, assumes_age=thinking.knows_age
+        pipeline, camera = new_pipeline(controller=controller), PROFILE.camera
+        images = ImageSubscriber(
+            around.connection.transport, camera, RGB_CAMERA, around.clock, assumes_age=pipeline.knows_age
         )
-        self.deployment = Deployment(thinking, eyes, around.connection, PROFILE.operator, worker)
+        self.control_loop = ControlLoop(pipeline, images, around.connection, PROFILE.operator, worker)
         self._prompts = around.lab.publisher(PROFILE.operator.prompt)
         self.statuses = around.lab.subscription(PROFILE.operator.status, 100)
 
     def say(self, mode: Mode, **others: Any) -> None:
         """The servo has ticked."""
-        self.around.servo.send(decision(mode, **{"time": self.around.clock.now(), **others}))
+        self.around.servo.send(servo_status(mode, **{"time": self.around.clock.now(), **others}))
 
     def point(self, text: str) -> None:
         self._prompts.publish(messages.text(text))
@@ -63,55 +63,55 @@ class Course:
     def step(self) -> dict[str, Any]:
         """Run until the next status."""
         seen: list[dict[str, Any]] = []
-        self.deployment.run(lambda: bool(seen), seen.append)
+        self.control_loop.run(lambda: bool(seen), seen.append)
         return seen[0]
 
 
 def test_from_the_prompt_on_every_image_gives_orders_and_a_status():
     with surroundings() as around:
-        course = Course(around)
-        course.say(Mode.ARMED)
+        led = LedLoop(around)
+        led.say(Mode.ARMED)
         around.show(picture())
-        assert course.step()["verdict"] == "no prompt"
+        assert led.step()["verdict"] == "no prompt"
         assert around.servo.receive() == []
-        course.point(json.dumps({"box": BOX}))
+        led.point(json.dumps({"box": BOX}))
         status = {}
         for _ in range(3):
             taken = around.show(picture(), age=0.02)
-            status = course.step()
-            (orders,) = around.servo.receive()
-            assert orders.image_stamp == pytest.approx(taken, abs=0.01)
+            status = led.step()
+            (policy_command,) = around.servo.receive()
+            assert policy_command.image_stamp == pytest.approx(taken, abs=0.01)
             assert status["mode"] == "armed"
             assert status["box"] == list(BOX)
-        sent = [json.loads(messages.read_text(packet.data)) for packet in course.statuses.take()]
+        sent = [json.loads(messages.read_text(message.data)) for message in led.statuses.take()]
         assert sent[-1] == status
-        assert course.deployment.diary.num_steps == 4
+        assert led.control_loop.statistics.num_steps == 4
 
 
 def test_without_images_the_steps_go_on_and_are_counted():
     with surroundings() as around:
-        course = Course(around)
-        course.say(Mode.ARMED)
+        led = LedLoop(around)
+        led.say(Mode.ARMED)
         around.show(picture())
-        course.point(json.dumps({"box": BOX}))
-        course.step()
-        course.step()
+        led.point(json.dumps({"box": BOX}))
+        led.step()
+        led.step()
         first, second = around.servo.receive()
         assert second.target_stamp > first.target_stamp
         assert second.image_stamp == first.image_stamp
-        assert course.deployment.diary.num_missed == 1
+        assert led.control_loop.statistics.num_missed == 1
 
 
 def test_arming_begins_a_new_throw():
     with surroundings() as around:
-        course = Course(around)
+        led = LedLoop(around)
         around.show(picture())
-        course.point(json.dumps({"box": BOX}))
-        course.say(Mode.IDLE)
-        assert course.step()["box"] is not None
-        course.say(Mode.ARMED)
+        led.point(json.dumps({"box": BOX}))
+        led.say(Mode.IDLE)
+        assert led.step()["box"] is not None
+        led.say(Mode.ARMED)
         around.show(picture())
-        assert course.step()["box"] is None
+        assert led.step()["box"] is None
 
 
 def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
@@ -125,50 +125,50 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
     with surroundings() as around:
 
         def move(_: float) -> None:
-            around.servo.send(decision(Mode.ARMED, time=around.clock.now(), joint_pos=moved))
+            around.servo.send(servo_status(Mode.ARMED, time=around.clock.now(), joint_pos=moved))
 
-        course = Course(around, CallerWorker(StepClock(move), lambda: 0.01))
-        course.say(Mode.ARMED)
+        led = LedLoop(around, CallerWorker(StepClock(move), lambda: 0.01))
+        led.say(Mode.ARMED)
         around.show(picture())
-        course.point(json.dumps({"box": BOX}))
-        course.step()
-        (orders,) = around.servo.receive()
-        assert orders.joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
+        led.point(json.dumps({"box": BOX}))
+        led.step()
+        (policy_command,) = around.servo.receive()
+        assert policy_command.joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
 
 
 def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without():
     """The servo is told of the newest image; the age of the box is from the image that was looked at."""
     with surroundings() as around:
         worker = ThreadWorker[Extraction]()
-        course = Course(around, worker, remembering())
-        course.say(Mode.ARMED)
-        course.point(json.dumps({"box": BOX}))
+        led = LedLoop(around, worker, remembering())
+        led.say(Mode.ARMED)
+        led.point(json.dumps({"box": BOX}))
         stamps, taken = list[float](), 0.0
         while len(stamps) < 6:
             if len(stamps) < 3:
                 taken = around.show(picture(), age=0.02)
-            course.step()
-            stamps += [orders.target_stamp for orders in around.servo.receive()]
+            led.step()
+            stamps += [policy_command.target_stamp for policy_command in around.servo.receive()]
         now = around.clock.now()
-        course.say(Mode.RUN, time=now, target_stamp=stamps[0], image_stamp=now)
-        course.step()
-        (orders,) = around.servo.receive()
-        assert orders.image_stamp == pytest.approx(taken, abs=0.005)
+        led.say(Mode.RUN, time=now, target_stamp=stamps[0], image_stamp=now)
+        led.step()
+        (policy_command,) = around.servo.receive()
+        assert policy_command.image_stamp == pytest.approx(taken, abs=0.005)
         assert min(after - before for before, after in pairwise(stamps)) > 0.5 * CONTROL_DT
-        assert course.deployment.diary.num_missed >= 3
+        assert led.control_loop.statistics.num_missed >= 3
         worker.close()
 
 
 def test_a_camera_without_stamps_is_told_of_once():
     with surroundings() as around:
-        course = Course(around, controller=remembering())
-        course.say(Mode.ARMED)
-        course.point(json.dumps({"box": BOX}))
+        led = LedLoop(around, controller=remembering())
+        led.say(Mode.ARMED)
+        led.point(json.dumps({"box": BOX}))
         messages_said, before = list[str](), 0.0
         for _ in range(4):
             image, before = messages.image(picture(), 0.0), around.clock.now()
             around.lab.publisher(PROFILE.camera.image).publish(image)
-            messages_said.append(course.step()["message"])
+            messages_said.append(led.step()["message"])
         assert [bool(said) for said in messages_said].count(True) == 1
         assert "have no stamps" in "".join(messages_said)
         newest = around.servo.receive()[-1]
@@ -178,37 +178,37 @@ def test_a_camera_without_stamps_is_told_of_once():
 
 def test_stops_and_refusals_are_told_once_and_counted():
     with surroundings() as around:
-        course = Course(around)
-        course.say(Mode.RUN)
-        course.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE)
-        course.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE, refused=Fault.START_POSE)
-        course.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE)
-        first, second = course.step(), course.step()
+        led = LedLoop(around)
+        led.say(Mode.RUN)
+        led.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE)
+        led.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE, refused=Fault.START_POSE)
+        led.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE)
+        first, second = led.step(), led.step()
         assert first["stopped_by"] == second["stopped_by"] == ["image stale", "dead man"]
         assert (first["refused"], second["refused"]) == (["start pose"], [])
-        summary = course.deployment.diary.summary()
+        summary = led.control_loop.statistics.summary()
         assert summary["stops"] == {"image stale, dead man": 1}
         assert summary["refusals"] == {"start pose": 1}
 
 
 def test_the_latency_is_from_the_image_to_the_first_command_with_it():
     with surroundings() as around:
-        course, now = Course(around), around.clock.now()
+        led, now = LedLoop(around), around.clock.now()
         for tick in range(4):
             late = now + 0.004 * (tick // 2)
-            course.say(Mode.RUN, time=now + 0.002 * tick, target_stamp=late, image_stamp=now - 0.02)
-        course.step()
-        latency = course.deployment.diary.summary()["image_to_command_ms"]
+            led.say(Mode.RUN, time=now + 0.002 * tick, target_stamp=late, image_stamp=now - 0.02)
+        led.step()
+        latency = led.control_loop.statistics.summary()["image_to_command_ms"]
         assert latency["count"] == 1
         assert latency["p50"] == pytest.approx(24.0, abs=1e-6)
 
 
 def test_a_dead_servo_is_an_error():
     with surroundings() as around:
-        course = Course(around)
+        led = LedLoop(around)
         around.servo.close()
         with pytest.raises(DeploymentError, match="press its stop"):
-            course.step()
+            led.step()
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_a_bad_prompt_is_told_and_begins_nothing(text: str):
     with pytest.raises(DeploymentError, match="prompt"):
         read_prompt(messages.text(text))
     with surroundings() as around:
-        course = Course(around)
+        led = LedLoop(around)
         around.show(picture())
-        course.point(text)
-        assert "prompt" in course.step()["message"]
+        led.point(text)
+        assert "prompt" in led.step()["message"]

@@ -19,17 +19,17 @@ from pixel2catch.perception.rosbag_images import opened_bag
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.ros2 import messages
-from pixel2catch.servo.link import Orders
+from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.twin.camera import LATENCY
 from pixel2catch.twin.drivers import CYCLE
-from pixel2catch.twin.stepped import HOP, PERCEPTION_TIME, SteppingCfg, rehearse_in_step
+from pixel2catch.twin.stepped import HOP, PERCEPTION_TIME, SteppedRehearsalCfg, rehearse_stepped
 
 POLICY, _ = load_policy(Path("proposed"))
-ONE = SteppingCfg(task=task_of(POLICY, physics_hz=120.0), throws=1, seed=3, is_plain=True)
+ONE = SteppedRehearsalCfg(task=task_of(POLICY, physics_hz=120.0), throws=1, seed=3, is_plain=True)
 
 
-def rehearsed(cfg: SteppingCfg) -> dict[str, Any]:
-    return rehearse_in_step(cfg, POLICY, lambda _: None)
+def rehearsed(cfg: SteppedRehearsalCfg) -> dict[str, Any]:
+    return rehearse_stepped(cfg, POLICY, lambda _: None)
 
 
 @pytest.fixture(scope="module")
@@ -103,23 +103,23 @@ def knowing_ages(policy: Policy) -> Policy:
 SLOW = replace(ONE, throws=2, perception_time=0.06, perception_jitter=0.01, clock_error=0.005)
 
 
-def decisions(tape: Path) -> np.ndarray:
+def servo_statuses(recording: Path) -> np.ndarray:
     """When each decision was made, and the stamp of the newest image then [s]."""
     rows: list[tuple[float, float]] = []
-    with opened_bag(tape) as reader:
+    with opened_bag(recording) as reader:
         wanted = [each for each in reader.connections if each.topic == ORDERS.name]
         for _, _, data in reader.messages(wanted):
-            orders = Orders.of(messages.read_float_array(data))
-            rows.append((orders.target_stamp, orders.image_stamp))
+            policy_command = PolicyCommand.of(messages.read_float_array(data))
+            rows.append((policy_command.target_stamp, policy_command.image_stamp))
     return np.array(rows)
 
 
 def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_path: Path):
     """And the robot does not stop, as images come in time."""
-    tape = tmp_path / "tape"
-    report = rehearse_in_step(replace(SLOW, record=tape), knowing_ages(POLICY), lambda _: None)
+    recording = tmp_path / "tape"
+    report = rehearse_stepped(replace(SLOW, record=recording), knowing_ages(POLICY), lambda _: None)
     assert [(throw["stops"], throw["problem"]) for throw in report["throws"]] == [([], "")] * 2
-    made, newest = decisions(tape).T
+    made, newest = servo_statuses(recording).T
     gaps = np.diff(made)
     gaps = gaps[gaps < 0.1]  # between two throws nothing is decided
     assert len(gaps) > 100
@@ -138,7 +138,7 @@ def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_p
 @pytest.mark.parametrize("seconds", [0.06, 0.1])
 def test_a_rehearsal_with_slow_perception_can_be_repeated(seconds: float):
     cfg = replace(SLOW, perception_time=seconds)
-    reports = [rehearse_in_step(cfg, knowing_ages(POLICY), lambda _: None) for _ in range(2)]
+    reports = [rehearse_stepped(cfg, knowing_ages(POLICY), lambda _: None) for _ in range(2)]
     for report in reports:
         assert report["stops"] == {}
         report["deploy"].pop("servo_tick_ms")  # in real time
@@ -148,7 +148,7 @@ def test_a_rehearsal_with_slow_perception_can_be_repeated(seconds: float):
 @pytest.mark.slow
 def test_a_policy_that_knows_ages_catches_as_often_where_it_makes_nothing_of_them():
     """At 10 ms boxes are as old as the younger ones of its training, in every step."""
-    report = rehearse_in_step(replace(ONE, throws=10, seed=0), knowing_ages(POLICY), lambda _: None)
+    report = rehearse_stepped(replace(ONE, throws=10, seed=0), knowing_ages(POLICY), lambda _: None)
     assert report["success_rate"] >= 0.7
 
 

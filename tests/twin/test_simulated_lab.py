@@ -17,7 +17,7 @@ from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.robot.objects import SEEN
 from pixel2catch.robot.scene import SceneCfg
-from pixel2catch.twin.simulated_lab import EMPTY_TIME, Lab, Phase
+from pixel2catch.twin.simulated_lab import EMPTY_TIME, Phase, SimulatedLab
 
 DECIMATION = 4
 QUIET = RandomizationCfg(
@@ -27,17 +27,17 @@ TASK = CatchEnvCfg(scene=SceneCfg(physics_hz=30.0 * DECIMATION), randomization=Q
 
 
 @pytest.fixture
-def lab() -> Iterator[Lab]:
-    with Lab(TASK, seed=0) as lab:
+def lab() -> Iterator[SimulatedLab]:
+    with SimulatedLab(TASK, seed=0) as lab:
         yield lab
 
 
-def control_step(lab: Lab, start: np.ndarray, end: np.ndarray) -> None:
+def control_step(lab: SimulatedLab, start: np.ndarray, end: np.ndarray) -> None:
     for i in range(1, DECIMATION + 1):
         lab.step(start + i / DECIMATION * (end - start))
 
 
-def wait_until_held(lab: Lab) -> np.ndarray:
+def wait_until_held(lab: SimulatedLab) -> np.ndarray:
     target = lab.joints.position
     while lab.phase is not Phase.HELD:
         control_step(lab, target, target)
@@ -58,7 +58,7 @@ def caught_in_the_environment(env: CatchEnv, seed: int):
 
 
 @pytest.mark.parametrize(("seed", "is_caught"), [(5, False), (6, True)])
-def test_a_throw_goes_and_is_judged_as_in_the_environment(lab: Lab, seed: int, is_caught: bool):
+def test_a_throw_goes_and_is_judged_as_in_the_environment(lab: SimulatedLab, seed: int, is_caught: bool):
     _, method = load_policy(Path("proposed"))
     env = EvaluationCfg(objects=SEEN, num_envs=1, task=TASK).make_env(method)
     targets, expected = caught_in_the_environment(env, seed)
@@ -78,7 +78,7 @@ def test_a_throw_goes_and_is_judged_as_in_the_environment(lab: Lab, seed: int, i
     env.close()
 
 
-def test_an_object_that_nobody_catches_is_missed_when_it_falls(lab: Lab):
+def test_an_object_that_nobody_catches_is_missed_when_it_falls(lab: SimulatedLab):
     lab.prepare(3)
     target = wait_until_held(lab)
     lab.throw()
@@ -92,7 +92,7 @@ def test_an_object_that_nobody_catches_is_missed_when_it_falls(lab: Lab):
     assert num_steps < TRIAL_STEPS
 
 
-def test_the_object_waits_as_long_as_the_operator_wants(lab: Lab):
+def test_the_object_waits_as_long_as_the_operator_wants(lab: SimulatedLab):
     lab.prepare(5)
     held_since = lab.time + EMPTY_TIME
     target = wait_until_held(lab)
@@ -103,7 +103,7 @@ def test_the_object_waits_as_long_as_the_operator_wants(lab: Lab):
     assert lab.truth()["box"] == pytest.approx(box, abs=1e-3)
 
 
-def test_there_is_nothing_to_throw_in_an_empty_room(lab: Lab):
+def test_there_is_nothing_to_throw_in_an_empty_room(lab: SimulatedLab):
     assert lab.truth()["box"] is None
     with pytest.raises(DeploymentError, match="prepare"):
         lab.throw()
@@ -112,20 +112,20 @@ def test_there_is_nothing_to_throw_in_an_empty_room(lab: Lab):
     lab.throw()
 
 
-def test_an_unprepared_room_stays_empty(lab: Lab):
+def test_an_unprepared_room_stays_empty(lab: SimulatedLab):
     target = lab.joints.position
     for _ in range(60):
         control_step(lab, target, target)
     assert lab.phase is Phase.EMPTY
 
 
-def test_encoders_have_the_noise_of_training_and_follow_between_physics_steps(lab: Lab):
+def test_encoders_have_the_noise_of_training_and_follow_between_physics_steps(lab: SimulatedLab):
     readings = np.array([lab.encoders(lab.time).position for _ in range(400)])
     error = readings - lab.joints.position
     assert error.std(axis=0) == pytest.approx(np.full(19, 0.005), rel=0.2)
     assert np.abs(error.mean(axis=0)).max() < 0.005
     exact = replace(TASK, sensing=replace(TASK.sensing, joint_noise=0.0, joint_bias=0.0))
-    with Lab(exact, seed=0) as moving:
+    with SimulatedLab(exact, seed=0) as moving:
         start = moving.joints.position
         control_step(moving, start, start + 0.05)
         joints = moving.joints
@@ -134,7 +134,7 @@ def test_encoders_have_the_noise_of_training_and_follow_between_physics_steps(la
         assert later == pytest.approx(joints.position + 0.002 * joints.velocity)
 
 
-def test_a_seed_begins_the_same_throw_again(lab: Lab):
+def test_a_seed_begins_the_same_throw_again(lab: SimulatedLab):
     starts = []
     for seed in (7, 8, 7):
         lab.prepare(seed)
