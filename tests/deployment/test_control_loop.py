@@ -21,7 +21,7 @@ from loop_lab import (
 
 from pixel2catch.deployment.control_loop import ControlLoop, read_prompt
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
-from pixel2catch.deployment.perception_thread import CallerWorker, ThreadWorker, Worker
+from pixel2catch.deployment.perception_thread import CallerWorker, Worker
 from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
@@ -139,8 +139,7 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
 def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without():
     """The servo is told of the newest image; the age of the box is from the image that was looked at."""
     with surroundings() as around:
-        worker = ThreadWorker[Extraction]()
-        led = LedLoop(around, worker, remembering())
+        led = LedLoop(around, CallerWorker(around.clock, lambda: 0.01), remembering())
         led.say(Mode.ARMED)
         led.point(json.dumps({"box": BOX}))
         stamps, taken = list[float](), 0.0
@@ -156,7 +155,6 @@ def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without(
         assert policy_command.image_stamp == pytest.approx(taken, abs=0.005)
         assert min(after - before for before, after in pairwise(stamps)) > 0.5 * CONTROL_DT
         assert led.control_loop.statistics.num_missed >= 3
-        worker.close()
 
 
 def test_a_camera_without_stamps_is_told_of_once():

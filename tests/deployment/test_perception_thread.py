@@ -90,7 +90,7 @@ class HeldUp(Segmenter):
 
     def _wait(self) -> None:
         self.has_begun.set()
-        assert self.may_go_on.wait(10.0)
+        assert self.may_go_on.wait(60.0)
         self.may_go_on.clear()
 
 
@@ -108,7 +108,7 @@ class Threaded:
         self.clock.time = stamp
         self.perception.offer(CameraFrame(image=picture(), stamp=stamp))
         assert self.perception.go_on() is None
-        assert self.segmenter.has_begun.wait(10.0)
+        assert self.segmenter.has_begun.wait(60.0)
         self.segmenter.has_begun.clear()
 
     def end(self) -> bool:

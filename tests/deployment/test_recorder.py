@@ -147,9 +147,9 @@ def test_after_a_kill_all_but_the_last_chunk_is_on_the_disk(tmp_path: Path):
 import sys, time, numpy as np
 from pathlib import Path
 from pixel2catch.ros2 import messages
-from pixel2catch.deployment.recorder import Recorder
+from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.ros2.transport import Topic
-bag = Recorder(Path(sys.argv[1]))
+bag = BagRecorder(Path(sys.argv[1]))
 image = messages.image(np.zeros((480, 640, 3), np.uint8), 1.0)
 for i in range(10):
     bag.record(Topic(name="/image", type=messages.IMAGE), image, 1.0 + i)

@@ -262,3 +262,22 @@ def test_a_dry_run_can_be_armed_again_after_a_stop(ends: tuple[LoopEnd, ServoEnd
 
     stage.play(script())
     assert stage.stopped_by == ("dead man",)
+
+
+def test_the_operator_stops_and_goes_on(stage: Stage):
+    lab = stage.lab
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(80)
+        assert stage.mode == Mode.RUN
+        lab.say(lab.profile.operator.stop, messages.boolean(True))
+        yield from wait(2)
+        assert stage.mode == Mode.STOPPED
+        lab.target = lab.joint_pos.copy()
+        yield from wait(STOP_TICKS + 20)
+        yield from stage.armed(80)
+        assert stage.mode == Mode.RUN
+        raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == ("stop request",)

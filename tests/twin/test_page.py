@@ -11,6 +11,7 @@ import pytest
 import torch
 from twin_bench import PROFILE, Bench
 
+from domains import free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robot.constants import PALM_POS
@@ -21,8 +22,6 @@ from pixel2catch.twin.page import BOX_COLOR, Page, with_box
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.twin.stepped import SteppedRehearsalCfg, in_step
 
-PORT = 18080
-
 
 class Shown:
     """A page on a bench."""
@@ -30,7 +29,7 @@ class Shown:
     def __init__(self) -> None:
         task, clock = CatchEnvCfg(), RealClock()
         self.bench = Bench(task)
-        self.page = Page(PORT, task.scene, PROFILE, self.bench.broker.node(clock), clock)
+        self.page = Page(free_port(), task.scene, PROFILE, self.bench.broker.node(clock), clock)
         self._status = self.bench.node.publisher(PROFILE.operator.status)
 
     def tell(self, **status: Any) -> None:
@@ -109,7 +108,7 @@ def test_one_button_throws_and_catches():
     cfg = SteppedRehearsalCfg(task=task_of(policy, physics_hz=120.0), throws=1, is_plain=True)
     with in_step(cfg, policy) as rehearsal:
         node = rehearsal.broker.node(rehearsal.clock)
-        page = Page(PORT, cfg.task.scene, PROFILE, node, rehearsal.clock)
+        page = Page(free_port(), cfg.task.scene, PROFILE, node, rehearsal.clock)
         page.seed.value = 3
         page.catch()
         assert page.trial is not None

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from domains import own_domain
 from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.rendering import find_gl_backend
@@ -20,7 +21,7 @@ def test_a_throw_is_rehearsed_and_reported(
         pytest.skip(str(error))
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
     out, recording = tmp_path / "rehearsal", tmp_path / "tape"
-    args = ["rehearse", "--throws", "1", "--clock", "0.2", "--seed", "3", "--json", "--domain", "113"]
+    args = ["rehearse", "--throws", "1", "--clock", "0.1", "--seed", "3", "--json", "--domain", own_domain()]
     assert main([*args, "--out", str(out), "--record", str(recording)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert json.loads((out / "report.json").read_text()) == report

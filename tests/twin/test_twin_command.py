@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from domains import own_domain
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.rendering import find_gl_backend
 from pixel2catch.ros2 import messages
@@ -20,7 +21,7 @@ from pixel2catch.ros2.transport import RealClock, make_transport
 from pixel2catch.twin.lab_node import COMMAND, STATE
 
 RATE = 0.5
-DOMAIN = str(150 + os.getpid() % 80)
+DOMAIN = own_domain()
 PATIENCE = 60.0
 
 

@@ -46,25 +46,29 @@ Draw = Callable[[SimulatedLab, Exposure], Image]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LockstepCfg:
-    """What is rehearsed.
+class SteppedRehearsalCfg:
+    """What is rehearsed in step.
 
     Attributes:
         task: What is thrown at which robot.
-        limits: What the servo keeps to.
-        seed: Of the first start pose and all noise.
+        throws: How many throws.
+        seed: Of the first throw; the next has the next.
         perception_time: Least time that perception takes for an image [s].
         perception_jitter: How much more it may be, drawn for each image [s].
         clock_error: How much older images are by their stamps than they are [s]; negative: younger.
+        is_plain: Whether the camera shows nothing but the object's box, so that perception cannot fail.
+        limits: What the servo keeps to.
         record: New folder for the recording of the deployment; none for no recording.
     """
 
     task: CatchEnvCfg
-    limits: ServoLimits = field(default_factory=ServoLimits)
+    throws: int
     seed: int = 0
     perception_time: float = PERCEPTION_TIME
     perception_jitter: float = 0.0
     clock_error: float = 0.0
+    is_plain: bool = False
+    limits: ServoLimits = field(default_factory=ServoLimits)
     record: Path | None = None
 
 
@@ -79,7 +83,7 @@ class SteppedRehearsal:
         control_loop: What catches.
     """
 
-    def __init__(self, cfg: LockstepCfg, draw: Draw, pipeline: PolicyPipeline) -> None:
+    def __init__(self, cfg: SteppedRehearsalCfg, draw: Draw, pipeline: PolicyPipeline) -> None:
         """Put everybody in place; nothing happens yet.
 
         Args:
@@ -148,33 +152,6 @@ GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))
 """Colours of plain images."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SteppedRehearsalCfg:
-    """What is rehearsed in step.
-
-    Attributes:
-        task: What is thrown at which robot.
-        throws: How many throws.
-        seed: Of the first throw; the next has the next.
-        perception_time: Least time that perception takes for an image [s].
-        perception_jitter: How much more it may be, drawn for each image [s].
-        clock_error: How much older images are by their stamps than they are [s]; negative: younger.
-        is_plain: Whether the camera shows nothing but the object's box, so that perception cannot fail.
-        limits: What the servo keeps to.
-        record: New folder for the recording of the deployment; none for no recording.
-    """
-
-    task: CatchEnvCfg
-    throws: int
-    seed: int = 0
-    perception_time: float = PERCEPTION_TIME
-    perception_jitter: float = 0.0
-    clock_error: float = 0.0
-    is_plain: bool = False
-    limits: ServoLimits = field(default_factory=ServoLimits)
-    record: Path | None = None
-
-
 def rehearse_stepped(
     cfg: SteppedRehearsalCfg, policy: Policy, report: Callable[[Outcome], None]
 ) -> dict[str, Any]:
@@ -217,16 +194,7 @@ def in_step(cfg: SteppedRehearsalCfg, policy: Policy) -> Iterator[SteppedRehears
     """
     with ExitStack() as stack:
         draw, pipeline = _plain(cfg, policy) if cfg.is_plain else _rendered(cfg, policy, stack)
-        world = LockstepCfg(
-            task=cfg.task,
-            limits=cfg.limits,
-            seed=cfg.seed,
-            perception_time=cfg.perception_time,
-            perception_jitter=cfg.perception_jitter,
-            clock_error=cfg.clock_error,
-            record=cfg.record,
-        )
-        yield stack.enter_context(SteppedRehearsal(world, draw, pipeline))
+        yield stack.enter_context(SteppedRehearsal(cfg, draw, pipeline))
 
 
 def _rendered(cfg: SteppedRehearsalCfg, policy: Policy, stack: ExitStack) -> tuple[Draw, PolicyPipeline]:
