@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from pixel2catch.deployment.limits import JointLimits, ServoLimits
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.files import write_atomically
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.robot.objects import select_objects
-from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
+from pixel2catch.servo.limits import JointLimits, ServoLimits
+from pixel2catch.twin.stepped import SteppedRehearsalCfg, rehearse_stepped
 
 SHARD = 10
 """Throws that a process makes before it takes others."""
@@ -40,9 +40,9 @@ def wide_limits() -> ServoLimits:
     return ServoLimits(joints=replace(joints, **wide))
 
 
-def settings(task: Any) -> dict[str, SteppingCfg]:
+def settings(task: Any) -> dict[str, SteppedRehearsalCfg]:
     """What is compared, by name."""
-    boxes = SteppingCfg(task=task, throws=SHARD, is_plain=True)
+    boxes = SteppedRehearsalCfg(task=task, throws=SHARD, is_plain=True)
     images = replace(boxes, is_plain=False)
     free = wide_limits()
     return {
@@ -74,7 +74,7 @@ def throw(shard: Shard) -> list[dict[str, Any]]:
     policy, _ = load_policy(shard.policy)
     task = replace(task_of(policy), objects=select_objects(("seen",)))
     cfg = replace(settings(task)[shard.name], seed=shard.seed)
-    return rehearse_in_step(cfg, policy, lambda _: None)["throws"]
+    return rehearse_stepped(cfg, policy, lambda _: None)["throws"]
 
 
 def row(name: str, throws: list[dict[str, Any]]) -> dict[str, Any]:

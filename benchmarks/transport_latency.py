@@ -15,11 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.transport import Topic
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
 IMAGES = Topic(name="/benchmark/image", type=messages.IMAGE)
 STATES = Topic(name="/benchmark/joint_states", type=messages.JOINT_STATE)
@@ -43,15 +41,15 @@ def lab(seconds: float, results) -> None:
             if tick * 30 // 500 >= num_images:
                 images.publish(messages.image(pixels, clock.now()))
                 num_images += 1
-            for packet in commands.take():
-                answers.append(clock.now() - messages.read_float_array(packet.data)[0])
+            for message in commands.take():
+                answers.append(clock.now() - messages.read_float_array(message.data)[0])
         share = (time.process_time() - cpu) / (clock.now() - begin)
         results.put(
             ("lab", {"image_to_command_ms": milliseconds(answers), "images": num_images, "cpu": share})
         )
 
 
-def brain(seconds: float, results) -> None:
+def pipeline(seconds: float, results) -> None:
     """Wait for messages; answer images at once."""
     clock, ages = RealClock(), {"image_ms": [], "joint_state_ms": []}
     with make_transport("dds", "brain", loopback=True, clock=clock) as node:
@@ -60,12 +58,12 @@ def brain(seconds: float, results) -> None:
         cpu, begin = time.process_time(), clock.now()
         while clock.now() - begin < seconds + 3 * SETTLE:
             node.wait(0.1)
-            for packet in images.take():
-                reading = messages.read_image(packet.data)
+            for message in images.take():
+                reading = messages.read_image(message.data)
                 ages["image_ms"].append(clock.now() - reading.stamp)
                 commands.publish(messages.float_array([reading.stamp]))
-            for packet in states.take():
-                ages["joint_state_ms"].append(clock.now() - messages.read_joint_state(packet.data).stamp)
+            for message in states.take():
+                ages["joint_state_ms"].append(clock.now() - messages.read_joint_state(message.data).stamp)
         share = (time.process_time() - cpu) / (clock.now() - begin)
     counts = {f"{name.removesuffix('_ms')}s": len(values) for name, values in ages.items()}
     figures = {name: milliseconds(values) for name, values in ages.items()}
@@ -86,7 +84,7 @@ def main() -> None:
     os.environ.setdefault("ROS_DOMAIN_ID", "91")
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
-    processes = [context.Process(target=side, args=(args.seconds, results)) for side in (brain, lab)]
+    processes = [context.Process(target=side, args=(args.seconds, results)) for side in (pipeline, lab)]
     for process in processes:
         process.start()
     report = dict(sorted(results.get(timeout=args.seconds + 60.0) for _ in processes))

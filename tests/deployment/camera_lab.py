@@ -9,14 +9,12 @@ import numpy as np
 from loop_lab import BOX, picture
 from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock, RealClock
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.priority import set_niceness
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.servo_link import Decision, Orders
-from pixel2catch.deployment.transport import Transport
 from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.servo.link import PolicyCommand, ServoStatus
+from pixel2catch.servo.process import set_niceness
 
 DT = 0.002
 IMAGE_TICKS = round(CONTROL_DT / DT)
@@ -24,13 +22,13 @@ AGE = 0.02
 """Age of an image when it is sent [s]."""
 
 
-class NoBrain:
-    """The brain is a process of its own here."""
+class NoControlLoop:
+    """The control loop is a process of its own here."""
 
-    def send(self, orders: Orders) -> None:
+    def send(self, words: PolicyCommand) -> None:
         """There is nobody to send to."""
 
-    def receive(self) -> list[Decision]:
+    def receive(self) -> list[ServoStatus]:
         return []
 
 
@@ -38,7 +36,7 @@ class CameraLab(WireLab):
     """Sends images, too; `faults` are what can go wrong."""
 
     def __init__(self, transport: Transport, profile: Profile, clock: Clock) -> None:
-        super().__init__(transport, NoBrain(), profile, clock)  # type: ignore[arg-type]
+        super().__init__(transport, NoControlLoop(), profile, clock)  # type: ignore[arg-type]
         self._images = transport.publisher(profile.camera.image)
         self._prompts = transport.publisher(profile.operator.prompt)
         self._stage, self._num_steps = transport, 0
@@ -73,7 +71,7 @@ class CameraLab(WireLab):
         self._num_steps += 1
 
 
-def laboratory(orders: Connection, rate: float) -> None:
+def laboratory(words: Connection, rate: float) -> None:
     """Be the laboratory until the other end of the pipe is closed; answer each word."""
     set_niceness(-10)
     clock = RealClock(rate)
@@ -82,8 +80,8 @@ def laboratory(orders: Connection, rate: float) -> None:
         try:
             while True:
                 lab.step()
-                while orders.poll():
-                    lab.faults[orders.recv()]()
+                while words.poll():
+                    lab.faults[words.recv()]()
                 due = max(due + DT, clock.now())
                 clock.sleep_until(due)
         except EOFError:

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from servo_rows import HOME
 
-from pixel2catch.deployment.limits import ServoLimits
-from pixel2catch.deployment.watchdog import Inputs
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.watchdogs import ServoInputs
 
 STRANGE = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e3, 0.0])
 WRONG_STAMPS = np.array([np.nan, np.inf, -np.inf, 0.0])
@@ -39,14 +39,14 @@ class Chaos:
         self.sent = {name: self.time.copy() for name in SENDERS}
         self.silent_until = {name: self.time - 1.0 for name in SENDERS}
 
-    def inputs(self) -> Inputs:
+    def inputs(self) -> ServoInputs:
         """What the servos are told now."""
         self.time = self.time + self.limits.dt * self.random.uniform(0.5, 1.5, self.rows)
         self._decide()
         self._send()
         now = self._wrong(self.time, WRONG_STAMPS)
         joint_stamp = np.tile(self.sent["joint_stamp"][:, None], len(JOINTS))
-        return Inputs(
+        return ServoInputs(
             now=np.where(self._happens(), now - self.random.exponential(0.1, self.rows), now),
             joint_pos=self._wrong(self.robots.joint_pos, STRANGE),
             joint_stamp=self._wrong(joint_stamp, WRONG_STAMPS),

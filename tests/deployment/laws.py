@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from pixel2catch.deployment.limits import STOP_TIME, ServoLimits
-from pixel2catch.deployment.servo_state import Mode, Output
-from pixel2catch.deployment.watchdog import Fault, Inputs
-from pixel2catch.deployment.workspace import Workspace
+from pixel2catch.servo.limits import STOP_TIME, ServoLimits
+from pixel2catch.servo.state import Mode, Output
+from pixel2catch.servo.watchdogs import Fault, ServoInputs
+from pixel2catch.servo.workspace import Workspace
 
 ROUNDING = 1e-9
 ALLOWED = {
@@ -35,7 +35,7 @@ class Laws:
         self.refusals_by = {fault: 0 for fault in Fault}
         self.num_clamps = 0
 
-    def check(self, inputs: Inputs, output: Output) -> None:
+    def check(self, inputs: ServoInputs, output: Output) -> None:
         """Check a tick, and remember it."""
         with np.errstate(invalid="ignore", over="ignore"):
             self._check_modes(inputs, output)
@@ -43,7 +43,7 @@ class Laws:
             self._check_motion(inputs, output)
             self._remember(inputs, output)
 
-    def _check_modes(self, inputs: Inputs, output: Output) -> None:
+    def _check_modes(self, inputs: ServoInputs, output: Output) -> None:
         for before, after in ALLOWED.items():
             assert np.isin(output.mode[self.mode == before], list(after)).all()
         is_armed = (output.mode == Mode.ARMED) & (self.mode != Mode.ARMED)
@@ -59,7 +59,7 @@ class Laws:
             assert away.any(axis=-1).all(), "given up though nobody moved it"
         np.testing.assert_array_equal(output.stopped_by != 0, output.mode == Mode.STOPPED)
 
-    def _check_faults(self, inputs: Inputs, output: Output) -> None:
+    def _check_faults(self, inputs: ServoInputs, output: Output) -> None:
         """No row is active with anything wrong."""
         limits, now = self.limits, inputs.now
         joint_age = now[:, None] - inputs.joint_stamp
@@ -81,7 +81,7 @@ class Laws:
         makes_sense = np.isfinite(inputs.joint_pos_target).all(axis=-1)
         assert (sees & makes_sense)[np.isin(output.mode, DRIVEN)].all()
 
-    def _check_motion(self, inputs: Inputs, output: Output) -> None:
+    def _check_motion(self, inputs: ServoInputs, output: Output) -> None:
         limits, joints, command = self.limits, self.limits.joints, output.command
         is_sent = output.mode != Mode.IDLE
         assert np.isnan(command[~is_sent]).all()
@@ -101,7 +101,7 @@ class Laws:
         is_over = (output.mode == Mode.STOPPED) & (self.stopped_ticks * limits.dt >= STOP_TIME)
         assert not np.abs(change[is_over]).any(), "a stop that still moves"
 
-    def _remember(self, inputs: Inputs, output: Output) -> None:
+    def _remember(self, inputs: ServoInputs, output: Output) -> None:
         begun = (output.mode == Mode.STOPPED) & (self.mode != Mode.STOPPED)
         for fault in Fault:
             self.stops_by[fault] += int((begun & ((output.stopped_by & fault) != 0)).sum())

@@ -1,4 +1,4 @@
-"""A brain's surroundings in memory: network, camera, and the servo's end of the link."""
+"""A control loop's surroundings in memory: network, camera, and the servo's end of the link."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -8,16 +8,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.brain import Brain
-from pixel2catch.deployment.clock import Clock, RealClock
-from pixel2catch.deployment.connection import Connection
-from pixel2catch.deployment.controller import Controller
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.servo_link import Decision, ServoEnd, link
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.transport import Transport
+from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline
+from pixel2catch.deployment.recorder import Connection
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
@@ -26,10 +18,19 @@ from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, Transport
+from pixel2catch.servo.link import ServoEnd, ServoStatus, link
+from pixel2catch.servo.state import Mode
 
 HOME = np.array([joint.home for joint in JOINTS])
 PROFILE = Profile.load("ur5e_allegro_v4")
 BOX = (300.0, 200.0, 330.0, 230.0)
+ASKING = 1e-4
+"""Time that passes while somebody asks for it [s]."""
+
 RED = ColorRange(hue=(340.0, 20.0))
 
 
@@ -48,17 +49,17 @@ def remembering(method: str = "shared_reward+boxes") -> Controller:
     return Controller(Policy(contract_of(find_method(method), PROFILE.handedness)).eval(), PROFILE.handedness)
 
 
-def brain(segmenter: Segmenter | None = None, controller: Controller | None = None) -> Brain:
+def new_pipeline(segmenter: Segmenter | None = None, controller: Controller | None = None) -> PolicyPipeline:
     """The policy of the paper, which is not told of ages, and eyes for red if nothing is said."""
     policy, _ = load_policy(Path("proposed"))
     person = Prompter(finds_flights=False)
     extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
-    return Brain(controller or Controller(policy, PROFILE.handedness), extractor, person)
+    return PolicyPipeline(controller or Controller(policy, PROFILE.handedness), extractor, person)
 
 
-def decision(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Decision:
+def servo_status(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> ServoStatus:
     """A tick of the servo, at home, in which nothing happens but what is given."""
-    return Decision(
+    return ServoStatus(
         time=time,
         mode=int(mode),
         stopped_by=int(others.get("stopped_by", 0)),
@@ -71,6 +72,23 @@ def decision(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others:
         target_stamp=others.get("target_stamp", -np.inf),
         image_stamp=others.get("image_stamp", -np.inf),
     )
+
+
+class PassingClock(Clock):
+    """Time passes by being asked for, as fast on any machine."""
+
+    def __init__(self) -> None:
+        self._time = 1000.0
+
+    def now(self) -> float:
+        self._time += ASKING
+        return self._time
+
+    def stamp(self) -> float:
+        return 1.7e9 + self.now()
+
+    def sleep_until(self, moment: float) -> None:
+        self._time = max(self._time, moment)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +110,11 @@ class Surroundings:
 @contextmanager
 def surroundings() -> Iterator[Surroundings]:
     """Open all ends."""
-    clock, broker = RealClock(), Broker()
+    clock, broker = PassingClock(), Broker()
     with ExitStack() as stack:
         node, lab = (stack.enter_context(broker.node(clock)) for _ in range(2))
         end, servo = link()
         stack.callback(end.close)
         stack.callback(servo.close)
-        connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, tape=None)
+        connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, recording=None)
         yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock)

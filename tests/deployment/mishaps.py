@@ -5,28 +5,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixel2catch.deployment.watchdog import Fault, Inputs
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.servo.watchdogs import Fault, ServoInputs
 
 ELBOW = np.arange(len(JOINTS)) == 2
 
 
-def aged(seconds: float) -> Callable[[Inputs], np.ndarray]:
+def aged(seconds: float) -> Callable[[ServoInputs], np.ndarray]:
     """A stamp of some time ago."""
     return lambda good: good.now - seconds
 
 
-def elbow(value: float, field: str) -> Callable[[Inputs], np.ndarray]:
+def elbow(value: float, field: str) -> Callable[[ServoInputs], np.ndarray]:
     """Something strange of the elbow alone."""
     return lambda good: np.where(ELBOW, value, getattr(good, field))
 
 
-def always(value: float | bool) -> Callable[[Inputs], np.ndarray]:
+def always(value: float | bool) -> Callable[[ServoInputs], np.ndarray]:
     """One value in every row."""
     return lambda good: np.full(len(good.now), value)
 
 
-MISHAPS: tuple[tuple[Fault, str, Callable[[Inputs], np.ndarray]], ...] = (
+MISHAPS: tuple[tuple[Fault, str, Callable[[ServoInputs], np.ndarray]], ...] = (
     (Fault.IMAGE_STALE, "image_stamp", aged(0.11)),
     (Fault.IMAGE_STALE, "image_stamp", aged(-0.01)),
     (Fault.IMAGE_STALE, "image_stamp", always(np.nan)),
@@ -49,7 +49,7 @@ MISHAPS: tuple[tuple[Fault, str, Callable[[Inputs], np.ndarray]], ...] = (
 """What stops the robot, one row each; a clock that is wrong makes stamps wrong as well."""
 
 
-def all_at_once(good: Inputs) -> Inputs:
+def all_at_once(good: ServoInputs) -> ServoInputs:
     """Inputs in which each row has its own fault."""
     change: dict[str, np.ndarray] = {}
     for row, (_, field, value) in enumerate(MISHAPS):
@@ -57,7 +57,7 @@ def all_at_once(good: Inputs) -> Inputs:
     return replace(good, **change)
 
 
-def one(number: int) -> Callable[[Inputs], Inputs]:
+def one(number: int) -> Callable[[ServoInputs], ServoInputs]:
     """Inputs in which all rows have the same fault."""
     _, field, value = MISHAPS[number]
     return lambda good: replace(good, **{field: value(good)})

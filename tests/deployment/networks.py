@@ -1,21 +1,13 @@
 """Nodes for tests, on networks that no other test is on."""
 
-import os
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.transport import Transport
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.transport import RealClock, Transport, make_transport
 
 MakeNode = Callable[[str], Transport]
 """Makes a node with a name."""
-
-
-def own_domain() -> str:
-    """A ROS_DOMAIN_ID for this process: tests run in several at a time."""
-    return str(1 + os.getpid() % 230)
 
 
 def memory_nodes(stack: ExitStack) -> MakeNode:

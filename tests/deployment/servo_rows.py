@@ -5,18 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixel2catch.deployment.limits import ServoLimits
-from pixel2catch.deployment.servo_core import ServoCore
-from pixel2catch.deployment.servo_state import Output, ServoState
-from pixel2catch.deployment.watchdog import Inputs
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.servo.core import ServoCore
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.state import Output, ServoState
+from pixel2catch.servo.watchdogs import ServoInputs
 
 HOME = np.array([joint.home for joint in JOINTS])
 LIMITS = ServoLimits(ramp_time=0.1)
 """Those of the robot, with a ramp that makes tests short."""
 
 
-def given(**change: np.ndarray) -> Callable[[Inputs], Inputs]:
+def given(**change: np.ndarray) -> Callable[[ServoInputs], ServoInputs]:
     """Good inputs, but for some."""
     return lambda good: replace(good, **change)
 
@@ -39,11 +39,11 @@ class Lab:
         self.outputs: list[Output] = []
         self.told = self.inputs()
 
-    def inputs(self) -> Inputs:
+    def inputs(self) -> ServoInputs:
         now = np.full(self.rows, self.time)
         if self.time - self._target_stamp > CONTROL_DT - 1e-6:
             self._target_stamp = self.time
-        return Inputs(
+        return ServoInputs(
             now=now,
             joint_pos=self.joint_pos.copy(),
             joint_stamp=np.tile(now[:, None], len(JOINTS)),
@@ -58,7 +58,7 @@ class Lab:
             has_other_publisher=np.zeros(self.rows, dtype=bool),
         )
 
-    def tick(self, distort: Callable[[Inputs], Inputs] | None = None) -> Output:
+    def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:
         """A tick, in which something may be otherwise; the robot follows."""
         self.time += self.limits.dt
         good = self.inputs()
@@ -70,7 +70,7 @@ class Lab:
         self.joint_pos += np.where(self.is_held_fast, 0.0, follow * (command - self.joint_pos))
         return output
 
-    def run(self, seconds: float, distort: Callable[[Inputs], Inputs] | None = None) -> Output:
+    def run(self, seconds: float, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:
         """Ticks for a time."""
         for _ in range(round(seconds / self.limits.dt) - 1):
             self.tick(distort)

@@ -7,13 +7,13 @@ from itertools import groupby, repeat
 from servo_rows import LIMITS
 from wire_lab import WireLab
 
-from pixel2catch.deployment.clock import Clock
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.servo_link import BrainEnd, ServoEnd
-from pixel2catch.deployment.servo_process import Servo, ServoSetup
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.watchdog import reasons
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock
+from pixel2catch.servo.link import LoopEnd, ServoEnd
+from pixel2catch.servo.process import Servo, ServoSetup
+from pixel2catch.servo.state import Mode
+from pixel2catch.servo.watchdogs import reasons
 
 
 class ClockOfScript(Clock):
@@ -43,12 +43,12 @@ class Stage:
     """A servo and a laboratory in memory; `play` runs the servo while a script, tick by tick, says what else
     happens."""
 
-    def __init__(self, profile: Profile, ends: tuple[BrainEnd, ServoEnd], is_dry_run: bool = False) -> None:
+    def __init__(self, profile: Profile, ends: tuple[LoopEnd, ServoEnd], is_dry_run: bool = False) -> None:
         self.clock, self.broker = ClockOfScript(), Broker()
-        brain, end = ends
+        loop, end = ends
         setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
         self.servo = Servo(end, self.broker.node(self.clock), setup, self.clock)
-        self.lab = WireLab(self.broker.node(self.clock), brain, profile, self.clock)
+        self.lab = WireLab(self.broker.node(self.clock), loop, profile, self.clock)
 
     def play(self, script: Iterator[None]) -> None:
         """Run until the script is over and the robot stands."""
@@ -72,17 +72,17 @@ class Stage:
 
     @property
     def mode(self) -> int:
-        return self.lab.decisions[-1].mode
+        return self.lab.servo_statuses[-1].mode
 
     @property
     def modes(self) -> list[int]:
         """The modes in their order."""
-        return [mode for mode, _ in groupby(decision.mode for decision in self.lab.decisions)]
+        return [mode for mode, _ in groupby(servo_status.mode for servo_status in self.lab.servo_statuses)]
 
     @property
     def stopped_by(self) -> tuple[str, ...]:
         """Why it was stopped first."""
-        return next(reasons(each.stopped_by) for each in self.lab.decisions if each.mode == Mode.STOPPED)
+        return next(reasons(each.stopped_by) for each in self.lab.servo_statuses if each.mode == Mode.STOPPED)
 
 
 def wait(num_ticks: int) -> Iterator[None]:

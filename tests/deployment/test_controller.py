@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pixel2catch.deployment.controller import Controller
+from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.step import Step
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError

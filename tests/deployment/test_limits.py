@@ -6,10 +6,10 @@ from math import pi
 import numpy as np
 import pytest
 
-from pixel2catch.deployment.limits import JointLimits, ServoLimits
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.servo.limits import JointLimits, ServoLimits
 
 NOMINAL = JointDynamics.nominal()
 

@@ -2,10 +2,9 @@
 
 import threading
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.transport import Topic
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.transport import RealClock, Topic
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 
@@ -27,7 +26,7 @@ def test_nodes_in_several_threads_lose_nothing():
     received = []
     while any(thread.is_alive() for thread in threads) or receiver.wait(0.0):
         if receiver.wait(0.1):
-            received += [messages.read_number(packet.data) for packet in subscription.take()]
+            received += [messages.read_number(message.data) for message in subscription.take()]
     assert sorted(received) == list(range(2000))
     assert receiver.num_other_publishers(NUMBER) == 0
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pixel2catch.deployment.motion import Motion, MotionLimits, braked, fastest, towards, wished
+from pixel2catch.servo.motion import Motion, MotionLimits, braked, fastest, towards, wished
 
 LIMITS = MotionLimits(
     lower=np.array([-1.0, -0.5]),

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.cdr import decode
-from pixel2catch.deployment.profile import PROFILES, Profile
 from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.messages import decode
+from pixel2catch.ros2.profile import PROFILES, Profile
 
 NAMES = [joint.name for joint in JOINTS]
 SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
@@ -91,7 +91,7 @@ def test_joint_states_are_read_by_name_in_any_order_and_some_at_a_time():
 def test_what_is_sent_to_the_hand_comes_back_to_the_same_joints():
     for name in SHIPPED:
         hand = Profile.load(name).robots[1]
-        names = {wire.index_in_command: wire.name_in_state for wire in hand.joints.values()}
+        names = {theirs.index_in_command: theirs.name_in_state for theirs in hand.joints.values()}
         targets = np.arange(len(JOINTS), dtype=np.float64)
         sent: Any = decode(hand.command(targets), hand.command_topic.type)
         values = sent.data if hasattr(sent, "data") else sent.position

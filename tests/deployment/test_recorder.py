@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from pixel2catch.deployment import messages, recorder
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.recorder import Recorder
-from pixel2catch.deployment.transport import Topic
+from pixel2catch.deployment import recorder
+from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.errors import DeploymentError
 from pixel2catch.identification.importers import Names, read_rosbag
 from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Topic
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 IMAGE = Topic(name="/image", type=messages.IMAGE)
@@ -37,7 +38,7 @@ def test_what_was_recorded_is_read_back_byte_by_byte(tmp_path: Path):
         (IMAGE, messages.image(pixels, EPOCH)),
         (MODE, messages.safety_mode(3)),
     ]
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
         for i, (topic, data) in enumerate(sent):
             bag.record(topic, data, EPOCH + 0.25 * i)
     names, times, data = zip(*read(tmp_path / "throw"), strict=True)
@@ -53,9 +54,9 @@ def test_a_recorded_throw_can_be_identified(tmp_path: Path):
     profile = Profile.load("ur5e_allegro_v4")
     time = np.arange(0.0, 3.0, 0.01)
     path = 0.2 * np.sin(2.0 * time)[:, None] + np.linspace(0.0, 1.0, len(JOINTS))
-    wires = {wire.name_in_state: joint for part in profile.robots for joint, wire in part.joints.items()}
+    wires = {theirs.name_in_state: joint for part in profile.robots for joint, theirs in part.joints.items()}
     order = [[joint.name for joint in JOINTS].index(joint) for joint in wires.values()]
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
         for moment, target in zip(EPOCH + time, path, strict=True):
             state = messages.joint_state(wires, 0.9 * target[order], moment)
             bag.record(profile.robots[0].state_topic, state, moment + 0.001)
@@ -84,24 +85,24 @@ def test_a_recorded_throw_can_be_identified(tmp_path: Path):
 
 
 def test_an_exception_leaves_a_whole_recording(tmp_path: Path):
-    with suppress(KeyboardInterrupt), Recorder(tmp_path / "throw") as bag:
+    with suppress(KeyboardInterrupt), BagRecorder(tmp_path / "throw") as bag:
         bag.record(NUMBER, messages.number(1.0), EPOCH)
         raise KeyboardInterrupt
     assert len(read(tmp_path / "throw")) == 1
 
 
 def test_what_was_there_is_not_overwritten(tmp_path: Path):
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
         bag.record(NUMBER, messages.number(1.0), EPOCH)
     with pytest.raises(DeploymentError, match=r"throw: no recording can be made .*choose another name"):
-        Recorder(tmp_path / "throw")
+        BagRecorder(tmp_path / "throw")
     assert len(read(tmp_path / "throw")) == 1
     with pytest.raises(DeploymentError, match="no recording can be made"):
-        Recorder(tmp_path / "throw" / "metadata.yaml" / "below")
+        BagRecorder(tmp_path / "throw" / "metadata.yaml" / "below")
 
 
 def test_messages_of_several_threads_are_all_there(tmp_path: Path):
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
 
         def record(start: int) -> None:
             for i in range(start, start + 500):
@@ -118,7 +119,7 @@ def test_messages_of_several_threads_are_all_there(tmp_path: Path):
 
 def test_what_does_not_fit_into_memory_is_dropped_and_counted(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(recorder, "MOST_WAITING", 100)
-    with Recorder(tmp_path / "throw") as bag:
+    with BagRecorder(tmp_path / "throw") as bag:
         bag.record(IMAGE, messages.image(np.zeros((48, 64, 3), np.uint8), EPOCH), EPOCH)
         bag.record(NUMBER, messages.number(1.0), EPOCH)
     assert bag.num_dropped == {"/image": 1}
@@ -130,7 +131,7 @@ def test_a_full_disk_is_said_and_stops_nothing(tmp_path: Path):
     old = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2**21, old[1]))
     try:
-        with Recorder(tmp_path / "throw") as bag:
+        with BagRecorder(tmp_path / "throw") as bag:
             for i in range(10):
                 bag.record(IMAGE, image, EPOCH + i)
     finally:
@@ -144,10 +145,10 @@ def test_after_a_kill_all_but_the_last_chunk_is_on_the_disk(tmp_path: Path):
     script = """
 import sys, time, numpy as np
 from pathlib import Path
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.recorder import Recorder
-from pixel2catch.deployment.transport import Topic
-bag = Recorder(Path(sys.argv[1]))
+from pixel2catch.ros2 import messages
+from pixel2catch.deployment.recorder import BagRecorder
+from pixel2catch.ros2.transport import Topic
+bag = BagRecorder(Path(sys.argv[1]))
 image = messages.image(np.zeros((480, 640, 3), np.uint8), 1.0)
 for i in range(10):
     bag.record(Topic(name="/image", type=messages.IMAGE), image, 1.0 + i)

@@ -7,11 +7,11 @@ import pytest
 from mishaps import MISHAPS, all_at_once
 from servo_rows import HOME, LIMITS, Lab, given
 
-from pixel2catch.deployment.limits import STOP_TIME, JointLimits
-from pixel2catch.deployment.servo_state import Clamp, Mode
-from pixel2catch.deployment.watchdog import Fault, reasons
 from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.servo.limits import STOP_TIME, JointLimits
+from pixel2catch.servo.state import Clamp, Mode
+from pixel2catch.servo.watchdogs import Fault, reasons
 
 STEP_TICKS = round(CONTROL_DT / LIMITS.dt) + 1
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
@@ -65,11 +65,11 @@ def test_the_ramp_goes_over_evenly():
 def test_a_target_is_reached_after_a_control_step_as_in_training():
     """The ramp of training from 0 to 0.05 rad: even, but for the acceleration at its ends."""
     lab = Lab().started()
-    while lab.state.course.stamp[0] != lab.state.now[0]:
+    while lab.state.interpolator.stamp[0] != lab.state.now[0]:
         lab.tick()
     lab.run(CONTROL_DT - 2 * LIMITS.dt)
     lab.target[0, 0] += 0.05
-    while lab.state.course.stamp[0] != lab.state.now[0]:
+    while lab.state.interpolator.stamp[0] != lab.state.now[0]:
         lab.tick()
     commands = [
         lab.outputs[-1].command[0, 0] - HOME[0],

@@ -12,10 +12,10 @@ from laws import Laws
 from mishaps import MISHAPS, one
 from servo_rows import LIMITS, Lab
 
-from pixel2catch.deployment.servo_core import ServoCore
-from pixel2catch.deployment.servo_state import Clamp, Mode, ServoState
-from pixel2catch.deployment.watchdog import Fault
 from pixel2catch.robot.constants import JOINTS
+from pixel2catch.servo.core import ServoCore
+from pixel2catch.servo.state import Clamp, Mode, ServoState
+from pixel2catch.servo.watchdogs import Fault
 
 
 def watched(num_rows: int, num_ticks: int, seed: int) -> Laws:

@@ -10,31 +10,31 @@ from servo_rows import HOME, LIMITS
 from servo_stage import Cut, Stage, wait
 from wire_lab import frozen, shuffled, twice, with_nan, without_elbow
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.limits import STOP_TIME
-from pixel2catch.deployment.profile import Profile, StatusTopics
-from pixel2catch.deployment.servo_link import BrainEnd, ServoEnd, link
-from pixel2catch.deployment.servo_state import Mode
-from pixel2catch.deployment.watchdog import reasons
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile, StatusTopics
+from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.link import LoopEnd, ServoEnd, link
+from pixel2catch.servo.state import Mode
+from pixel2catch.servo.watchdogs import reasons
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
 
 
 @pytest.fixture
-def ends() -> Iterator[tuple[BrainEnd, ServoEnd]]:
-    brain, servo = link()
-    with closing(brain), closing(servo):
-        yield brain, servo
+def ends() -> Iterator[tuple[LoopEnd, ServoEnd]]:
+    loop, servo = link()
+    with closing(loop), closing(servo):
+        yield loop, servo
 
 
 @pytest.fixture
-def stage(ends: tuple[BrainEnd, ServoEnd]) -> Stage:
+def stage(ends: tuple[LoopEnd, ServoEnd]) -> Stage:
     return Stage(Profile.load("ur5e_allegro_v4"), ends)
 
 
 @pytest.mark.parametrize("name", PROFILES)
-def test_arm_and_hand_go_where_the_policy_wants(name: str, ends: tuple[BrainEnd, ServoEnd]):
+def test_arm_and_hand_go_where_the_policy_wants(name: str, ends: tuple[LoopEnd, ServoEnd]):
     """Over all drivers' layouts, with joint states in any order, and nothing sent while idle."""
     stage = Stage(Profile.load(name), ends)
     lab = stage.lab
@@ -183,11 +183,11 @@ def test_a_driver_that_says_nothing_of_itself_is_not_armed(topic: str, stage: St
 
     stage.play(script())
     reason = "speed scaling" if topic == "speed_scaling" else "safety mode"
-    assert {reasons(each.refused) for each in stage.lab.decisions} == {(), (reason,)}
+    assert {reasons(each.refused) for each in stage.lab.servo_statuses} == {(), (reason,)}
     assert stage.modes == [Mode.IDLE]
 
 
-def test_status_that_the_profile_does_not_name_is_not_watched(ends: tuple[BrainEnd, ServoEnd]):
+def test_status_that_the_profile_does_not_name_is_not_watched(ends: tuple[LoopEnd, ServoEnd]):
     profile = replace(Profile.load("ur5e_allegro_v4"), status=StatusTopics())
     stage = Stage(profile, ends)
     stage.play(stage.armed())
@@ -199,7 +199,7 @@ def test_a_brain_that_is_gone_stops_the_robot_and_ends_the_servo(stage: Stage):
         stage.lab.target = HOME + 0.1
         yield from wait(30)
         stage.lab.silent.add("brain")
-        stage.lab.brain.close()
+        stage.lab.loop.close()
         while True:
             yield
 
@@ -227,7 +227,7 @@ def test_what_nobody_foresaw_is_raised_after_the_robot_stands(stage: Stage, monk
     assert len(stage.lab.commands["arm"]) > STOP_TICKS
 
 
-def test_a_dry_run_sends_nothing_and_runs(ends: tuple[BrainEnd, ServoEnd]):
+def test_a_dry_run_sends_nothing_and_runs(ends: tuple[LoopEnd, ServoEnd]):
     """The robot stands still, and the servo says what it would have sent."""
     stage = Stage(Profile.load("ur5e_allegro_v4"), ends, is_dry_run=True)
 
@@ -242,10 +242,10 @@ def test_a_dry_run_sends_nothing_and_runs(ends: tuple[BrainEnd, ServoEnd]):
     assert not any(stage.lab.commands.values())
     watcher = stage.broker.node(stage.clock)
     assert not any(watcher.num_other_publishers(part.command_topic) for part in stage.lab.profile.robots)
-    assert stage.lab.decisions[-1].command[0] > HOME[0] + 0.1
+    assert stage.lab.servo_statuses[-1].command[0] > HOME[0] + 0.1
 
 
-def test_a_dry_run_can_be_armed_again_after_a_stop(ends: tuple[BrainEnd, ServoEnd]):
+def test_a_dry_run_can_be_armed_again_after_a_stop(ends: tuple[LoopEnd, ServoEnd]):
     stage = Stage(Profile.load("ur5e_allegro_v4"), ends, is_dry_run=True)
 
     def script() -> Iterator[None]:
@@ -262,3 +262,22 @@ def test_a_dry_run_can_be_armed_again_after_a_stop(ends: tuple[BrainEnd, ServoEn
 
     stage.play(script())
     assert stage.stopped_by == ("dead man",)
+
+
+def test_the_operator_stops_and_goes_on(stage: Stage):
+    lab = stage.lab
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(80)
+        assert stage.mode == Mode.RUN
+        lab.say(lab.profile.operator.stop, messages.boolean(True))
+        yield from wait(2)
+        assert stage.mode == Mode.STOPPED
+        lab.target = lab.joint_pos.copy()
+        yield from wait(STOP_TICKS + 20)
+        yield from stage.armed(80)
+        assert stage.mode == Mode.RUN
+        raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == ("stop request",)

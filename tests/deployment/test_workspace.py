@@ -7,15 +7,15 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from pixel2catch.robot.allegro import Handedness
-from pixel2catch.robot.clearance import HAND_LOWER, HAND_UPPER, depth_in_table
-from pixel2catch.robot.kinematics import palm_pose
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from pixel2catch.deployment.workspace import Workspace, link_frames
+from pixel2catch.robot.allegro import Handedness
+from pixel2catch.robot.clearance import HAND_LOWER, HAND_UPPER, depth_in_table
 from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, JOINTS, TableSpec
+from pixel2catch.robot.kinematics import palm_pose
 from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.servo.workspace import Workspace, link_frames
 
 LOWER, UPPER = np.array([(joint.lower, joint.upper) for joint in JOINTS]).T
 HOME = np.array([[joint.home for joint in ARM_JOINTS]])

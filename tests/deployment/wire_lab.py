@@ -7,29 +7,27 @@ from typing import Any
 import numpy as np
 from servo_rows import HOME, LIMITS
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.cdr import decode
-from pixel2catch.deployment.clock import Clock
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.robot_part import RobotPart
-from pixel2catch.deployment.servo_link import BrainEnd, Decision, Orders
-from pixel2catch.deployment.transport import Topic, Transport
 from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.messages import decode
+from pixel2catch.ros2.profile import Profile, RobotPart
+from pixel2catch.ros2.transport import Clock, Topic, Transport
+from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoStatus
 
 
 class WireLab:
-    """Drivers, operator and brain; `step` lets them all speak once. What is in `silent` says nothing.
+    """Drivers, operator and control loop; `step` lets them all speak once. What is in `silent` says nothing.
 
     The joints follow the commands with the lag of their servos. `change` distorts an outgoing joint state.
     """
 
-    def __init__(self, transport: Transport, brain: BrainEnd, profile: Profile, clock: Clock) -> None:
-        self.transport, self.brain, self.profile, self.clock = transport, brain, profile, clock
+    def __init__(self, transport: Transport, loop: LoopEnd, profile: Profile, clock: Clock) -> None:
+        self.transport, self.loop, self.profile, self.clock = transport, loop, profile, clock
         self.joint_pos, self.target = HOME.copy(), HOME.copy()
         self.silent: set[str] = set()
         self.change: Callable[[messages.JointReading], messages.JointReading] = lambda reading: reading
         self.commands: dict[str, list[np.ndarray]] = {part.name: [] for part in profile.robots}
-        self.decisions: list[Decision] = []
+        self.servo_statuses: list[ServoStatus] = []
         self.image_age, self.speed, self.is_held = 0.03, 100.0, True
         self._tick = 0
         self._publishers = {topic.name: transport.publisher(topic) for topic in self._topics()}
@@ -70,12 +68,14 @@ class WireLab:
         if self._tick % round(CONTROL_DT / LIMITS.dt) == 0 and "brain" not in self.silent:
             now = self.clock.now()
             image_stamp = now - self.image_age
-            self.brain.send(Orders(joint_pos_target=self.target, target_stamp=now, image_stamp=image_stamp))
-        self.decisions += self.brain.receive()
+            self.loop.send(
+                PolicyCommand(joint_pos_target=self.target, target_stamp=now, image_stamp=image_stamp)
+            )
+        self.servo_statuses += self.loop.receive()
         self._tick += 1
 
     def _say_joints(self, part: RobotPart) -> None:
-        names = [wire.name_in_state for wire in part.joints.values()]
+        names = [theirs.name_in_state for theirs in part.joints.values()]
         reading = messages.JointReading(
             names=tuple(names), position=self.joint_pos[part.ids], stamp=self.clock.stamp()
         )
@@ -85,12 +85,12 @@ class WireLab:
     def _move(self) -> None:
         """The drivers follow the newest commands, which they have in an order of their own."""
         for part in self.profile.robots:
-            for packet in self._heard[part.name].take():
+            for message in self._heard[part.name].take():
                 is_array = part.command_topic.type == messages.FLOAT_ARRAY
                 read = messages.read_float_array if is_array else _positions
-                self.commands[part.name].append(read(packet.data))
+                self.commands[part.name].append(read(message.data))
             if self.commands[part.name]:
-                places = [wire.index_in_command for wire in part.joints.values()]
+                places = [theirs.index_in_command for theirs in part.joints.values()]
                 goal = self.commands[part.name][-1][places]
                 follow = np.minimum(LIMITS.dt / LIMITS.joints.lag[part.ids], 1.0)
                 self.joint_pos[part.ids] += follow * (goal - self.joint_pos[part.ids])

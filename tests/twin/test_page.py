@@ -9,19 +9,18 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from pixel2catch.robot.kinematics import palm_pose
 from twin_bench import PROFILE, Bench
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
+from domains import free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robot.constants import PALM_POS
-from pixel2catch.twin.lab import Phase
+from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.transport import RealClock
 from pixel2catch.twin.page import BOX_COLOR, Page, with_box
-from pixel2catch.twin.stepping import SteppingCfg, in_step
-
-PORT = 18080
+from pixel2catch.twin.simulated_lab import Phase
+from pixel2catch.twin.stepped import SteppedRehearsalCfg, in_step
 
 
 class Shown:
@@ -30,7 +29,7 @@ class Shown:
     def __init__(self) -> None:
         task, clock = CatchEnvCfg(), RealClock()
         self.bench = Bench(task)
-        self.page = Page(PORT, task.scene, PROFILE, self.bench.broker.node(clock), clock)
+        self.page = Page(free_port(), task.scene, PROFILE, self.bench.broker.node(clock), clock)
         self._status = self.bench.node.publisher(PROFILE.operator.status)
 
     def tell(self, **status: Any) -> None:
@@ -87,10 +86,10 @@ def test_the_operator_holds_arms_points_and_stops(shown: Shown):
     page, console = shown.page, shown.page.console
     page.hold(True)
     shown.go_on()
-    assert [messages.read_boolean(packet.data) for packet in heard["dead_man"].take()] == [True]
+    assert [messages.read_boolean(message.data) for message in heard["dead_man"].take()] == [True]
     page.hold(False)
     shown.go_on()
-    assert [messages.read_boolean(packet.data) for packet in heard["dead_man"].take()] == [False]
+    assert [messages.read_boolean(message.data) for message in heard["dead_man"].take()] == [False]
     page.ask("prepare")
     shown.page.update()
     shown.go_on(300)
@@ -106,17 +105,17 @@ def test_the_operator_holds_arms_points_and_stops(shown: Shown):
 @pytest.mark.slow
 def test_one_button_throws_and_catches():
     policy, _ = load_policy(None)
-    cfg = SteppingCfg(task=task_of(policy, physics_hz=120.0), throws=1, is_plain=True)
-    with in_step(cfg, policy) as lockstep:
-        node = lockstep.broker.node(lockstep.clock)
-        page = Page(PORT, cfg.task.scene, PROFILE, node, lockstep.clock)
+    cfg = SteppedRehearsalCfg(task=task_of(policy, physics_hz=120.0), throws=1, is_plain=True)
+    with in_step(cfg, policy) as rehearsal:
+        node = rehearsal.broker.node(rehearsal.clock)
+        page = Page(free_port(), cfg.task.scene, PROFILE, node, rehearsal.clock)
         page.seed.value = 3
         page.catch()
         assert page.trial is not None
         page.trial.join()
         page.update()
         page.close()
-        assert lockstep.lab.outcome == "caught"
+        assert rehearsal.lab.outcome == "caught"
         assert page.seed.value == 4
         assert "| deploy: mode | stopped |" in page.text.content
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from domains import own_domain
 from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.renderer import find_gl_backend
@@ -19,9 +20,9 @@ def test_a_throw_is_rehearsed_and_reported(
     except DeviceUnavailableError as error:
         pytest.skip(str(error))
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
-    out, tape = tmp_path / "rehearsal", tmp_path / "tape"
-    args = ["rehearse", "--throws", "1", "--clock", "0.2", "--seed", "3", "--json", "--domain", "113"]
-    assert main([*args, "--out", str(out), "--record", str(tape)]) == 0
+    out, recording = tmp_path / "rehearsal", tmp_path / "tape"
+    args = ["rehearse", "--throws", "1", "--clock", "0.1", "--seed", "3", "--json", "--domain", own_domain()]
+    assert main([*args, "--out", str(out), "--record", str(recording)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert json.loads((out / "report.json").read_text()) == report
     (throw,) = report["throws"]
@@ -30,7 +31,7 @@ def test_a_throw_is_rehearsed_and_reported(
     assert report["deploy"]["image_to_command_ms"]["count"] > 20
     assert report["deploy"]["stops"]
     assert report["twin"]["joint_speed"] < 2.8
-    assert (tape / "tape.mcap").stat().st_size > 1_000_000
+    assert (recording / "tape.mcap").stat().st_size > 1_000_000
 
 
 @pytest.mark.parametrize(

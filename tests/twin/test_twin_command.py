@@ -12,16 +12,16 @@ from typing import Any
 
 import pytest
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.profile import Profile
+from domains import own_domain
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.renderer import find_gl_backend
-from pixel2catch.twin.wires import COMMAND, STATE
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import RealClock, make_transport
+from pixel2catch.twin.lab_node import COMMAND, STATE
 
 RATE = 0.5
-DOMAIN = str(150 + os.getpid() % 80)
+DOMAIN = own_domain()
 PATIENCE = 60.0
 
 
@@ -54,8 +54,8 @@ def test_it_throws_when_asked_and_ends_with_ctrl_c(twin: subprocess.Popen[str]):
             end = time.monotonic() + PATIENCE
             while time.monotonic() < end:
                 node.wait(0.1)
-                for packet in states.take():
-                    state = json.loads(messages.read_text(packet.data))
+                for message in states.take():
+                    state = json.loads(messages.read_text(message.data))
                     if state["phase"] == phase:
                         return state
             raise AssertionError(f"never {phase}")

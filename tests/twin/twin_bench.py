@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.memory import Broker
-from pixel2catch.deployment.profile import Profile
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.rendering.camera import Exposure, Image
 from pixel2catch.robot.constants import JOINTS
-from pixel2catch.twin.camera import Camera
-from pixel2catch.twin.lab import Lab
-from pixel2catch.twin.wires import COMMAND, STATE, Wires
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import RealClock
+from pixel2catch.twin.camera import Camera, Exposure, Image
+from pixel2catch.twin.lab_node import COMMAND, STATE, LabNode
+from pixel2catch.twin.simulated_lab import SimulatedLab
 
 PROFILE = Profile.load("ur5e_allegro_v4")
 BLACK = np.zeros((480, 640, 3), dtype=np.uint8)
@@ -34,7 +33,7 @@ class Bench:
 
     def __init__(self, task: CatchEnvCfg, draw: Callable[[Exposure], "Future[Image]"] = draw_black) -> None:
         self.broker, clock = Broker(), RealClock()
-        self.lab, self.node = Lab(task, seed=0), self.broker.node(clock)
+        self.lab, self.node = SimulatedLab(task, seed=0), self.broker.node(clock)
         self.camera = Camera(draw)
         topics = {
             "joints": PROFILE.robots[0].state_topic,
@@ -42,8 +41,8 @@ class Bench:
             "state": STATE,
             **{name: topic for name, topic in vars(PROFILE.status).items() if topic},
         }
-        self.inbox = {name: self.node.subscription(topic, depth=1000) for name, topic in topics.items()}
-        self.wires = Wires(self.lab, PROFILE, self.broker.node(clock), self.camera)
+        self.queue = {name: self.node.subscription(topic, depth=1000) for name, topic in topics.items()}
+        self.lab_node = LabNode(self.lab, PROFILE, self.broker.node(clock), self.camera)
         self._arm, self._hand = (self.node.publisher(part.command_topic) for part in PROFILE.robots)
         self._requests = self.node.publisher(COMMAND)
         self.joint_pos = np.zeros(len(JOINTS))
@@ -57,17 +56,17 @@ class Bench:
 
     def cycle(self, num: int = 1) -> None:
         for _ in range(num):
-            self.wires.cycle(START)
+            self.lab_node.cycle(START)
 
     def read_joints(self) -> np.ndarray:
-        for packet in self.inbox["joints"].take():
-            reading = messages.read_joint_state(packet.data)
+        for message in self.queue["joints"].take():
+            reading = messages.read_joint_state(message.data)
             for part in PROFILE.robots:
                 part.merge(reading, self.joint_pos)
         return self.joint_pos
 
     def states(self) -> list[dict[str, Any]]:
-        return [json.loads(messages.read_text(packet.data)) for packet in self.inbox["state"].take()]
+        return [json.loads(messages.read_text(message.data)) for message in self.queue["state"].take()]
 
     def run_until(self, phase: str, most: int = 3000) -> dict[str, Any]:
         for _ in range(most):

@@ -13,11 +13,11 @@ from pixel2catch.cli.link import Link
 from pixel2catch.perception.factory import PerceptionArgs
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.brain import Brain
-    from pixel2catch.deployment.clock import Clock
-    from pixel2catch.deployment.deploying import Deployment
-    from pixel2catch.deployment.profile import Profile
+    from pixel2catch.deployment.control_loop import ControlLoop
+    from pixel2catch.deployment.policy_pipeline import PolicyPipeline
     from pixel2catch.robot.constants import CameraSpec
+    from pixel2catch.ros2.profile import Profile
+    from pixel2catch.ros2.transport import Clock
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,45 +53,46 @@ class Deploy:
         from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.deploying import Deployment
-            from pixel2catch.deployment.eyes import Eyes
-            from pixel2catch.deployment.priority import BRAIN, set_niceness
-            from pixel2catch.deployment.worker import ThreadWorker
-        set_niceness(BRAIN)
+            from pixel2catch.deployment.control_loop import ControlLoop
+            from pixel2catch.deployment.image_subscriber import ImageSubscriber
+            from pixel2catch.deployment.perception_thread import ThreadWorker
+            from pixel2catch.servo.process import CONTROL_LOOP, set_niceness
+        set_niceness(CONTROL_LOOP)
         self.perception.prepare()
         notes: list[str] = []
         camera, profile = self.perception.camera_spec(notes), self.link.load()
-        brain = self.make_brain(profile, camera)
+        pipeline = self.make_pipeline(profile, camera)
         for note in notes:
             say(note)
         with ExitStack() as stack:
-            worker = stack.enter_context(closing(ThreadWorker())) if brain.knows_age else None
+            worker = stack.enter_context(closing(ThreadWorker())) if pipeline.knows_age else None
             connection = self.link.connect(profile, self.record, self.record_images, stack)
             clock = connection.clock
-            eyes = Eyes(connection.transport, profile.camera, camera, clock, assumes_age=brain.knows_age)
-            deployment = Deployment(brain, eyes, connection, profile.operator, worker)
-            self._loop(deployment, clock)
+            images = ImageSubscriber(
+                connection.transport, profile.camera, camera, clock, assumes_age=pipeline.knows_age
+            )
+            control_loop = ControlLoop(pipeline, images, connection, profile.operator, worker)
+            self._loop(control_loop, clock)
         print(
-            json.dumps({"summary": deployment.diary.summary()})
+            json.dumps({"summary": control_loop.statistics.summary()})
             if self.json
-            else "\n".join(lines(deployment.diary.summary()))
+            else "\n".join(lines(control_loop.statistics.summary()))
         )
 
-    def make_brain(self, profile: "Profile", camera: "CameraSpec") -> "Brain":
+    def make_pipeline(self, profile: "Profile", camera: "CameraSpec") -> "PolicyPipeline":
         """Perception and policy, for this robot and camera."""
-        from pixel2catch.deployment.brain import make_brain
-        from pixel2catch.deployment.controller import Controller
+        from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.perception.factory import make_robot_mask
+        from pixel2catch.perception.robot_mask import RobotMask
 
         policy, _ = load_policy(self.policy)
-        controller = Controller(policy, camera)
+        controller = Controller(policy, profile.handedness, camera)
         profile.require(policy.contract.commands)
-        robot = make_robot_mask(camera, profile.workcell) if self.mask_robot else None
+        robot = RobotMask(camera, handedness=profile.handedness) if self.mask_robot else None
         prompter = self.perception.make_prompter(camera)
-        return make_brain(controller, self.perception.make_segmenter(), prompter, camera, robot)
+        return make_pipeline(controller, self.perception.make_segmenter(), prompter, camera, robot)
 
-    def _loop(self, deployment: "Deployment", clock: "Clock") -> None:
+    def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""
         from pixel2catch.cli.console import say
         from pixel2catch.interruption import StopRequest
@@ -107,7 +108,7 @@ class Deploy:
                 say(f"{clock.now() - begin:7.1f} s  {line}")
 
         with StopRequest() as stop:
-            deployment.run(lambda: stop.is_set or self._is_late(clock.now() - begin), report)
+            control_loop.run(lambda: stop.is_set or self._is_late(clock.now() - begin), report)
 
     def _is_late(self, time: float) -> bool:
         """Whether it is time to end."""

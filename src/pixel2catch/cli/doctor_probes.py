@@ -215,10 +215,8 @@ def dds() -> str:
     """Send a message from one node to another on this machine, as `rehearse` does."""
     if importlib.util.find_spec("cyclonedds") is None:
         raise Absent(f"not looked at without cyclonedds: pip install '{PACKAGE}[deployment]'")
-    from pixel2catch.deployment import messages
-    from pixel2catch.deployment.clock import RealClock
-    from pixel2catch.deployment.network import make_transport
-    from pixel2catch.deployment.transport import Topic
+    from pixel2catch.ros2 import messages
+    from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
     topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
     with (

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.clock import Clock
-    from pixel2catch.deployment.connection import Connection
-    from pixel2catch.deployment.profile import Profile
-    from pixel2catch.deployment.servo_process import ServoSetup
-    from pixel2catch.deployment.tape import Images
-    from pixel2catch.deployment.transport import Transport
+    from pixel2catch.deployment.recorder import Connection, Images
+    from pixel2catch.ros2.profile import Profile
+    from pixel2catch.ros2.transport import Clock, Transport
+    from pixel2catch.servo.process import ServoSetup
 
 NODE = "pixel2catch"
 """Name of the node; the servo's has `_servo` behind it."""
@@ -38,7 +36,7 @@ class Network:
 
     def load(self) -> "Profile":
         """The robot's profile."""
-        from pixel2catch.deployment.profile import Profile
+        from pixel2catch.ros2.profile import Profile
 
         return Profile.load(self.profile)
 
@@ -49,8 +47,7 @@ class Network:
         Args:
             node: Its name.
         """
-        from pixel2catch.deployment.clock import RealClock
-        from pixel2catch.deployment.network import make_transport
+        from pixel2catch.ros2.transport import RealClock, make_transport
 
         clock = RealClock(self.clock)
         with make_transport(self.transport, node, self.loopback, clock) as transport:
@@ -80,27 +77,25 @@ class Link(Network):
             images: How images are recorded.
             stack: Ends it all: first the servo, which stops the robot.
         """
-        from pixel2catch.deployment.connection import Connection
-        from pixel2catch.deployment.network import make_transport
-        from pixel2catch.deployment.recorder import Recorder
-        from pixel2catch.deployment.servo_process import start_servo
-        from pixel2catch.deployment.tape import Tape
+        from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
+        from pixel2catch.ros2.transport import make_transport
+        from pixel2catch.servo.process import start_servo
 
         setup = self._setup(profile)
         join = partial(make_transport, self.transport, f"{NODE}_servo", self.loopback)
-        recorder = stack.enter_context(Recorder(record)) if record else None
+        recorder = stack.enter_context(BagRecorder(record)) if record else None
         transport, clock = stack.enter_context(self.join(NODE))
-        tape = Tape(recorder, transport, profile, clock, images) if recorder else None
+        recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(
-            transport=transport, servo=servo.link, servo_dt=setup.limits.dt, clock=clock, tape=tape
+            transport=transport, servo=servo.link, servo_dt=setup.limits.dt, clock=clock, recording=recording
         )
 
     def _setup(self, profile: "Profile") -> "ServoSetup":
         """What the servo is the servo of."""
-        from pixel2catch.deployment.limits import JointLimits, ServoLimits
-        from pixel2catch.deployment.servo_process import ServoSetup
         from pixel2catch.robot.joint_dynamics import JointDynamics
+        from pixel2catch.servo.limits import JointLimits, ServoLimits
+        from pixel2catch.servo.process import ServoSetup
 
         joints = JointLimits.of(JointDynamics.nominal(), self.speed)
         return ServoSetup(profile=profile, limits=ServoLimits(joints=joints), is_dry_run=self.dry_run)

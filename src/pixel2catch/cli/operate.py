@@ -38,16 +38,15 @@ class Operate:
         from pixel2catch.interruption import StopRequest
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.console import Console
-            from pixel2catch.deployment.operating import Operating
+            from pixel2catch.deployment.operator import KeyOperator, OperatorConsole
             from pixel2catch.deployment.switches import Switches
         profile = self.network.load()
         teller = _Teller()
         with Switches(self.device) as switches, self.network.join("pixel2catch_operator") as (node, clock):
-            console = Console(node, profile.operator, clock)
+            console = OperatorConsole(node, profile.operator, clock)
             say(f"listening to {self.device}; Ctrl-C ends it, and stops the robot")
             with StopRequest() as stop:
-                Operating(console, switches, self.keys).run(clock, lambda: stop.is_set, teller.tell)
+                KeyOperator(console, switches, self.keys).run(clock, lambda: stop.is_set, teller.tell)
 
 
 class _Teller:

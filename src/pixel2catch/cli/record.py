@@ -10,9 +10,9 @@ from tyro.conf import Positional
 from pixel2catch.cli.link import Link
 
 if TYPE_CHECKING:
-    from pixel2catch.deployment.following import Follower
-    from pixel2catch.deployment.robot_part import RobotPart
+    from pixel2catch.deployment.follower import TrajectoryFollower
     from pixel2catch.identification.trajectory import Trajectory
+    from pixel2catch.ros2.profile import RobotPart
 
 ROBOTS = {"arm": "ur5e", "hand": "allegro"}
 """What `identify` calls the parts."""
@@ -43,15 +43,15 @@ class Record:
         from pixel2catch.identification.trajectory import Trajectory
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.following import Follower
-            from pixel2catch.deployment.limits import ServoLimits
+            from pixel2catch.deployment.follower import TrajectoryFollower
+            from pixel2catch.servo.limits import ServoLimits
         prepare("cpu")
         trajectory, profile = Trajectory.load(self.trajectory), self.link.load()
         profile.require(trajectory.joints)
         with ExitStack() as stack:
             connection = self.link.connect(profile, self.out, "none", stack)
             targets = whole_robot(trajectory)
-            follower = Follower(targets, trajectory.duration, ServoLimits().ramp_time, connection)
+            follower = TrajectoryFollower(targets, trajectory.duration, ServoLimits().ramp_time, connection)
             say(f"{trajectory.duration:.0f} s of motion; waiting to be armed")
             self._follow(follower)
         done = "followed to its end" if follower.is_done else "not followed to its end"
@@ -60,7 +60,7 @@ class Record:
             options = " ".join(identify_options(part))
             print(f"pixel2catch identify {self.out} ... --out identified-{part.name} {options}")
 
-    def _follow(self, follower: "Follower") -> None:
+    def _follow(self, follower: "TrajectoryFollower") -> None:
         """Follow until the end or Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.deploy import sentence
@@ -81,10 +81,12 @@ class Record:
 def identify_options(part: "RobotPart") -> list[str]:
     """What `identify` must be told of the topics and names of a part of a robot."""
     names = {place: f"{part.name}_{place}" for place in part.held}
-    names |= {wire.index_in_command: wire.name_in_state for wire in part.joints.values()}
+    names |= {theirs.index_in_command: theirs.name_in_state for theirs in part.joints.values()}
     order = ",".join(names[place] for place in sorted(names))
     renames = [
-        f"{ours}={wire.name_in_state}" for ours, wire in part.joints.items() if ours != wire.name_in_state
+        f"{ours}={theirs.name_in_state}"
+        for ours, theirs in part.joints.items()
+        if ours != theirs.name_in_state
     ]
     topics = ["--joint-states-topic", part.state_topic.name]
     topics += ["--command-topic", f"{part.command_topic.name}={order}"]

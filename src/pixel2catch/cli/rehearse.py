@@ -86,9 +86,9 @@ class Rehearse:
 
     def _refuse_nonsense(self) -> None:
         """Refuse what cannot be rehearsed, before anything starts."""
-        from pixel2catch.deployment.clock import RealClock
         from pixel2catch.errors import InvalidValueError
         from pixel2catch.rendering.renderer import find_gl_backend
+        from pixel2catch.ros2.transport import RealClock
 
         RealClock(self.clock)  # refuses what is no rate
         if self.throws < 1:
@@ -110,12 +110,12 @@ class Rehearse:
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.robot.objects import select_objects
-        from pixel2catch.twin.stepping import SteppingCfg, rehearse_in_step
+        from pixel2catch.twin.stepped import SteppedRehearsalCfg, rehearse_stepped
 
         prepare("cpu")
         policy, _ = load_policy(Path(self.policy) if self.policy else None)
         task = replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
-        cfg = SteppingCfg(
+        cfg = SteppedRehearsalCfg(
             task=task,
             throws=self.throws,
             seed=self.seed,
@@ -125,7 +125,7 @@ class Rehearse:
             is_plain=self.plain,
             record=self.record,
         )
-        return rehearse_in_step(cfg, policy, show)
+        return rehearse_stepped(cfg, policy, show)
 
     def _cfg(self) -> "RehearsalCfg":
         """What is rehearsed."""

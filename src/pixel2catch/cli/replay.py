@@ -20,7 +20,7 @@ class Replay:
     policy and perception the targets are those of then, but for what JPEG and the perception's times change.
 
     Attributes:
-        tape: What `deploy --record` or `rehearse --record` wrote, with images.
+        recording: What `deploy --record` or `rehearse --record` wrote, with images.
         out: New folder for the recording (MCAP) of what was decided now.
         policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
         profile: The robot of then: a shipped profile or a .yaml file.
@@ -30,7 +30,7 @@ class Replay:
         perception: What looks for the object.
     """
 
-    tape: Positional[Path]
+    recording: Positional[Path]
     out: Path
     policy: Path | None = None
     profile: str = "ur5e_allegro_v4"
@@ -44,21 +44,24 @@ class Replay:
         from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.profile import Profile
-            from pixel2catch.deployment.replaying import ReplayCfg, compare, decided, replay
+            from pixel2catch.deployment.replay import ReplayCfg, compare, recorded_targets, replay
+            from pixel2catch.ros2.profile import Profile
         self.perception.prepare()
         notes: list[str] = []
         profile, camera = Profile.load(self.profile), self.perception.camera_spec(notes)
         deploy = Deploy(policy=self.policy, mask_robot=self.mask_robot, perception=self.perception)
         cfg = ReplayCfg(
-            tape=self.tape,
+            recording=self.recording,
             out=self.out,
             profile=profile,
             camera=camera,
             perception_time=1e-3 * self.perception_ms,
         )
-        diary = replay(cfg, deploy.make_brain(profile, camera))
-        report = {"deploy": diary.summary(), "decided": compare(decided(self.tape), decided(self.out))}
+        statistics = replay(cfg, deploy.make_pipeline(profile, camera))
+        report = {
+            "deploy": statistics.summary(),
+            "decided": compare(recorded_targets(self.recording), recorded_targets(self.out)),
+        }
         print(json.dumps(report) if self.json else "\n".join([*notes, *_lines(report)]))
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pixel2catch.twin.running import Pace
-    from pixel2catch.twin.wires import Wires
+    from pixel2catch.twin.lab_node import LabNode
+    from pixel2catch.twin.realtime import ClockStats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Twin:
         from pixel2catch.robot.objects import select_objects
 
         with needs_extra("twin"):
-            from pixel2catch.twin.running import TwinCfg, serve
+            from pixel2catch.twin.realtime import TwinCfg, serve
         prepare("cpu")
         if self.domain is not None:
             os.environ["ROS_DOMAIN_ID"] = str(self.domain)
@@ -56,15 +56,15 @@ class Twin:
         cfg = TwinCfg(task=task, seed=self.seed, clock=self.clock, web=self.web)
         last = ""
 
-        def report(wires: "Wires", pace: "Pace") -> bool:
+        def report(lab_node: "LabNode", stats: "ClockStats") -> bool:
             nonlocal last
-            if (now := wires.summary()) != last:
-                say(f"{wires.time:7.1f} s  {now}")
+            if (now := lab_node.summary()) != last:
+                say(f"{lab_node.time:7.1f} s  {now}")
                 last = now
             return not stop.is_set
 
         say(f"opening the lab; clock {self.clock:g}; Ctrl-C ends it")
         with StopRequest() as stop:
-            pace = serve(cfg, report)
-        late = f"{pace.num_late:,} of them late, the worst by {1000 * pace.worst:.0f} ms"
-        say(f"{pace.num_cycles:,} cycles, {late}")
+            stats = serve(cfg, report)
+        late = f"{stats.num_late:,} of them late, the worst by {1000 * stats.worst:.0f} ms"
+        say(f"{stats.num_cycles:,} cycles, {late}")

@@ -3,17 +3,22 @@
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock, Thread
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from rosbags.interfaces import Connection
+import numpy as np
+from rosbags.interfaces import Connection as BagConnection
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
-from pixel2catch.deployment.cdr import STORE
-from pixel2catch.deployment.transport import Topic
 from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.messages import STORE, compress, compressed_topic
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
+from pixel2catch.servo.link import LoopEnd
 
 MOST_WAITING = 128 * 2**20
 """Messages that wait to be written [bytes]: 4 s of images. Source: ours."""
@@ -30,7 +35,7 @@ class _Entry(NamedTuple):
     convert: Convert
 
 
-class Recorder:
+class BagRecorder:
     """Writes messages in a thread of its own; use it as a context manager, which ends the file properly.
 
     A slow or full disk never holds up the caller: what cannot be written is dropped and counted. After a kill
@@ -54,7 +59,7 @@ class Recorder:
         self.num_written: Counter[str] = Counter()
         self.num_dropped: Counter[str] = Counter()
         self.problem = ""
-        self._connections: dict[Topic, Connection] = {}
+        self._connections: dict[Topic, BagConnection] = {}
         self._waiting, self._lock = 0, Lock()
         self._queue: SimpleQueue[_Entry | None] = SimpleQueue()
         self._writer = _open(folder)
@@ -90,7 +95,7 @@ class Recorder:
             with suppress(OSError):
                 self._writer.abort()
 
-    def __enter__(self) -> "Recorder":
+    def __enter__(self) -> "BagRecorder":
         """Return the recorder itself."""
         return self
 
@@ -133,3 +138,85 @@ def _open(folder: Path) -> Writer:
             f"{folder}: no recording can be made ({error}); choose another name."
         ) from error
     return writer
+
+
+SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)
+"""Every tick of the servo, `ServoStatus.row`."""
+
+ORDERS = Topic(name="/pixel2catch/orders", type=messages.FLOAT_ARRAY)
+"""What the servo was told, `PolicyCommand.row`."""
+
+DEPTH = 512
+"""Messages that are kept between two control steps."""
+
+RESOLUTION = 1e-6
+"""Least time between two messages of a topic [s]: readers of bags sort by it."""
+
+Images = Literal["jpeg", "raw", "none"]
+"""How images are recorded; raw ones are 27 MB a second."""
+
+
+class DeploymentRecorder:
+    """Records a deployment; what is sent over the network is recorded as everybody else hears it."""
+
+    def __init__(
+        self, recorder: BagRecorder, transport: Transport, profile: Profile, clock: Clock, images: Images
+    ) -> None:
+        """Begin to listen to joint states, commands and operator."""
+        self._recorder, self._clock = recorder, clock
+        self._profile, self._images = profile, images
+        self._last: dict[Topic, float] = {}
+        operator = profile.operator
+        topics = {topic for part in profile.robots for topic in (part.state_topic, part.command_topic)} | {
+            operator.arm,
+            operator.dead_man,
+            operator.stop,
+            operator.prompt,
+            operator.status,
+        }
+        topics |= {topic for topic in vars(profile.status).values() if topic}
+        self._subscriptions = [(topic, transport.subscription(topic, DEPTH)) for topic in topics]
+
+    def record_messages(self) -> None:
+        """Record what has arrived since the last call."""
+        for topic, subscription in self._subscriptions:
+            for message in subscription.take():
+                self._write(topic, message.data, message.arrival)
+
+    def record_images(self, received: list[Message]) -> None:
+        """Record images."""
+        topic = self._profile.camera.image
+        for message in received:
+            if self._images == "jpeg":
+                self._write(compressed_topic(topic), message.data, message.arrival, compress)
+            elif self._images == "raw":
+                self._write(topic, message.data, message.arrival)
+
+    def record_row(self, topic: Topic, row: np.ndarray, time: float) -> None:
+        """Record numbers of this time, `Clock.now` [s]."""
+        self._write(topic, messages.float_array(row), time)
+
+    def _write(self, topic: Topic, data: bytes, time: float, convert: Convert = bytes) -> None:
+        """Record a message of a moment of `Clock.now` [s]; those of one moment keep their order."""
+        stamp = self._clock.stamp() - (self._clock.now() - time)
+        self._last[topic] = max(stamp, self._last.get(topic, stamp) + RESOLUTION)
+        self._recorder.record(topic, data, self._last[topic], convert)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Connection:
+    """Network, servo, clock and recording.
+
+    Attributes:
+        transport: The node of the network.
+        servo: The control loop's end of the link to the servo process.
+        servo_dt: Time between two ticks of the servo [s].
+        clock: The clock.
+        recording: The recording, if there is one.
+    """
+
+    transport: Transport
+    servo: LoopEnd
+    servo_dt: float
+    clock: Clock
+    recording: DeploymentRecorder | None

@@ -17,21 +17,18 @@ import torch
 import viser
 
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
-from pixel2catch.deployment import messages
-from pixel2catch.deployment.clock import Clock, RealClock
-from pixel2catch.deployment.console import Console, newest
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.profile import Profile
-from pixel2catch.deployment.transport import Transport
+from pixel2catch.deployment.operator import OperatorConsole, newest
 from pixel2catch.robot import shapes
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 from pixel2catch.robot.objects import OBJECTS
 from pixel2catch.robot.scene import OBJECT_RGBA, SceneCfg, build_model
 from pixel2catch.robot.shapes import ConvexPart
-from pixel2catch.twin.children import LAST, obey_parent
-from pixel2catch.twin.operator import Operator
-from pixel2catch.twin.trials import run_trial
-from pixel2catch.twin.wires import COMMAND, STATE
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.twin.lab_node import COMMAND, STATE
+from pixel2catch.twin.processes import LAST, obey_parent
+from pixel2catch.twin.trials import RehearsalOperator, run_trial
 
 HOST = "127.0.0.1"
 """The page is for this machine only; others come by a tunnel."""
@@ -80,7 +77,7 @@ class Page:
             clock: The clock of twin and deployment.
         """
         self._transport, self._topics, self._clock = transport, profile.operator, clock
-        self.console = Console(transport, profile.operator, clock)
+        self.console = OperatorConsole(transport, profile.operator, clock)
         self.trial: Thread | None = None
         self._parts, self._joint_pos = profile.robots, np.array([joint.home for joint in JOINTS])
         self._model = build_model(replace(scene, visuals=True))
@@ -107,8 +104,8 @@ class Page:
             self._commands.publish(messages.text(json.dumps(self._wishes.popleft())))
         self._state = newest(self._states, self._state)
         self.console.watch()
-        for packet in self._joints.take():
-            reading = messages.read_joint_state(packet.data)
+        for message in self._joints.take():
+            reading = messages.read_joint_state(message.data)
             for part in self._parts:
                 part.merge(reading, self._joint_pos)
         with self._server.atomic():
@@ -125,7 +122,7 @@ class Page:
     def catch(self) -> None:
         """Do all that an operator does for a throw, beside the page; nothing while that goes on."""
         if self.trial is None or not self.trial.is_alive():
-            operator = Operator(self._transport, self._topics, self._clock)
+            operator = RehearsalOperator(self._transport, self._topics, self._clock)
             self.trial = Thread(target=run_trial, args=(operator, self._next_seed()), daemon=True)
             self.trial.start()
 
@@ -211,8 +208,8 @@ class Page:
         box = status.get("box")
         if box:
             self._boxes.append(box)
-        for packet in self._images.take():
-            self.picture.image = with_box(messages.read_image(packet.data).pixels, box)
+        for message in self._images.take():
+            self.picture.image = with_box(messages.read_image(message.data).pixels, box)
         rows = {**self._features(), **{f"deploy: {name}": value for name, value in status.items()}}
         rows |= {f"twin: {name}": value for name, value in self._state.items() if name != "object_pose"}
         table = "\n".join(f"| {name} | {value} |" for name, value in rows.items())

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.deployment.clock import RealClock
-from pixel2catch.deployment.network import make_transport
-from pixel2catch.deployment.profile import Profile
 from pixel2catch.errors import DeploymentError
-from pixel2catch.twin.operator import Operator
-from pixel2catch.twin.running import PROFILE
-from pixel2catch.twin.trials import Outcome, of_twin, rates, run_trial
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import RealClock, make_transport
+from pixel2catch.twin.realtime import PROFILE
+from pixel2catch.twin.trials import Outcome, RehearsalOperator, of_twin, rates, run_trial
 
 START_TIME = 120.0
 """Real time in which both processes must be there [s]: on loaded machines imports are slow. Source: ours."""
@@ -71,7 +69,7 @@ def rehearse(cfg: RehearsalCfg, report: Callable[[Outcome], None]) -> dict[str, 
             _process(cfg.logs, "deploy", *common, "--loopback", "--json", *cfg.deploy)
         )
         node = stack.enter_context(make_transport("dds", "pixel2catch_operator", True, clock))
-        operator = Operator(node, Profile.load(PROFILE).operator, clock)
+        operator = RehearsalOperator(node, Profile.load(PROFILE).operator, clock)
         _wait_for_both(operator, (twin, deploy), cfg)
         outcomes = []
         for seed in range(cfg.seed, cfg.seed + cfg.throws):
@@ -107,7 +105,7 @@ def _process(logs: Path, command: str, *args: str) -> Iterator[subprocess.Popen[
 
 
 def _wait_for_both(
-    operator: Operator, processes: Sequence[subprocess.Popen[bytes]], cfg: RehearsalCfg
+    operator: RehearsalOperator, processes: Sequence[subprocess.Popen[bytes]], cfg: RehearsalCfg
 ) -> None:
     """Wait until twin and deployment are heard of, and the servo ticks."""
 

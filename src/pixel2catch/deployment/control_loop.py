@@ -1,0 +1,229 @@
+"""The loop of a deployment: images and decisions come in, orders, a status and a recording go out."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from pixel2catch.deployment.image_subscriber import ImageSubscriber
+from pixel2catch.deployment.perception_thread import (
+    CallerWorker,
+    ConcurrentPerception,
+    PerceptionResult,
+    Worker,
+)
+from pixel2catch.deployment.policy_pipeline import BOX_AGE, PolicyPipeline
+from pixel2catch.deployment.recorder import ORDERS, SERVO, Connection
+from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
+from pixel2catch.deployment.timing import DecisionDelay, DecisionTimer
+from pixel2catch.errors import DeploymentError, NonFiniteError
+from pixel2catch.perception.extractor import CameraFrame, Extraction
+from pixel2catch.perception.segmenter import BoxPrompt, Prompt
+from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import OperatorTopics
+from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.state import Mode
+
+POLL = 0.002
+"""Longest time between two looks at servo and network [s], in real time; an image ends it. Source: ours."""
+
+LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
+"""Age up to which an image waits for its decision [s]: the policy gets the box of before. Source: ours."""
+
+PATIENCE = 1.5 * CONTROL_DT
+"""Time after an image from which the next one is missing [s]. Source: ours."""
+
+
+class ControlLoop:
+    """Runs a control loop.
+
+    A policy that knows how old its boxes are decides at even times, while images are looked at. One that does
+    not decides on each image when it has been looked at, and when the box is as old as in its training.
+
+    Attributes:
+        statistics: What has happened.
+    """
+
+    def __init__(
+        self,
+        pipeline: PolicyPipeline,
+        images: ImageSubscriber,
+        connection: Connection,
+        topics: OperatorTopics,
+        worker: Worker[Extraction] | None = None,
+    ) -> None:
+        """Announce and listen.
+
+        Args:
+            pipeline: Perception and policy.
+            images: The camera.
+            connection: Network, servo, clock and recording.
+            topics: Topics of the operator.
+            worker: Who looks at images; the caller itself if absent.
+        """
+        self.statistics = RunStatistics()
+        self._pipeline, self._images = pipeline, images
+        self._servo, self._clock, self._recording = connection.servo, connection.clock, connection.recording
+        self._servo_dt = connection.servo_dt
+        self._transport = connection.transport
+        self._prompts = connection.transport.subscription(topics.prompt)
+        self._status = connection.transport.publisher(topics.status)
+        self._joint_pos = np.full(len(JOINTS), np.nan)
+        self._mode = int(Mode.IDLE)
+        self._worker = worker or CallerWorker(connection.clock)
+        self._perception = ConcurrentPerception(pipeline, self._worker, connection.clock)
+        self._frame: CameraFrame | None = None
+        self._look: PerceptionResult | None = None
+        self._seen: Extraction | None = None
+        self._due = connection.clock.now()
+        self._message, self._delay, self._timer = "", DecisionDelay(LONGEST_AGE), DecisionTimer(self._due)
+
+    def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
+        """Go from control step to control step.
+
+        Args:
+            is_over: Asked all the time whether to end.
+            on_status: Gets the status of every control step.
+
+        Raises:
+            DeploymentError: The servo process is gone, or the camera is another one.
+            PerceptionError: The first image has the wrong size.
+        """
+        while not is_over():
+            status = self.poll()
+            if status is not None:
+                on_status(status)
+            elif (left := self._due - self._clock.now()) > 0.0:
+                self._transport.wait(min(POLL, left))
+
+    def poll(self) -> dict[str, Any] | None:
+        """Make a control step if it is time.
+
+        Returns:
+            Its status; none if there was nothing to do.
+
+        Raises:
+            DeploymentError: As `run` does.
+            PerceptionError: As `run` does.
+        """
+        self._hear()
+        frame = self._images.newest()
+        if self._recording:
+            self._recording.record_images(self._images.received)
+        if self._pipeline.knows_age:
+            return self._poll_at_even_times(frame)
+        if frame is None and self._clock.now() < self._due:
+            return None
+        return self._step(frame)
+
+    def _hear(self) -> None:
+        """Take what servo and operator have said."""
+        for servo_status in self._servo.receive():
+            self.statistics.note_status(servo_status, self._servo_dt)
+            self._images.remember(servo_status.time, servo_status.joint_pos)
+            self._joint_pos = servo_status.joint_pos
+            if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
+                self._perception.begin(None)
+            self._mode = servo_status.mode
+            if self._recording:
+                self._recording.record_row(SERVO, servo_status.row, servo_status.time)
+        if self._servo.is_closed:
+            raise DeploymentError(
+                "the servo process has ended, and nothing guards the robot: press its stop. What the process "
+                "said of the reason is above."
+            )
+        for message in self._prompts.take():
+            self._point(message.data)
+
+    def _point(self, data: bytes) -> None:
+        """Begin a throw where the operator points."""
+        try:
+            self._perception.begin(read_prompt(data))
+            self._message = ""
+        except DeploymentError as error:
+            self._message = str(error)
+
+    def _poll_at_even_times(self, frame: CameraFrame | None) -> dict[str, Any] | None:
+        """Have images looked at, and decide when it is time, whether that is done or not."""
+        if frame:
+            self._perception.offer(frame)
+        if look := self._perception.go_on():
+            self._look, self._seen = look, look.seen
+            self._timer.learn(look.frame.stamp, look.end)
+        now = self._clock.now()
+        if now < self._timer.due:
+            return None
+        took, is_missed = self._look.took if self._look else 0.0, self._look is None
+        self._look = None
+        policy_command, complaint = self._decide()
+        if policy_command:
+            self.statistics.note_command(policy_command)
+            policy_command = replace(policy_command, image_stamp=min(self._images.stamp, now))
+        self._timer.advance(now, is_even=policy_command is not None)
+        self._due = self._timer.due
+        return self._conclude(policy_command, complaint, began=now - took, is_missed=is_missed)
+
+    def _step(self, frame: CameraFrame | None) -> dict[str, Any]:
+        """One control step; without a new image it is the last one's again."""
+        is_missed = frame is None
+        begin = self._clock.now()
+        self._frame = frame or self._frame
+        look = partial(self._pipeline.perceive, self._frame, begin)
+        if frame:
+            self._worker.start(look)
+        self._seen = self._worker.finish() if frame else look()
+        self._pipeline.remember(self._frame, self._seen)
+        looked = self._clock.now()
+        if frame:
+            self._clock.sleep_until(self._delay.moment(frame.stamp, looked))
+        waited = self._clock.now() - looked
+        self._hear()
+        policy_command, complaint = self._decide()
+        self._due = self._due + CONTROL_DT if is_missed else begin + PATIENCE
+        return self._conclude(policy_command, complaint, began=begin + waited, is_missed=is_missed)
+
+    def _conclude(
+        self, policy_command: PolicyCommand | None, complaint: str, *, began: float, is_missed: bool
+    ) -> dict[str, Any]:
+        """Send orders, and publish and record what happened in a control step that began at a time [s]."""
+        if policy_command and self._mode in ACTIVE:
+            self._servo.send(policy_command)
+        end, seen = self._clock.now(), self._seen
+        if self._mode in ACTIVE:
+            self.statistics.count_step(took=end - began, is_missed=is_missed)
+        message = self._message or self._images.message or complaint or (seen.message if seen else "")
+        status = self.statistics.status(seen, self._images.take_notice() or message)
+        self._status.publish(messages.text(json.dumps(status)))
+        if self._recording:
+            if policy_command:
+                self._recording.record_row(ORDERS, policy_command.row, end)
+            self._recording.record_messages()
+        return status
+
+    def _decide(self) -> tuple[PolicyCommand | None, str]:
+        """Orders, if there can be any, and what is wrong."""
+        try:
+            return self._pipeline.decide(self._joint_pos, self._clock.now()), ""
+        except (NonFiniteError, DeploymentError) as error:
+            return None, str(error)
+
+
+def read_prompt(data: bytes) -> Prompt:
+    """Read where the operator points.
+
+    Raises:
+        DeploymentError: It is no box of an image.
+    """
+    try:
+        xmin, ymin, xmax, ymax = map(float, json.loads(messages.read_text(data))["box"])
+    except (ValueError, TypeError, KeyError) as error:
+        raise DeploymentError(
+            f'a prompt is not {{"box": [xmin, ymin, xmax, ymax]}} in pixels ({error}).'
+        ) from error
+    if not (xmin < xmax and ymin < ymax):
+        raise DeploymentError(f"the prompt's box {xmin:g} {ymin:g} {xmax:g} {ymax:g} is empty.")
+    return BoxPrompt(box=(xmin, ymin, xmax, ymax))

@@ -1,0 +1,119 @@
+"""A robot that follows a trajectory instead of a policy, such as one that `excite` wrote."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from pixel2catch.deployment.recorder import ORDERS, SERVO, Connection
+from pixel2catch.deployment.statistics import RunStatistics
+from pixel2catch.errors import DeploymentError
+from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.servo.link import PolicyCommand, ServoStatus
+from pixel2catch.servo.motion import Joints
+from pixel2catch.servo.state import Mode
+
+PERIOD = 0.01
+"""Time between two orders [s]. Source: ours."""
+
+
+class TrajectoryFollower:
+    """Gives the servo the targets that are due; the operator arms, and the servo guards, as with a policy.
+
+    The servo moves evenly to a new target within a control step. What it sent is what a recording has.
+
+    Attributes:
+        statistics: What has happened.
+        is_done: Whether the trajectory was followed to its end.
+    """
+
+    def __init__(
+        self, targets: Callable[[float], Joints], duration: float, ramp_time: float, connection: Connection
+    ) -> None:
+        """Wait to be armed.
+
+        Args:
+            targets: The targets of all joints, in joint order [rad], by the time since its beginning [s].
+            duration: When it ends [s].
+            ramp_time: How long it waits at its first target, in which the servo goes there [s].
+            connection: Network, servo, clock and recording.
+        """
+        self.statistics, self.is_done = RunStatistics(), False
+        self._targets, self._duration, self._ramp_time = targets, duration, ramp_time
+        self._connection = connection
+        self._armed_at = np.inf
+        self._mode = int(Mode.IDLE)
+
+    def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
+        """Follow it once.
+
+        Args:
+            is_over: Asked all the time whether to end before.
+            on_status: Gets a status with all orders.
+
+        Raises:
+            DeploymentError: The servo process is gone, or it has stopped the robot.
+        """
+        clock, due = self._connection.clock, self._connection.clock.now()
+        while not (is_over() or self.is_done):
+            self._hear()
+            self._order(clock.now())
+            on_status(self.statistics.status(None, ""))
+            due = max(due + PERIOD, clock.now())
+            clock.sleep_until(due)
+        self._rest()
+
+    def _hear(self) -> None:
+        """Take what the servo has said, and record everything."""
+        connection = self._connection
+        for servo_status in connection.servo.receive():
+            self.statistics.note_status(servo_status, connection.servo_dt)
+            self._follow(servo_status)
+            if connection.recording:
+                connection.recording.record_row(SERVO, servo_status.row, servo_status.time)
+        if connection.servo.is_closed:
+            raise DeploymentError(
+                "the servo process has ended, and nothing guards the robot: press its stop."
+            )
+        if connection.recording:
+            connection.recording.record_messages()
+
+    def _follow(self, servo_status: ServoStatus) -> None:
+        """Begin when it is armed; give up when it is stopped."""
+        if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
+            self._armed_at = servo_status.time
+        if servo_status.mode == Mode.STOPPED and np.isfinite(self._armed_at):
+            reasons, elapsed = ", ".join(self.statistics.stops), servo_status.time - self._armed_at
+            raise DeploymentError(
+                f"the robot was stopped ({reasons}) {elapsed:.1f} s after it was armed; the recording ends "
+                "there: mend the reason, and record anew."
+            )
+        self._mode = servo_status.mode
+
+    def _order(self, now: float) -> None:
+        """Tell the servo the target that is due."""
+        if not np.isfinite(self._armed_at):
+            return
+        elapsed = now - self._armed_at - self._ramp_time
+        policy_command = PolicyCommand(
+            joint_pos_target=self._targets(elapsed), target_stamp=now, image_stamp=now
+        )
+        self._connection.servo.send(policy_command)
+        if self._connection.recording:
+            self._connection.recording.record_row(ORDERS, policy_command.row, now)
+        self.is_done = elapsed > self._duration
+
+    def _rest(self) -> None:
+        """Have the servo stop, and record that, too."""
+        connection = self._connection
+        if np.isfinite(self._armed_at):
+            now = connection.clock.now()
+            still = self._targets(self._duration)
+            connection.servo.send(
+                PolicyCommand(
+                    joint_pos_target=still, target_stamp=now, image_stamp=now, is_stop_requested=True
+                )
+            )
+        connection.clock.sleep_until(connection.clock.now() + STOP_TIME)
+        if connection.recording:
+            connection.recording.record_messages()

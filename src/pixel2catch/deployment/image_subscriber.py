@@ -1,0 +1,148 @@
+"""The camera's images as they arrive, each with the positions of the joints at its time."""
+
+from collections import deque
+from math import inf
+
+import numpy as np
+
+from pixel2catch.errors import DeploymentError
+from pixel2catch.mdp.sensing import ASSUMED_AGE
+from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.messages import ImageReading
+from pixel2catch.ros2.profile import CameraProfile
+from pixel2catch.ros2.transport import Clock, Message, Transport
+from pixel2catch.servo.motion import Joints
+
+DEPTH = 4
+"""Images that are kept until they are looked at; only the newest is. Source: ours."""
+
+MEMORY = 0.5
+"""How long joint positions are remembered [s]. Source: ours; longer than an image may be late."""
+
+LENS_TOLERANCE = 0.02
+"""Relative difference of focal lengths, and of the centre by the width, that is none. Source: ours."""
+
+EARLIEST, LATEST = -0.05, 0.5
+"""Age at arrival of images whose stamps can be meant [s]. Source: ours; outside it is another clock's."""
+
+
+class ImageSubscriber:
+    """Takes images from the network.
+
+    Attributes:
+        stamp: When the newest good image was taken [s].
+        received: The messages of the last call of `newest`, for a recording.
+        num_lost: Images that came while another was looked at.
+        message: Why the last image was no good; empty if it was.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        profile: CameraProfile,
+        camera: CameraSpec,
+        clock: Clock,
+        *,
+        assumes_age: bool = False,
+    ) -> None:
+        """Begin to listen.
+
+        Args:
+            transport: The node of the network.
+            profile: The camera's driver.
+            camera: What the policy and the laboratory agree that the camera is.
+            clock: Whose `stamp` the images have.
+            assumes_age: Whether images of a camera without sound stamps are taken to be `ASSUMED_AGE` control
+                steps old when they arrive; else they are as old as they say, and the servo refuses them.
+        """
+        self._profile, self._camera, self._clock = profile, camera, clock
+        self._images = transport.subscription(profile.image, DEPTH)
+        self._lens = transport.subscription(profile.info) if profile.info else None
+        self._joints: deque[tuple[float, Joints]] = deque()
+        self.received: list[Message] = []
+        self.num_lost, self.message, self.stamp = 0, "", -inf
+        self._assumes_age, self._is_stamped, self._notices = assumes_age, False, list[str]()
+
+    def remember(self, time: float, joint_pos: Joints) -> None:
+        """Note where the joints are [rad], for images of this time [s]."""
+        self._joints.append((time, joint_pos))
+        while self._joints[0][0] < time - MEMORY:
+            self._joints.popleft()
+
+    def newest(self) -> CameraFrame | None:
+        """The newest image, if one has arrived since the last call and is good; stamps are of `Clock.now`.
+
+        Raises:
+            DeploymentError: The camera has another lens than the one that it was calibrated with.
+        """
+        self._check_lens()
+        self.received = self._images.take()
+        self.num_lost += max(len(self.received) - 1, 0)
+        if not self.received:
+            return None
+        try:
+            reading = messages.read_image(self.received[-1].data)
+            self._profile.require(reading)
+        except DeploymentError as error:
+            self.message = str(error)
+            return None
+        self.message = ""
+        stamp = self.stamp = self._exposed(reading, self.received[-1].arrival)
+        return CameraFrame(image=reading.pixels, stamp=stamp, joint_pos=self._joints_at(stamp))
+
+    def take_notice(self) -> str:
+        """What was found out about the camera's stamps, once; else nothing."""
+        return self._notices.pop() if self._notices else ""
+
+    def _exposed(self, reading: ImageReading, arrival: float) -> float:
+        """When an image was taken [s], from its stamp or, if there is no sound one, from its arrival [s].
+
+        Once stamps were sound, they are believed: what is old then is late.
+        """
+        stamp = self._clock.now() - (self._clock.stamp() - reading.stamp)
+        has_one, was_stamped = reading.stamp != 0.0, self._is_stamped
+        is_sound = has_one and EARLIEST <= arrival - stamp <= LATEST
+        self._is_stamped = is_sound or (was_stamped and has_one)
+        if self._is_stamped or not self._assumes_age:
+            return stamp
+        if was_stamped or self.stamp == -inf:
+            self._notices = [_no_stamps(self._profile.image.name, has_one, arrival - stamp)]
+        return arrival - ASSUMED_AGE * CONTROL_DT
+
+    def _joints_at(self, time: float) -> Joints | None:
+        """The positions nearest to a time [s], if they are known."""
+        if not self._joints:
+            return None
+        _, joint_pos = min(self._joints, key=lambda known: abs(known[0] - time))
+        return None if np.isnan(joint_pos).any() else joint_pos
+
+    def _check_lens(self) -> None:
+        """Compare what the camera says of its lens with the calibration."""
+        for message in self._lens.take() if self._lens else ():
+            lens, camera = messages.read_camera_info(message.data), self._camera
+            pairs = (
+                (lens.fx, camera.fx, camera.fx),
+                (lens.fy, camera.fy, camera.fy),
+                (lens.cx, camera.cx, camera.width),
+                (lens.cy, camera.cy, camera.width),
+            )
+            if any(abs(found - known) > LENS_TOLERANCE * scale for found, known, scale in pairs):
+                raise DeploymentError(
+                    f"the camera says fx, fy, cx, cy are {lens.fx:.1f}, {lens.fy:.1f}, {lens.cx:.1f}, "
+                    f"{lens.cy:.1f}, the policy's are {camera.fx:.1f}, {camera.fy:.1f}, {camera.cx:.1f}, "
+                    f"{camera.cy:.1f}: calibrate the camera, and train with 'train --camera'."
+                )
+
+
+def _no_stamps(topic: str, has_one: bool, age: float) -> str:
+    """What is said of images without sound stamps, which seem to be so old when they arrive [s]."""
+    seem = (
+        f"have stamps of {abs(age):.2g} s {'ago' if age > 0.0 else 'ahead'}" if has_one else "have no stamps"
+    )
+    assumed = 1e3 * ASSUMED_AGE * CONTROL_DT
+    return (
+        f"images on {topic} {seem}: each is taken to be {assumed:.0f} ms old when it arrives. Have the "
+        "driver write the time of exposure into header.stamp, and synchronise the clocks of the two machines."
+    )

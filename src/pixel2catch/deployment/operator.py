@@ -1,0 +1,119 @@
+"""The operator's side of a deployment: the dead-man's switch, requests, and what there is to know."""
+
+import json
+from collections.abc import Callable
+from math import inf
+from typing import Any
+
+from pixel2catch.deployment.switches import Keys, Press, Switches
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import OperatorTopics
+from pixel2catch.ros2.transport import Clock, Subscription, Transport
+
+SWITCH_TIME = 0.04
+"""Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of what the servo waits."""
+
+DEPTH = 64
+"""Messages that are kept from one look to the next."""
+
+
+class OperatorConsole:
+    """What an operator has at hand; call `watch` more often than `SWITCH_TIME`.
+
+    Attributes:
+        holds: Whether the dead-man's switch is held.
+        status: Newest status of the deployment; empty before the first.
+    """
+
+    def __init__(self, transport: Transport, topics: OperatorTopics, clock: Clock) -> None:
+        """Announce and listen, with the switch let go."""
+        self._clock = clock
+        self._switch, self._arm, self._stop, self._prompt = (
+            transport.publisher(topic) for topic in (topics.dead_man, topics.arm, topics.stop, topics.prompt)
+        )
+        self._statuses = transport.subscription(topics.status, DEPTH)
+        self._said, self._next_switch = False, -inf
+        self.holds = False
+        self.status: dict[str, Any] = {}
+
+    @property
+    def mode(self) -> str:
+        """Mode of the servo; empty before the first status."""
+        return self.status.get("mode", "")
+
+    def arm(self) -> None:
+        """Ask to arm."""
+        self._arm.publish(messages.boolean(True))
+
+    def stop(self) -> None:
+        """Ask to stop."""
+        self._stop.publish(messages.boolean(True))
+
+    def point(self, box: list[float]) -> None:
+        """Point at the object: xmin, ymin, xmax, ymax [px]."""
+        self._prompt.publish(messages.text(json.dumps({"box": box})))
+
+    def watch(self) -> None:
+        """Say that the switch is held, or once that it was let go; hear the newest status."""
+        now = self._clock.now()
+        if self.holds != self._said or (self.holds and now >= self._next_switch):
+            self._switch.publish(messages.boolean(self.holds))
+            self._said, self._next_switch = self.holds, now + SWITCH_TIME
+        self.status = newest(self._statuses, self.status)
+
+
+def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
+    """The newest message of a topic of JSON; what is known where there is none.
+
+    Args:
+        subscription: Of a topic of texts.
+        known: The message before.
+    """
+    received = subscription.take()
+    return json.loads(messages.read_text(received[-1].data)) if received else known
+
+
+POLL = 0.005
+"""Time between two looks at the keys [s]. Source: ours."""
+
+
+class KeyOperator:
+    """Holds, arms and stops as the keys say."""
+
+    def __init__(self, console: OperatorConsole, switches: Switches, keys: Keys) -> None:
+        """Begin with the switch let go, whatever is pressed already."""
+        self._console, self._switches, self._keys = console, switches, keys
+
+    def run(
+        self, clock: Clock, is_over: Callable[[], bool], report: Callable[[list[Press], dict[str, Any]], None]
+    ) -> None:
+        """Look at the keys until it is over, and let go of the switch then.
+
+        Args:
+            clock: The clock of the deployment.
+            is_over: Asked all the time whether to end.
+            report: Gets what was pressed and the newest status, all the time.
+
+        Raises:
+            DeploymentError: The device is gone.
+        """
+        try:
+            while not is_over():
+                report(self._look(), self._console.status)
+                clock.sleep_until(clock.now() + POLL)
+        finally:
+            self._console.holds = False
+            self._console.watch()
+
+    def _look(self) -> list[Press]:
+        """One look at the keys."""
+        console, keys = self._console, self._keys
+        presses = self._switches.poll()
+        down = {press.code for press in presses if press.is_down}
+        console.holds = not self._switches.pressed.isdisjoint(keys.hold)
+        console.watch()
+        if not down.isdisjoint(keys.stop):
+            console.stop()
+        elif not down.isdisjoint(keys.arm):
+            console.arm()
+        return presses

@@ -1,0 +1,328 @@
+"""The network of ROS 2 by DDS, without an installation of ROS 2. Needs cyclonedds.
+
+A node of this transport is used by one thread. Messages are received in the background, whatever this process
+does. They arrive between two calls of `take`; the sender's time says when, and is believed only within these.
+"""
+
+import os
+from functools import cache
+from typing import Any, final
+
+import numpy as np
+from cyclonedds.core import (
+    DDSException,
+    Entity,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import make_idl_struct, types
+from cyclonedds.internal import InvalidSample
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic as DdsTopic
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2.messages import STORE
+from pixel2catch.ros2.transport import Message, Publisher, RealClock, Subscription, Topic, Transport
+
+PLAIN_TYPES = {
+    "bool": bool,
+    "string": str,
+    "byte": types.byte,
+    "char": types.uint8,
+    "float32": types.float32,
+    "float64": types.float64,
+} | {f"{sign}int{bits}": getattr(types, f"{sign}int{bits}") for sign in ("", "u") for bits in (8, 16, 32, 64)}
+"""The types of fields that are no messages. Source: ROS 2's mapping to IDL."""
+
+
+@cache
+def dds_type(name: str, store: Typestore = STORE) -> Any:
+    """Describe a message to DDS: `sensor_msgs/msg/Image` is `sensor_msgs::msg::dds_::Image_`.
+
+    Args:
+        name: ROS type.
+        store: Where it is defined.
+
+    Returns:
+        A type of cyclonedds, made from bytes, which are its attribute `cdr`.
+    """
+    package, kind, short = name.split("/")
+    fields = {field: _field_type(description, store) for field, description in store.fielddefs[name][1]}
+    made: Any = make_idl_struct(f"{short}_", f"{package}.{kind}.dds_.{short}_", fields, dataclassify=False)
+    # Not by a base class: DDS would announce that as a base of the message.
+    made.__init__ = _take_bytes
+    made.serialize = _give_bytes
+    made.deserialize = classmethod(_of_bytes)
+    made.deserialize_key = classmethod(_of_bytes)
+    return made
+
+
+def _take_bytes(sample: Any, cdr: bytes) -> None:
+    sample.cdr = cdr
+
+
+def _give_bytes(sample: Any, **_: Any) -> bytes:
+    return sample.cdr
+
+
+def _of_bytes(kind: Any, data: bytes, **_: Any) -> Any:
+    return kind(data)
+
+
+def type_hash(name: str) -> bytes:
+    """What an endpoint says of its message's definition, so that ROS 2 (from Jazzy on) can compare."""
+    return f"typehash={STORE.hash_rihs01(name)};".encode()
+
+
+def _field_type(description: Any, store: Typestore) -> Any:
+    kind, content = description
+    if kind == Nodetype.BASE:
+        return PLAIN_TYPES[content[0]]
+    if kind == Nodetype.NAME:
+        return dds_type(content, store)
+    if kind == Nodetype.ARRAY:
+        return types.array[_field_type(content[0], store), content[1]]
+    return types.sequence[_field_type(content[0], store)]
+
+
+MESSAGE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+
+LATCHED = Qos(
+    Policy.Durability.TransientLocal,
+    Policy.Reliability.Reliable(max_blocking_time=0),
+    Policy.History.KeepLast(1),
+)
+
+
+class NodeAnnouncement:
+    """Tells ROS's tools the name of a node, and which publishers and subscriptions are its own.
+
+    The message differs between versions of ROS 2, and the wrong one crashes nodes of Humble: make it by `of`.
+    """
+
+    def __init__(self, participant: DomainParticipant, node_name: str, store: Any) -> None:
+        """Announce a node without endpoints."""
+        self._participant, self._name, self._store = participant, node_name, store
+        self._readers: list[Any] = []
+        self._writers: list[Any] = []
+        self._type = dds_type(MESSAGE, store)
+        topic = DdsTopic(participant, "ros_discovery_info", self._type)
+        self._writer = DataWriter(participant, topic, LATCHED)
+        self._announce()
+
+    @classmethod
+    def of(cls, participant: DomainParticipant, node_name: str) -> "NodeAnnouncement | None":
+        """Announce a node to the ROS 2 of ROS_DISTRO; None, and nothing sent, if that is unknown."""
+        try:
+            store = get_typestore(Stores(f"ros2_{os.environ.get('ROS_DISTRO', '')}"))
+        except ValueError:
+            return None
+        return cls(participant, node_name, store) if MESSAGE in store.types else None
+
+    def add_reader(self, reader: Entity) -> None:
+        """Announce a subscription of the node."""
+        self._readers.append(self._gid(reader))
+        self._announce()
+
+    def add_writer(self, writer: Entity) -> None:
+        """Announce a publisher of the node."""
+        self._writers.append(self._gid(writer))
+        self._announce()
+
+    def _gid(self, entity: Entity) -> Any:
+        """An entity's identity in 16 bytes, in Humble 24."""
+        kind = "rmw_dds_common/msg/Gid"
+        ((_, (_, (_, size))),) = self._store.fielddefs[kind][1]
+        data = np.frombuffer(entity.guid.bytes.ljust(size, b"\0"), dtype=np.uint8)
+        return self._store.types[kind](data=data)
+
+    def _announce(self) -> None:
+        node = self._store.types["rmw_dds_common/msg/NodeEntitiesInfo"](
+            node_namespace="/",
+            node_name=self._name,
+            reader_gid_seq=self._readers,
+            writer_gid_seq=self._writers,
+        )
+        message = self._store.types[MESSAGE](gid=self._gid(self._participant), node_entities_info_seq=[node])
+        self._writer.write(self._type(bytes(self._store.serialize_cdr(message, MESSAGE))))
+
+
+LARGEST_DOMAIN = 232
+"""Largest domain whose ports exist. Source: DDS-RTPS."""
+
+LOOPBACK = """
+<CycloneDDS><Domain>
+  <General>
+    <Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
+    <AllowMulticast>false</AllowMulticast>
+    <MaxMessageSize>65500B</MaxMessageSize>
+  </General>
+  <Discovery>
+    <Tag>pixel2catch</Tag>
+    <ParticipantIndex>auto</ParticipantIndex>
+    <MaxAutoParticipantIndex>30</MaxAutoParticipantIndex>
+    <Peers><Peer address="127.0.0.1"/></Peers>
+  </Discovery>
+  <Internal><SocketReceiveBufferSize max="8MB"/></Internal>
+</Domain></CycloneDDS>
+"""
+"""This machine only: no multicast, and room for a few images that nobody has read yet.
+
+The tag keeps a rehearsal from a robot's driver on this machine, which may listen on this interface, too.
+"""
+
+NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)
+"""A slow reader may lose messages; it does not hold up the writer."""
+
+NEW = SampleState.NotRead | ViewState.Any | InstanceState.Alive
+"""What ends a wait: a message, but not that a publisher has left."""
+
+
+def domain_id() -> int:
+    """The network's number, ROS_DOMAIN_ID.
+
+    Raises:
+        DeploymentError: It is no number, or too large.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) > LARGEST_DOMAIN:
+        raise DeploymentError(f"ROS_DOMAIN_ID is '{text}'; set it to a number from 0 to {LARGEST_DOMAIN}.")
+    return int(text)
+
+
+@cache
+def _loopback_domain(number: int) -> Domain:
+    """Configure a domain; DDS wants that once in a process, before its first node."""
+    try:
+        return Domain(number, LOOPBACK)
+    except DDSException as error:
+        raise DeploymentError(
+            f"DDS domain {number} cannot be kept to this machine ({error}): another node of this process has "
+            "opened it, or there is no interface 'lo'; choose another ROS_DOMAIN_ID."
+        ) from error
+
+
+@final
+class DdsTransport(Transport):
+    """A node of the DDS domain ROS_DOMAIN_ID."""
+
+    def __init__(self, node_name: str, clock: RealClock, *, loopback: bool = False) -> None:
+        """Join.
+
+        Args:
+            node_name: What ROS's tools show, where they know the version of ROS (ROS_DISTRO).
+            clock: Tells when messages arrive.
+            loopback: Whether to speak to this machine only, whatever CYCLONEDDS_URI says.
+
+        Raises:
+            DeploymentError: DDS cannot be started.
+        """
+        number = domain_id()
+        if loopback:
+            _loopback_domain(number)
+        try:
+            self._participant = DomainParticipant(number, Qos(Policy.Userdata(b"enclave=/;")))
+        except DDSException as error:
+            raise DeploymentError(
+                f"DDS cannot join domain {number} ({error}); look at the network interfaces, at "
+                "CYCLONEDDS_URI, and for more than 30 nodes on this machine."
+            ) from error
+        self._clock = clock
+        self._news = WaitSet(self._participant)
+        self._kept: list[Publisher | Subscription] = []
+        self._watchers: dict[Topic, DataReader] = {}
+        self._announcement = NodeAnnouncement.of(self._participant, node_name)
+
+    def publisher(self, topic: Topic) -> Publisher:
+        """Announce a topic that this node sends."""
+        qos = Qos(_durability(topic), NEVER_BLOCK, Policy.History.KeepLast(1), _user_data(topic))
+        writer = DataWriter(self._participant, self._dds_topic(topic), qos)
+        if self._announcement:
+            self._announcement.add_writer(writer)
+        publisher = _DdsPublisher(topic, writer)
+        self._kept.append(publisher)  # the library would take it off the network with its last reference
+        return publisher
+
+    def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
+        """Begin to listen to a topic."""
+        reader = self._reader(topic, depth)
+        self._news.attach(ReadCondition(reader, NEW))
+        if self._announcement:
+            self._announcement.add_reader(reader)
+        subscription = _DdsSubscription(reader, depth, self._clock)
+        self._kept.append(subscription)
+        return subscription
+
+    def num_other_publishers(self, topic: Topic) -> int:
+        """How many publishers of a topic there are besides those of this node.
+
+        One that was killed counts for 10 s more; one that has just come is found within some 0.1 s.
+        """
+        if topic not in self._watchers:
+            self._watchers[topic] = self._reader(topic, 1, Policy.IgnoreLocal.Participant)
+        return len(self._watchers[topic].get_matched_publications())
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until a message can be taken, or for a real time [s]; say which."""
+        return self._news.wait(max(0, round(seconds * 1e9))) > 0
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._participant.__del__()  # the library has no other way while somebody holds a publisher
+
+    def _reader(self, topic: Topic, depth: int, *policies: object) -> DataReader:
+        """Best effort hears every publisher; latched messages must be asked for reliably."""
+        reliability = NEVER_BLOCK if topic.is_latched else Policy.Reliability.BestEffort
+        history = Policy.History.KeepLast(depth)
+        qos = Qos(_durability(topic), reliability, history, _user_data(topic), *policies)
+        return DataReader(self._participant, self._dds_topic(topic), qos)
+
+    def _dds_topic(self, topic: Topic) -> DdsTopic:
+        return DdsTopic(self._participant, f"rt{topic.name}", dds_type(topic.type))
+
+
+@final
+class _DdsPublisher(Publisher):
+    def __init__(self, topic: Topic, writer: DataWriter) -> None:
+        self._topic, self._writer = topic, writer
+        self._type = dds_type(topic.type)
+
+    def publish(self, data: bytes) -> None:
+        try:
+            self._writer.write(self._type(data))
+        except DDSException as error:
+            if error.code != DDSException.DDS_RETCODE_TIMEOUT:  # a reader that does not keep up
+                raise DeploymentError(f"{self._topic.name} cannot be sent ({error}).") from error
+
+
+@final
+class _DdsSubscription(Subscription):
+    def __init__(self, reader: DataReader, depth: int, clock: RealClock) -> None:
+        self._reader, self._clock = reader, clock
+        self._most = depth + 1  # and what says that a publisher has left, which is no message
+        self._taken = clock.now()
+
+    def take(self) -> list[Message]:
+        samples = [each for each in self._reader.take(N=self._most) if not isinstance(each, InvalidSample)]
+        now, stamp, before = self._clock.now(), self._clock.stamp(), self._taken
+        self._taken = now
+        sent = (1e-9 * self._clock.rate * sample.sample_info.source_timestamp for sample in samples)
+        arrivals = (min(max(now - (stamp - each), before), now) for each in sent)
+        return [Message(data=each.cdr, arrival=time) for each, time in zip(samples, arrivals, strict=True)]
+
+
+def _durability(topic: Topic) -> object:
+    return Policy.Durability.TransientLocal if topic.is_latched else Policy.Durability.Volatile
+
+
+def _user_data(topic: Topic) -> object:
+    return Policy.Userdata(type_hash(topic.type))

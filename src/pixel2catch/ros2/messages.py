@@ -1,0 +1,332 @@
+"""The messages of a deployment as CDR bytes: what is sent is encoded, what arrives is decoded, by rosbags.
+
+Stamps are seconds since the epoch; a decoded message is checked for what its type alone does not say.
+"""
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from pixel2catch.errors import DeploymentError
+from pixel2catch.robot.constants import PIXEL_CENTER, CameraSpec
+from pixel2catch.ros2.transport import Topic
+
+SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
+ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+"""Definitions of all messages. Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`."""
+
+STORE.register(
+    {**get_types_from_msg("uint8 mode", SAFETY_MODE), **get_types_from_msg("int8 mode", ROBOT_MODE)}
+)
+
+
+def encode(kind: str, *fields: Any) -> bytes:
+    """The message of a type with these fields."""
+    return bytes(STORE.serialize_cdr(STORE.types[kind](*fields), kind))
+
+
+def decode(data: bytes, kind: str) -> Any:
+    """The message as rosbags has it; its arrays are views of the data.
+
+    Raises:
+        DeploymentError: It is of another type, or damaged.
+    """
+    try:
+        return STORE.deserialize_cdr(memoryview(data), kind)
+    except (SerdeError, struct.error, ValueError, IndexError) as error:
+        raise DeploymentError(
+            f"a message is no {kind} ({error}): two programs disagree about the type of a topic."
+        ) from error
+
+
+def float64(values: Iterable[float]) -> np.ndarray:
+    """An array as the codec wants it."""
+    return np.array(values if isinstance(values, np.ndarray) else tuple(values), dtype=np.float64)
+
+
+def header(stamp: float, frame_id: str = "") -> Any:
+    """A header of a time since the epoch [s]."""
+    nanoseconds = round(stamp * 1e9)
+    time = STORE.types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+    return STORE.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+
+
+def seconds(header: Any) -> float:
+    """Time of a header since the epoch [s]."""
+    return header.stamp.sec + 1e-9 * header.stamp.nanosec
+
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+FLOAT_ARRAY = "std_msgs/msg/Float64MultiArray"
+IMAGE = "sensor_msgs/msg/Image"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+BOOLEAN = "std_msgs/msg/Bool"
+NUMBER = "std_msgs/msg/Float64"
+TEXT = "std_msgs/msg/String"
+
+CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
+"""Encodings of images that are read, and how their channels become red, green and blue."""
+
+OPTICAL_FRAME = "camera_color_optical_frame"
+"""Frame of the images. Source: RealSense driver."""
+
+Pixels = UInt8[np.ndarray, "height width 3"]
+"""Red, green, blue; upper row first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointReading:
+    """What a joint state says.
+
+    Attributes:
+        names: The sender's names of the joints, as many as it likes, in its order.
+        position: Their positions [rad].
+        stamp: When they were measured [s].
+    """
+
+    names: tuple[str, ...]
+    position: Float[np.ndarray, " num_joints"]
+    stamp: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageReading:
+    """An image as it arrived.
+
+    Attributes:
+        pixels: Red, green and blue; it cannot be written into, as it may be the message itself.
+        stamp: When it was exposed [s].
+        encoding: How the message had it.
+    """
+
+    pixels: Pixels
+    stamp: float
+    encoding: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraReading:
+    """What a camera says of its lens; all numbers but the distortion are those of a `CameraSpec`.
+
+    Attributes:
+        width: Image width [px].
+        height: Image height [px].
+        fx: Focal length along x [px].
+        fy: Focal length along y [px].
+        cx: Column of the optical axis [px].
+        cy: Row of the optical axis [px].
+        distortion: As in OpenCV; none if all numbers are 0.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...]
+
+
+def joint_state(
+    names: Iterable[str],
+    position: Iterable[float],
+    stamp: float,
+    velocity: Iterable[float] | None = None,
+    effort: Iterable[float] | None = None,
+) -> bytes:
+    """Encode positions [rad], and velocities [rad/s] and efforts where there are any, of joints by name."""
+    numbers = (float64(() if values is None else values) for values in (position, velocity, effort))
+    return encode(JOINT_STATE, header(stamp), list(names), *numbers)
+
+
+def read_joint_state(data: bytes) -> JointReading:
+    """Decode the positions of a joint state.
+
+    Raises:
+        DeploymentError: It is damaged, or has not one position a name.
+    """
+    message = decode(data, JOINT_STATE)
+    if len(message.name) != len(message.position):
+        raise DeploymentError(
+            f"a joint state has {len(message.position)} positions for {len(message.name)} names: "
+            "look at what publishes it."
+        )
+    return JointReading(
+        names=tuple(message.name), position=float64(message.position), stamp=seconds(message.header)
+    )
+
+
+def float_array(values: Iterable[float]) -> bytes:
+    """Encode numbers without names, such as the commands of a forward position controller."""
+    layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    return encode(FLOAT_ARRAY, layout, float64(values))
+
+
+def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
+    """Decode numbers without names.
+
+    Raises:
+        DeploymentError: It is damaged.
+    """
+    return float64(decode(data, FLOAT_ARRAY).data)
+
+
+def image(pixels: Pixels, stamp: float, frame_id: str = OPTICAL_FRAME) -> bytes:
+    """Encode an image as rgb8."""
+    height, width, _ = pixels.shape
+    return encode(IMAGE, header(stamp, frame_id), height, width, "rgb8", 0, 3 * width, np.ravel(pixels))
+
+
+def read_image(data: bytes) -> ImageReading:
+    """Decode an image; one that is rgb8 without padding is not copied.
+
+    Raises:
+        DeploymentError: It is damaged, of another encoding, or its size and its bytes do not agree.
+    """
+    message = decode(data, IMAGE)
+    height, width, step = message.height, message.width, message.step
+    if message.encoding not in CHANNELS:
+        raise DeploymentError(
+            f"an image is encoded as '{message.encoding}'; have the camera send {' or '.join(CHANNELS)}."
+        )
+    if min(height, width) < 1 or step < 3 * width or len(message.data) < height * step:
+        raise DeploymentError(
+            f"an image of {width} x {height} has {len(message.data)} bytes, {step} a row: it is damaged."
+        )
+    rows = message.data[: height * step].reshape(height, step)[:, : 3 * width]
+    pixels = rows.reshape(height, width, 3)[..., CHANNELS[message.encoding]]
+    return ImageReading(
+        pixels=np.ascontiguousarray(pixels), stamp=seconds(message.header), encoding=message.encoding
+    )
+
+
+def camera_info(camera: CameraSpec, stamp: float) -> bytes:
+    """Encode the lens of a camera without distortion."""
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx - PIXEL_CENTER, camera.cy - PIXEL_CENTER
+    matrix = float64((fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0))
+    projection = float64((fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0))
+    whole = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    lens = ("plumb_bob", np.zeros(5), matrix, np.eye(3).ravel(), projection)
+    return encode(CAMERA_INFO, header(stamp, OPTICAL_FRAME), camera.height, camera.width, *lens, 0, 0, whole)
+
+
+def read_camera_info(data: bytes) -> CameraReading:
+    """Decode the lens of a camera.
+
+    Raises:
+        DeploymentError: It is damaged, or the camera is not calibrated.
+    """
+    message = decode(data, CAMERA_INFO)
+    fx, _, cx, _, fy, cy, *_ = map(float, message.k)
+    if not (fx > 0.0 and fy > 0.0):
+        raise DeploymentError("the camera sends no focal length: calibrate it (camera_calibration).")
+    return CameraReading(
+        width=message.width,
+        height=message.height,
+        fx=fx,
+        fy=fy,
+        cx=cx + PIXEL_CENTER,
+        cy=cy + PIXEL_CENTER,
+        distortion=tuple(map(float, message.d)) if np.any(message.d) else (),
+    )
+
+
+def boolean(value: bool) -> bytes:
+    """Encode a yes or no."""
+    return encode(BOOLEAN, value)
+
+
+def read_boolean(data: bytes) -> bool:
+    """Decode a yes or no; raise DeploymentError if it is damaged."""
+    return bool(decode(data, BOOLEAN).data)
+
+
+def number(value: float) -> bytes:
+    """Encode a number."""
+    return encode(NUMBER, value)
+
+
+def read_number(data: bytes) -> float:
+    """Decode a number; raise DeploymentError if it is damaged."""
+    return float(decode(data, NUMBER).data)
+
+
+def text(value: str) -> bytes:
+    """Encode a text."""
+    return encode(TEXT, value)
+
+
+def read_text(data: bytes) -> str:
+    """Decode a text; raise DeploymentError if it is damaged."""
+    return decode(data, TEXT).data
+
+
+def safety_mode(mode: int) -> bytes:
+    """Encode the safety mode of a UR robot; 1 is normal."""
+    return encode(SAFETY_MODE, mode)
+
+
+def read_safety_mode(data: bytes) -> int:
+    """Decode the safety mode of a UR robot; raise DeploymentError if it is damaged."""
+    return int(decode(data, SAFETY_MODE).mode)
+
+
+def robot_mode(mode: int) -> bytes:
+    """Encode the mode of a UR robot; 7 is running."""
+    return encode(ROBOT_MODE, mode)
+
+
+def read_robot_mode(data: bytes) -> int:
+    """Decode the mode of a UR robot; raise DeploymentError if it is damaged."""
+    return int(decode(data, ROBOT_MODE).mode)
+
+
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+
+FORMAT = "rgb8; jpeg compressed bgr8"
+"""What was compressed, and how. Source: image_transport."""
+
+SUFFIX = "/compressed"
+"""What the topic of compressed images is called behind that of the raw ones. Source: image_transport."""
+
+
+def compressed_topic(topic: Topic) -> Topic:
+    """The topic of the compressed images of a topic."""
+    return replace(topic, name=topic.name + SUFFIX, type=COMPRESSED_IMAGE)
+
+
+def compress(data: bytes) -> bytes:
+    """An image message as a JPEG message.
+
+    Raises:
+        DeploymentError: It is damaged, or of another encoding than `CHANNELS`.
+    """
+    import cv2
+
+    reading = read_image(data)
+    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(reading.pixels, cv2.COLOR_RGB2BGR))
+    return encode(COMPRESSED_IMAGE, header(reading.stamp, OPTICAL_FRAME), FORMAT, jpeg)
+
+
+def uncompress(data: bytes) -> bytes:
+    """A JPEG message as an image message.
+
+    Raises:
+        DeploymentError: It is damaged.
+    """
+    import cv2
+
+    message = decode(data, COMPRESSED_IMAGE)
+    jpeg = np.frombuffer(bytes(message.data), dtype=np.uint8)
+    pixels = cv2.imdecode(jpeg, cv2.IMREAD_COLOR) if len(jpeg) else None
+    if pixels is None:
+        raise DeploymentError("a compressed image cannot be read: it is damaged.")
+    return image(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), seconds(message.header))

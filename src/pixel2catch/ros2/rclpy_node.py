@@ -1,0 +1,117 @@
+"""The network of ROS 2 by rclpy, where ROS 2 is sourced: for middlewares that `dds` does not speak.
+
+Written from rclpy's documentation (Humble to Kilted) and never run: this project is tested with `dds` only.
+"""
+
+# pyright: reportMissingImports=false
+# ROS 2 is no package of pip's.
+
+import os
+from threading import Thread
+from typing import Any, final
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rosidl_runtime_py.utilities import get_message
+
+from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2.memory import MessageQueues
+from pixel2catch.ros2.transport import Clock, Publisher, Subscription, Topic, Transport
+
+LOCALHOST = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+"""What keeps ROS 2 to this machine: the first in Humble, the second from Iron on."""
+
+
+@final
+class RosTransport(Transport):
+    """A node of rclpy, with a thread that receives."""
+
+    def __init__(self, node_name: str, clock: Clock, *, loopback: bool = False) -> None:
+        """Join.
+
+        Args:
+            node_name: Name of the node.
+            clock: Tells when messages arrive.
+            loopback: Whether the node may speak to this machine only.
+
+        Raises:
+            DeploymentError: It may, and ROS 2 is not set so.
+        """
+        if loopback and not any(os.environ.get(name) == value for name, value in LOCALHOST.items()):
+            settings = " or ".join(f"{name}={value}" for name, value in LOCALHOST.items())
+            raise DeploymentError(f"ROS 2 would speak to the whole network: set {settings} first.")
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(node_name, context=self._context)
+        self._queues = MessageQueues(clock)
+        self._num_own: dict[str, int] = {}
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._receiver = Thread(target=self._executor.spin, name="rclpy", daemon=True)
+        self._receiver.start()
+
+    def publisher(self, topic: Topic) -> Publisher:
+        """Announce a topic that this node sends."""
+        self._num_own[topic.name] = self._num_own.get(topic.name, 0) + 1
+        return _RosPublisher(self._node.create_publisher(_type(topic), topic.name, _writer_qos(topic)))
+
+    def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
+        """Begin to listen to a topic."""
+        queue = self._queues.add(depth)
+        qos = _reader_qos(topic, depth)
+        self._node.create_subscription(_type(topic), topic.name, queue.put, qos, raw=True)
+        return queue
+
+    def num_other_publishers(self, topic: Topic) -> int:
+        """How many publishers of a topic there are besides those of this node."""
+        return max(0, self._node.count_publishers(topic.name) - self._num_own.get(topic.name, 0))
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until a message can be taken, or for a real time [s]; say which."""
+        return self._queues.wait(seconds)
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._executor.shutdown()
+        self._receiver.join(timeout=1.0)
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+
+@final
+class _RosPublisher(Publisher):
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+
+    def publish(self, data: bytes) -> None:
+        self._publisher.publish(data)
+
+
+def _type(topic: Topic) -> Any:
+    """The message's class; its package must be installed, as ur_dashboard_msgs is with UR's driver."""
+    try:
+        return get_message(topic.type)
+    except (AttributeError, ModuleNotFoundError, ValueError) as error:
+        package = topic.type.partition("/")[0]
+        raise DeploymentError(
+            f"{topic.name}: ROS 2 has no {topic.type} ({error}): install {package}."
+        ) from error
+
+
+def _writer_qos(topic: Topic) -> QoSProfile:
+    """Reliable; latched topics keep the last message for late subscribers."""
+    return QoSProfile(depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=_durability(topic))
+
+
+def _reader_qos(topic: Topic, depth: int) -> QoSProfile:
+    """Best effort hears every publisher; latched messages must be asked for reliably."""
+    best_effort, reliable = QoSReliabilityPolicy.BEST_EFFORT, QoSReliabilityPolicy.RELIABLE
+    reliability = reliable if topic.is_latched else best_effort
+    return QoSProfile(depth=depth, reliability=reliability, durability=_durability(topic))
+
+
+def _durability(topic: Topic) -> QoSDurabilityPolicy:
+    return QoSDurabilityPolicy.TRANSIENT_LOCAL if topic.is_latched else QoSDurabilityPolicy.VOLATILE

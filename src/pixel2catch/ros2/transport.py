@@ -1,0 +1,181 @@
+"""How messages travel: the interface to DDS, ROS 2, bags and memory, in serialised messages (CDR).
+
+Nothing here waits but `Transport.wait`; what arrives is kept until it is taken, up to a depth.
+"""
+
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import final
+
+from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
+
+
+class Clock(ABC):
+    """Seconds that everything which takes part in a deployment agrees on."""
+
+    @abstractmethod
+    def now(self) -> float:
+        """Monotonic time [s]: for ages, periods and deadlines."""
+
+    @abstractmethod
+    def stamp(self) -> float:
+        """Time of day [s]: for the headers of messages, which other machines compare with their own."""
+
+    @abstractmethod
+    def sleep_until(self, moment: float) -> None:
+        """Wait for a moment of `now`; return at once if it is over."""
+
+
+@final
+class RealClock(Clock):
+    """Seconds that pass at a stated rate, the same ones in every process of one machine.
+
+    Attributes:
+        rate: Seconds of this clock in a real second: 1 for a robot, less where a twin is too slow.
+    """
+
+    def __init__(self, rate: float = 1.0) -> None:
+        """Begin.
+
+        Raises:
+            InvalidValueError: The rate is out of range.
+        """
+        if not 0.0 < rate <= 1.0:
+            raise InvalidValueError(f"the clock's rate is {rate:g}; it must be more than 0 and at most 1")
+        self.rate = rate
+
+    def now(self) -> float:
+        """See `Clock.now`."""
+        return self.rate * time.monotonic()
+
+    def stamp(self) -> float:
+        """See `Clock.stamp`."""
+        return self.rate * time.time()
+
+    def sleep_until(self, moment: float) -> None:
+        """See `Clock.sleep_until`."""
+        left = (moment - self.now()) / self.rate
+        if left > 0.0:
+            time.sleep(left)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """What is published under a name.
+
+    Attributes:
+        name: ROS name, such as "/joint_states".
+        type: ROS type, such as "sensor_msgs/msg/JointState".
+        is_latched: Whether late subscribers get the last message (transient local, reliable).
+    """
+
+    name: str
+    type: str
+    is_latched: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """One message as it arrived.
+
+    Attributes:
+        data: CDR, with its header of four bytes.
+        arrival: When it was received, `Clock.now` [s].
+    """
+
+    data: bytes
+    arrival: float
+
+
+class Publisher(ABC):
+    """Sends messages of one topic."""
+
+    @abstractmethod
+    def publish(self, data: bytes) -> None:
+        """Send a serialised message."""
+
+
+class Subscription(ABC):
+    """Receives messages of one topic."""
+
+    @abstractmethod
+    def take(self) -> list[Message]:
+        """What arrived since the last call, oldest first; of more than the depth the oldest are lost."""
+
+
+class Transport(ABC):
+    """A node of the network; close it, or use it as a context manager."""
+
+    @abstractmethod
+    def publisher(self, topic: Topic) -> Publisher:
+        """Announce a topic that this node sends."""
+
+    @abstractmethod
+    def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
+        """Begin to listen to a topic.
+
+        Args:
+            topic: The topic.
+            depth: Messages that are kept until they are taken.
+        """
+
+    @abstractmethod
+    def num_other_publishers(self, topic: Topic) -> int:
+        """How many publishers of a topic there are besides those of this node."""
+
+    @abstractmethod
+    def wait(self, seconds: float) -> bool:
+        """Wait until something has arrived for any subscription, or for a real time [s]; say which."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the network."""
+
+    def __enter__(self) -> "Transport":
+        """Return the node itself."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close it."""
+        self.close()
+
+
+TRANSPORTS = {
+    "dds": "pip install 'pixel2catch[deployment]'",
+    "ros": "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or take the transport dds",
+}
+"""Names of the transports, and how to get what they need."""
+
+
+def make_transport(name: str, node_name: str, loopback: bool, clock: RealClock) -> Transport:
+    """Join the network.
+
+    Args:
+        name: "dds" for DDS by itself, "ros" for rclpy of a sourced ROS 2.
+        node_name: Name of the node.
+        loopback: Whether to speak to this machine only.
+        clock: Tells when messages arrive.
+
+    Raises:
+        UnknownNameError: There is no such transport.
+        DeploymentError: Its library is missing, or it cannot be started.
+    """
+    if name not in TRANSPORTS:
+        raise UnknownNameError("transport", name, TRANSPORTS)
+    try:
+        return _join(name, node_name, loopback, clock)
+    except ImportError as error:
+        raise DeploymentError(
+            f"the transport '{name}' cannot be loaded ({error}): {TRANSPORTS[name]}."
+        ) from error
+
+
+def _join(name: str, node_name: str, loopback: bool, clock: RealClock) -> Transport:
+    if name == "dds":
+        from pixel2catch.ros2.dds import DdsTransport
+
+        return DdsTransport(node_name, clock, loopback=loopback)
+    from pixel2catch.ros2.rclpy_node import RosTransport
+
+    return RosTransport(node_name, clock, loopback=loopback)

@@ -1,0 +1,184 @@
+"""The link between the control loop and the servo process: two ends of a socket that keeps packets whole.
+
+Neither side ever waits for the other: what does not fit into the socket is dropped and counted. When a
+process ends, however it does, the other end is told so.
+"""
+
+import socket
+from dataclasses import dataclass
+from typing import Generic, TypeVar, final
+
+import numpy as np
+from jaxtyping import Float64
+
+from pixel2catch.robot.constants import JOINTS
+from pixel2catch.servo.motion import Joints
+
+BUFFER_SIZE = 1 << 20
+"""Memory that is asked for in each direction [bytes]; Linux gives what its own limit allows. Source: ours."""
+
+_LONGEST = 4096
+"""More than any packet has [bytes]."""
+
+_FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
+
+Row = Float64[np.ndarray, " size"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolicyCommand:
+    """What the control loop tells the servo.
+
+    Attributes:
+        joint_pos_target: Targets of the policy in joint order [rad].
+        target_stamp: When they were decided, `Clock.now` [s].
+        image_stamp: When the newest image was taken, `Clock.now` [s].
+        is_stop_requested: Whether the control loop asks to stop.
+    """
+
+    joint_pos_target: Joints
+    target_stamp: float
+    image_stamp: float
+    is_stop_requested: bool = False
+
+    @classmethod
+    def none(cls) -> "PolicyCommand":
+        """What holds before anything was ordered."""
+        unknown = np.full(len(JOINTS), np.nan)
+        return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf)
+
+    @classmethod
+    def of(cls, row: Row) -> "PolicyCommand":
+        """Read it."""
+        target_stamp, image_stamp, stop = row[:3].tolist()
+        return cls(
+            joint_pos_target=row[3:],
+            target_stamp=target_stamp,
+            image_stamp=image_stamp,
+            is_stop_requested=stop != 0.0,
+        )
+
+    @property
+    def row(self) -> Row:
+        """Write it."""
+        head = (self.target_stamp, self.image_stamp, float(self.is_stop_requested))
+        return np.concatenate((head, self.joint_pos_target))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ServoStatus:
+    """What the servo tells the control loop in every tick.
+
+    Attributes:
+        time: When it was decided, `Clock.now` [s].
+        mode: A `Mode`.
+        stopped_by: `Fault` bits that a stop is for.
+        found: `Fault` bits found in this tick.
+        refused: `Fault` bits for which a request to arm was refused in this tick.
+        clamped: `Clamp` bits.
+        command: Commands in joint order [rad]; NaN while nothing is sent.
+        joint_pos: Newest measured joint positions [rad].
+        duration: How long the tick took [s], in real time.
+        target_stamp: When the newest orders were decided, `Clock.now` [s].
+        image_stamp: When their image was taken, `Clock.now` [s].
+    """
+
+    time: float
+    mode: int
+    stopped_by: int
+    found: int
+    refused: int
+    clamped: int
+    command: Joints
+    joint_pos: Joints
+    duration: float
+    target_stamp: float
+    image_stamp: float
+
+    @classmethod
+    def of(cls, row: Row) -> "ServoStatus":
+        """Read it."""
+        time, duration, target_stamp, image_stamp, *numbers = row[:_DECISION_HEAD].tolist()
+        mode, stopped_by, found, refused, clamped = map(int, numbers)
+        command, joint_pos = row[_DECISION_HEAD:].reshape(2, -1)
+        return cls(
+            time=time,
+            mode=mode,
+            stopped_by=stopped_by,
+            found=found,
+            refused=refused,
+            clamped=clamped,
+            command=command,
+            joint_pos=joint_pos,
+            duration=duration,
+            target_stamp=target_stamp,
+            image_stamp=image_stamp,
+        )
+
+    @property
+    def row(self) -> Row:
+        """Write it."""
+        numbers = (self.mode, self.stopped_by, self.found, self.refused, self.clamped)
+        times = (self.time, self.duration, self.target_stamp, self.image_stamp)
+        return np.concatenate(((*times, *numbers), self.command, self.joint_pos))
+
+
+_DECISION_HEAD = 9
+
+
+Sent = TypeVar("Sent", PolicyCommand, ServoStatus)
+Received = TypeVar("Received", PolicyCommand, ServoStatus)
+
+
+@final
+class LinkEnd(Generic[Sent, Received]):
+    """One end; it can be given to a process that is being started.
+
+    Attributes:
+        num_dropped: Packets that did not fit into the socket, or that nobody was left to receive.
+        is_closed: Whether one of the ends is gone.
+    """
+
+    def __init__(self, end: socket.socket, received: type[Received]) -> None:
+        """Take over a socket."""
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_SIZE)
+        self._socket, self._received = end, received
+        self.num_dropped = 0
+        self.is_closed = False
+
+    def send(self, message: Sent) -> None:
+        """Send, if there is room and somebody to receive it."""
+        try:
+            self._socket.send(message.row.tobytes(), _FLAGS)
+        except (BlockingIOError, BrokenPipeError, ConnectionResetError):
+            self.num_dropped += 1
+
+    def receive(self) -> list[Received]:
+        """What has arrived since the last call, oldest first."""
+        messages: list[Received] = []
+        while not self.is_closed:
+            try:
+                data = self._socket.recv(_LONGEST, _FLAGS)
+            except BlockingIOError:
+                break
+            except ConnectionResetError:
+                data = b""
+            if data:
+                messages.append(self._received.of(np.frombuffer(data)))
+            self.is_closed = not data
+        return messages
+
+    def close(self) -> None:
+        """Leave; the other end is told."""
+        self.is_closed = True
+        self._socket.close()
+
+
+LoopEnd = LinkEnd[PolicyCommand, ServoStatus]
+ServoEnd = LinkEnd[ServoStatus, PolicyCommand]
+
+
+def link() -> tuple[LoopEnd, ServoEnd]:
+    """The two ends of a new link."""
+    loop, servo = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    return LinkEnd(loop, ServoStatus), LinkEnd(servo, PolicyCommand)

@@ -1,0 +1,245 @@
+"""The servo as a process of its own: 500 times a second it hears, decides and commands.
+
+It ends on SIGTERM, or when the control loop is gone, whatever ended it: first it stops the robot.
+"""
+
+import gc
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from math import ceil
+from multiprocessing.context import SpawnProcess
+from time import perf_counter
+
+import numpy as np
+
+from pixel2catch.robot.constants import JOINTS
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Clock, RealClock, Transport
+from pixel2catch.servo.core import ServoCore
+from pixel2catch.servo.limits import STOP_TIME, ServoLimits
+from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link
+from pixel2catch.servo.state import ServoState
+from pixel2catch.servo.subscriptions import ServoSubscriptions
+
+SERVO, CONTROL_LOOP = -10, -8
+"""Niceness of the servo, which is a real-time process where that is allowed, and of perception and policy.
+
+Source: ours. Without it a busy machine takes the cores from the policy first: it works in one long piece.
+"""
+
+REAL_TIME_PRIORITY = 10
+"""Priority among real-time processes. Source: ours."""
+
+
+def set_niceness(niceness: int) -> None:
+    """Give this thread, and those that it starts, their place among all others."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+
+
+def be_real_time() -> None:
+    """Come before all that are not."""
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+
+
+PATIENCE = 10.0
+"""Time in which a servo process ends after its link is closed [s], in real time. Source: ours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoSetup:
+    """What a servo is the servo of; all of it can be given to another process.
+
+    Attributes:
+        profile: The robot's drivers.
+        limits: What the servo keeps to.
+        is_dry_run: Whether nothing is sent; the robot is then not expected to follow.
+    """
+
+    profile: Profile
+    limits: ServoLimits = field(default_factory=ServoLimits)
+    is_dry_run: bool = False
+
+
+class CommandPublisher:
+    """What sends commands to the drivers, to each one as often as it takes them; to none in a dry run."""
+
+    def __init__(self, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
+        """Announce the commands, and encode each once: the first time takes as long as eight ticks."""
+        self._clock = clock
+        parts = () if setup.is_dry_run else setup.profile.robots
+        self._drivers = [(part, transport.publisher(part.command_topic)) for part in parts]
+        self._periods = [max(round(1.0 / (part.rate_hz * setup.limits.dt)), 1) for part in parts]
+        self._tick = 0
+        for part in parts:
+            part.command(np.zeros(len(JOINTS)))
+
+    def send(self, command: np.ndarray) -> None:
+        """Send the commands of a tick in joint order [rad]; nothing while they are no numbers."""
+        if np.isnan(command).any():
+            self._tick = 0
+            return
+        for (part, publisher), period in zip(self._drivers, self._periods, strict=True):
+            if self._tick % period == 0:
+                publisher.publish(part.command(command, self._clock.stamp()))
+        self._tick += 1
+
+
+class Servo:
+    """The loop: `run` until it is asked to `end`, or nobody is left to command it; or call `tick`.
+
+    Attributes:
+        unforeseen: What came up that nobody foresaw; the robot was stopped for it.
+    """
+
+    def __init__(self, end: ServoEnd, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
+        """Begin to listen; nothing is sent before the operator arms."""
+        limits = setup.limits
+        if setup.is_dry_run:
+            anywhere = np.full(len(JOINTS), np.inf)
+            limits = replace(limits, joints=replace(limits.joints, tracking_error=anywhere))
+        self._end, self._clock, self._core = end, clock, ServoCore(limits)
+        self._subscriptions, self._commands = (
+            ServoSubscriptions(transport, setup.profile),
+            CommandPublisher(transport, setup, clock),
+        )
+        self._state, self._orders = ServoState.idle(1, len(JOINTS)), PolicyCommand.none()
+        self._is_ending = False
+        self.unforeseen: Exception | None = None
+
+    def end(self) -> None:
+        """Stop the robot, and then return from `run`; any thread or signal may ask for it."""
+        self._is_ending = True
+
+    def run(self) -> None:
+        """Tick at fixed moments; those that are missed are left out, not made up for.
+
+        Raises:
+            Exception: What nobody foresaw came up; the robot was stopped for it.
+        """
+        dt, due = self._core.limits.dt, self._clock.now()
+        while not self._is_over:
+            self.tick()
+            due += dt * max(ceil((self._clock.now() - due) / dt), 1)
+            self._clock.sleep_until(due)
+        if self.unforeseen:
+            raise self.unforeseen
+
+    @property
+    def _is_over(self) -> bool:
+        """Whether it is to end, and nothing moves any more."""
+        stands = self._state.is_stopped & (self._state.ticks * self._core.limits.dt >= STOP_TIME)
+        return self._is_ending and bool((stands | self._state.is_idle)[0])
+
+    def tick(self) -> None:
+        """Hear, decide, command and tell."""
+        begun = perf_counter()
+        self._guard(self._hear)
+        now, policy_command = self._clock.now(), self._orders
+        if self._is_ending:
+            policy_command = replace(policy_command, is_stop_requested=True)
+        inputs = self._subscriptions.inputs(now, policy_command)
+        self._state, output = self._core.tick(self._state, inputs)
+        self._guard(lambda: self._commands.send(output.command[0]))
+        self._end.send(
+            ServoStatus(
+                time=now,
+                mode=int(output.mode[0]),
+                stopped_by=int(output.stopped_by[0]),
+                found=int(output.found[0]),
+                refused=int(output.refused[0]),
+                clamped=int(output.clamped[0]),
+                command=output.command[0],
+                joint_pos=inputs.joint_pos[0],
+                duration=perf_counter() - begun,
+                target_stamp=policy_command.target_stamp,
+                image_stamp=policy_command.image_stamp,
+            )
+        )
+
+    def _hear(self) -> None:
+        """Take what control loop, robot and operator have said."""
+        for policy_command in self._end.receive():
+            self._orders = policy_command
+        if self._end.is_closed:
+            self.end()
+        self._subscriptions.hear(self._clock.now())
+
+    def _guard(self, action: Callable[[], None]) -> None:
+        """Do it; if something comes up, stop the robot first, and raise it then."""
+        try:
+            action()
+        except Exception as error:
+            self.unforeseen = self.unforeseen or error
+            self.end()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunningServo:
+    """A servo process that was started; close it, or use it as a context manager.
+
+    Attributes:
+        link: The control loop's end of the link.
+        process: The process.
+    """
+
+    link: LoopEnd
+    process: SpawnProcess
+
+    def close(self) -> None:
+        """Have it stop the robot, and wait until it is gone; one that hangs is killed."""
+        self.link.close()
+        self.process.join(PATIENCE)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+    def __enter__(self) -> "RunningServo":
+        """Return the servo itself."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close it."""
+        self.close()
+
+
+MakeTransport = Callable[[RealClock], Transport]
+"""Joins the network, on either side of the start of a process."""
+
+
+def start_servo(setup: ServoSetup, make_transport: MakeTransport, clock_rate: float = 1.0) -> RunningServo:
+    """Start a servo process; it is heard of over the link as soon as it ticks.
+
+    Args:
+        setup: What it is the servo of.
+        make_transport: Joins the network there.
+        clock_rate: Rate of its clock.
+    """
+    loop, servo = link()
+    with closing(servo):
+        process = multiprocessing.get_context("spawn").Process(
+            target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
+        )
+        process.start()
+    return RunningServo(link=loop, process=process)
+
+
+def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
+    """Be the servo process, until the link is closed or on SIGTERM or SIGHUP."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    set_niceness(SERVO)
+    be_real_time()
+    clock = RealClock(clock_rate)
+    with make_transport(clock) as transport:
+        servo = Servo(end, transport, setup, clock)
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, lambda *_: servo.end())
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        servo.run()

@@ -1,0 +1,134 @@
+"""What the servo is told in a tick, and what is wrong with it.
+
+All stamps are of one monotonic clock. A stamp that is no number, or of the future, is as bad as an old one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.motion import Bits, Flags, Rows, Times
+
+CLOCK_ERROR = 1e-3
+"""How far in the future a stamp may be [s]. Source: ours; processes read the clock one after the other."""
+
+AnyFlag = TypeVar("AnyFlag", bound=IntFlag)
+
+
+class Fault(IntFlag):
+    """What stops the robot, or keeps it from being armed."""
+
+    CLOCK = 1
+    JOINTS_STALE = 2
+    JOINTS_NOT_FINITE = 4
+    IMAGE_STALE = 8
+    POLICY_LATE = 16
+    TARGET_NOT_FINITE = 32
+    TARGET_FAR = 64
+    TRACKING_ERROR = 128
+    SAFETY_MODE = 256
+    SPEED_SCALING = 512
+    OTHER_PUBLISHER = 1024
+    DEAD_MAN = 2048
+    STOP_REQUEST = 4096
+    START_POSE = 8192
+    WORKSPACE = 16384
+    STILL_STOPPING = 32768
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ServoInputs:
+    """What the servo is told in a tick, one row per robot, joints in joint order.
+
+    Attributes:
+        now: Time of this tick [s].
+        joint_pos: Newest measured joint positions [rad].
+        joint_stamp: When each was measured [s].
+        joint_pos_target: Newest targets of the policy [rad].
+        target_stamp: When they were decided [s].
+        image_stamp: When the newest image was taken [s].
+        dead_man_stamp: When the operator last held the dead-man switch [s].
+        arm_stamp: When the operator last asked to arm [s].
+        is_stop_requested: Whether the operator, or anything else, asks to stop.
+        is_safe: Whether the robot's program runs in its normal safety mode.
+        speed_scaling: Share of the full speed at which the robot runs its program; 1 is full.
+        has_other_publisher: Whether anybody else sends commands to the robot.
+    """
+
+    now: Times
+    joint_pos: Rows
+    joint_stamp: Rows
+    joint_pos_target: Rows
+    target_stamp: Times
+    image_stamp: Times
+    dead_man_stamp: Times
+    arm_stamp: Times
+    is_stop_requested: Flags
+    is_safe: Flags
+    speed_scaling: Times
+    has_other_publisher: Flags
+
+
+def is_recent(
+    now: Float64[np.ndarray, "*#rows"], stamp: Float64[np.ndarray, "*rows"], age: float | np.ndarray
+) -> Bool[np.ndarray, "*rows"]:
+    """Whether stamps are of the time up to an age ago [s]."""
+    elapsed = now - stamp
+    return (elapsed >= -CLOCK_ERROR) & (elapsed <= age)
+
+
+def all_finite(values: Rows) -> Flags:
+    """Whether all joints of a row have a number."""
+    return np.logical_and.reduce(np.isfinite(values), axis=-1)
+
+
+def bits(flags: Mapping[AnyFlag, Flags]) -> Bits:
+    """The flags that hold in each row, as one number."""
+    return np.array([*flags], dtype=np.int64) @ np.array([*flags.values()])
+
+
+def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) -> Bits:
+    """What is wrong with robot, operator and clock: all that can be known without the state of the servo.
+
+    Args:
+        inputs: What the servo is told.
+        limits: What it keeps to.
+        last_tick: Time of the tick before [s].
+    """
+    now = inputs.now
+    elapsed = now - last_tick
+    is_joint_measured = is_recent(now[:, None], inputs.joint_stamp, limits.joints.position_age)
+    is_measured = np.logical_and.reduce(is_joint_measured, axis=-1)
+    return bits(
+        {
+            Fault.CLOCK: ~((elapsed > 0.0) & (elapsed <= limits.tick_age)),
+            Fault.JOINTS_STALE: ~is_measured,
+            Fault.JOINTS_NOT_FINITE: ~all_finite(inputs.joint_pos),
+            Fault.SAFETY_MODE: ~inputs.is_safe,
+            Fault.SPEED_SCALING: ~(inputs.speed_scaling >= 1.0),
+            Fault.OTHER_PUBLISHER: inputs.has_other_publisher,
+            Fault.DEAD_MAN: ~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
+            Fault.STOP_REQUEST: inputs.is_stop_requested,
+        }
+    )
+
+
+def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
+    """What is wrong with what the policy sees and says."""
+    return bits(
+        {
+            Fault.IMAGE_STALE: ~is_recent(inputs.now, inputs.image_stamp, limits.image_age),
+            Fault.POLICY_LATE: ~is_recent(inputs.now, inputs.target_stamp, limits.target_age),
+            Fault.TARGET_NOT_FINITE: ~all_finite(inputs.joint_pos_target),
+        }
+    )
+
+
+def reasons(found: int) -> tuple[str, ...]:
+    """Faults in words, such as "image stale"."""
+    return tuple(str(fault.name).lower().replace("_", " ") for fault in Fault if fault & found)

@@ -1,0 +1,250 @@
+"""The lab on the wire: topics of a robot profile, at the rates of the drivers."""
+
+import json
+from collections import deque
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile, RobotPart, StatusTopics
+from pixel2catch.ros2.transport import Topic, Transport
+from pixel2catch.twin.camera import Camera
+from pixel2catch.twin.drivers import CYCLE, RUNNING, ArmDriver, Driver, HandDriver, Motion
+from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
+
+COMMAND = Topic(name="/twin/command", type=messages.TEXT)
+"""What the operator asks the twin for."""
+
+REQUESTS = '{"do": "prepare", "seed": 7}, {"do": "throw"}, {"do": "protective_stop"}, {"do": "resume"}'
+"""What can be asked for; a protective stop is as after a collision, and `resume` ends every halt."""
+
+STATE = Topic(name="/twin/state", type=messages.TEXT)
+"""What is true in the twin, 30 times a second."""
+
+DEPTH = 64
+"""Commands that wait while the twin is late."""
+
+ROUNDING = 1e-9
+"""Difference of two times that is none [s]."""
+
+Joints = Float[np.ndarray, " num_joints"]
+
+STATUS_CYCLES = 5
+"""Cycles between two messages of the speed scaling: 100 Hz. Source: ours."""
+
+
+class PartTopics:
+    """Joint states and commands of one part.
+
+    Attributes:
+        driver: What takes the commands.
+        ids: Its joints, in the robot's joint order.
+        num_refused: Commands of a wrong length or type.
+    """
+
+    def __init__(self, part: RobotPart, driver: Driver, transport: Transport) -> None:
+        """Announce and listen."""
+        self._part, self.driver = part, driver
+        self.ids: Int[np.ndarray, " part_joints"] = part.ids
+        self._states = transport.publisher(part.state_topic)
+        self._commands = transport.subscription(part.command_topic, DEPTH)
+        self._waiting: deque[bytes] = deque(maxlen=DEPTH)
+        self._places = [theirs.index_in_command for theirs in part.joints.values()]
+        self._cycles = max(round(1.0 / (part.rate_hz * CYCLE)), 1)
+        names = [theirs.name_in_state for theirs in part.joints.values()]
+        held = [f"ah_joint{place // 4}{place % 4}" for place in part.held]
+        self._order = np.argsort([*names, *held])  # a state's order is not a command's
+        self._names = [[*names, *held][i] for i in self._order]
+        self._held = np.array(list(part.held.values()))
+        self.num_refused = 0
+
+    def publish(self, number: int, encoders: Motion, stamp: float) -> None:
+        """Send the joint states of a cycle, at the rate of the driver."""
+        if number % self._cycles:
+            return
+        position = np.concatenate((encoders.position[self.ids], self._held))[self._order]
+        velocity = np.concatenate((encoders.velocity[self.ids], np.zeros(len(self._held))))[self._order]
+        self._states.publish(messages.joint_state(self._names, position, stamp, velocity))
+
+    def cycle(self, joints: Motion, num_late: int) -> Float[np.ndarray, " part_joints"]:
+        """What the servos of this part aim at until the next cycle [rad].
+
+        Args:
+            joints: All joints now.
+            num_late: Cycles that are overdue; so many commands are left to them.
+        """
+        self._waiting.extend(message.data for message in self._commands.take())
+        newest = None
+        while len(self._waiting) > num_late:
+            newest = self._waiting.popleft()
+        own = Motion(position=joints.position[self.ids], velocity=joints.velocity[self.ids])
+        return self.driver.cycle(None if newest is None else self._read(newest), own)
+
+    def _read(self, data: bytes) -> Float[np.ndarray, " part_joints"] | None:
+        """The targets in a command; none if it is not one."""
+        try:
+            values = messages.read_float_array(data)
+        except DeploymentError:
+            values = np.empty(0)
+        if len(values) != self._part.command_size:
+            self.num_refused += 1
+            return None
+        return values[self._places]
+
+
+class StatusPublisher:
+    """What the arm's driver says of itself; latched topics are sent when they change."""
+
+    def __init__(self, topics: StatusTopics, transport: Transport) -> None:
+        """Announce those topics that the profile has."""
+        self._publishers = {
+            name: transport.publisher(topic) for name, topic in vars(topics).items() if topic is not None
+        }
+        self._last: tuple[int, bool] | None = None
+
+    def publish(self, number: int, arm: ArmDriver) -> None:
+        """Send the status of a cycle."""
+        if number % STATUS_CYCLES == 0:
+            self._send("speed_scaling", messages.number(100.0 if arm.is_running else 0.0))
+        status = (arm.safety_mode, arm.is_running)
+        if status != self._last:
+            self._send("safety_mode", messages.safety_mode(arm.safety_mode))
+            self._send("robot_mode", messages.robot_mode(RUNNING))
+            self._send("program_running", messages.boolean(arm.is_running))
+        self._last = status
+
+    def _send(self, name: str, data: bytes) -> None:
+        """Send, if the profile has the topic."""
+        if name in self._publishers:
+            self._publishers[name].publish(data)
+
+
+class LabNode:
+    """The whole lab, one cycle of its drivers after the other; nothing here waits.
+
+    Attributes:
+        lab: What is behind the wires.
+        camera: The camera's driver.
+        arm: The arm's driver.
+        num_cycles: Cycles so far.
+    """
+
+    def __init__(self, lab: SimulatedLab, profile: Profile, transport: Transport, camera: Camera) -> None:
+        """Announce and listen.
+
+        Args:
+            lab: What is behind the wires.
+            profile: What topics and joints are called.
+            transport: The node of the twin.
+            camera: The camera's driver.
+
+        Raises:
+            DeploymentError: The profile is not of this lab's drivers.
+        """
+        self.lab, self.camera, self._lens = lab, camera, lab.camera
+        parts = {part.name: part for part in profile.robots}
+        if any(part.command_topic.type != messages.FLOAT_ARRAY for part in parts.values()):
+            raise DeploymentError(
+                f"profile '{profile.name}' has commands of another type than {messages.FLOAT_ARRAY}, and the "
+                "twin takes no other: use its own profile, ur5e_allegro_v4."
+            )
+        arm, position = parts["arm"].ids, lab.joints.position
+        self.arm = ArmDriver(position[arm], lab.lag[arm])
+        drivers = {"arm": self.arm, "hand": HandDriver(position[parts["hand"].ids])}
+        self._parts = [PartTopics(part, drivers[name], transport) for name, part in parts.items()]
+        self._status = StatusPublisher(profile.status, transport)
+        self._image = transport.publisher(profile.camera.image)
+        self._info = transport.publisher(profile.camera.info) if profile.camera.info else None
+        self._requests = transport.subscription(COMMAND, DEPTH)
+        self._state = transport.publisher(STATE)
+        self._aim = position
+        self._refused = ""
+        self.num_cycles = 0
+
+    @property
+    def time(self) -> float:
+        """When the next cycle begins [s]."""
+        return self.num_cycles * CYCLE
+
+    def cycle(self, start: float, num_late: int = 0) -> None:
+        """Publish, take commands, and simulate until the next cycle.
+
+        Args:
+            start: Stamp of the beginning of the twin's time [s].
+            num_late: Cycles that are overdue besides this one.
+        """
+        encoders = self.lab.encoders(self.time)
+        for part in self._parts:
+            part.publish(self.num_cycles, encoders, start + self.time)
+        self._status.publish(self.num_cycles, self.arm)
+        for time, image in self.camera.developed(self.time):
+            self._image.publish(messages.image(image, start + time))
+            if self._info:
+                self._info.publish(messages.camera_info(self._lens, start + time))
+        for message in self._requests.take():
+            self._heed(message.data)
+        before, aim = self._aim, self._aim.copy()
+        joints = self.lab.joints
+        for part in self._parts:
+            aim[part.ids] = part.cycle(joints, num_late)
+        self._simulate(before, aim)
+        self._aim = aim
+        self.num_cycles += 1
+
+    def _simulate(self, before: Joints, aim: Joints) -> None:
+        """Simulate the physics steps that end in this cycle, in which what is aimed at moves evenly [rad]."""
+        end = self.time + CYCLE
+        while (time := self.lab.time + self.lab.physics_dt) <= end + ROUNDING:
+            share = 1.0 - (end - time) / CYCLE
+            if self.lab.step(before + share * (aim - before)):
+                self.camera.expose(self.lab.exposure())
+                self._state.publish(messages.text(json.dumps(self.state())))
+
+    def state(self) -> dict[str, Any]:
+        """What is true of robot and throw, and what the operator asked for in vain."""
+        return {
+            **self.lab.truth(),
+            "halted": not self.arm.is_running,
+            "safety_mode": self.arm.safety_mode,
+            "halts": self.arm.num_halts,
+            "ignored": sum(part.driver.num_ignored + part.num_refused for part in self._parts),
+            "late_images": self.camera.num_late,
+            "lost_images": self.camera.num_lost,
+            "refused": self._refused,
+        }
+
+    def summary(self) -> str:
+        """What changes when something happens, in a line."""
+        lab, arm = self.lab, self.arm
+        robot = "program runs" if arm.is_running else f"program halted, safety mode {arm.safety_mode}"
+        thrown = "the room is empty" if lab.phase is Phase.EMPTY else f"{lab.object_name} {lab.outcome}"
+        refused = f", refused: {self._refused}" if self._refused else ""
+        return f"throw {lab.num_throws}: {thrown}; {robot}{refused}"
+
+    def _heed(self, data: bytes) -> None:
+        """Do what the operator asks for, or remember why not."""
+        try:
+            match json.loads(messages.read_text(data)):
+                case {"do": "prepare", "seed": int(seed)} if 0 <= seed < 2**63:
+                    self.lab.prepare(seed)
+                    self._hold()
+                case {"do": "throw"}:
+                    self.lab.throw()
+                case {"do": "protective_stop"}:
+                    self.arm.protective_stop()
+                case {"do": "resume"}:
+                    self._hold()
+                case other:
+                    raise DeploymentError(f"{other} is none of {REQUESTS}")
+            self._refused = ""
+        except (DeploymentError, ValueError) as error:
+            self._refused = str(error)
+
+    def _hold(self) -> None:
+        """Let the drivers hold the robot where it is, and the program run again."""
+        self._aim = self.lab.joints.position
+        for part in self._parts:
+            part.driver.reset(self._aim[part.ids])

@@ -1,0 +1,306 @@
+"""The laboratory behind the wires: simulated robot, object and thrower, and what of it is true."""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from math import inf, pi
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.envs.draws import Episode, draw_episode
+from pixel2catch.envs.episodes import EpisodeRecord
+from pixel2catch.envs.physics_log import PhysicsLog
+from pixel2catch.envs.world import CatchWorld
+from pixel2catch.errors import DeploymentError
+from pixel2catch.rendering.room import JOINTS, Bystanders
+from pixel2catch.rendering.camera import OBJECT, ROBOT, Moment
+from pixel2catch.evaluation.protocol import TRIAL_STEPS
+from pixel2catch.mdp.sensing import detect
+from pixel2catch.mdp.snapshot import Privileged, Transition
+from pixel2catch.mdp.terminations import is_near
+from pixel2catch.robot.constants import CameraSpec
+from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.twin.camera import Exposure
+from pixel2catch.twin.drivers import Motion
+
+ARM = JOINTS.index("thrower_arm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thrower:
+    """The thrower and the hanging ball, from the beginning of the twin's time on.
+
+    Attributes:
+        bystanders: Where they stand.
+        release: When the arm let go [s]; infinite before.
+    """
+
+    bystanders: Bystanders
+    release: float = inf
+
+    def joint_pos(self, time: float) -> Float[np.ndarray, "6"]:
+        """Positions of their joints [m, rad] at a time of the twin [s]."""
+        pos = self.bystanders.joint_pos(-time)  # swaying, with the arm at rest
+        if time > self.release:
+            pos[ARM] = self.bystanders.joint_pos(time - self.release)[ARM]
+        return pos
+
+
+class ThrowScorer:
+    """Follows one throw at the control rate; after its end nothing counts any more.
+
+    The time in which a success counts begins before the release, with the steps that the object would hover
+    in an episode: what an operator waits for longer does not count.
+
+    Attributes:
+        record: What became of the throw so far.
+        is_over: Whether it is decided: caught, dropped, or out of time.
+    """
+
+    def __init__(self, episode: Episode, now: Privileged) -> None:
+        """Begin with a release.
+
+        Args:
+            episode: What is thrown.
+            now: The state at the release.
+        """
+        self._before = now
+        self.record: EpisodeRecord = replace(episode.record, steps=episode.throw.hover_steps)
+        self.is_over = False
+
+    def follow(self, now: Privileged, log: PhysicsLog) -> None:
+        """Count a control step.
+
+        Args:
+            now: The state at its end.
+            log: What happened in it.
+        """
+        if self.is_over:
+            return
+        transition = Transition(
+            before=self._before,
+            now=now,
+            action=torch.zeros(1, 0),
+            joint_pos_target=torch.zeros(1, 0),
+            held_steps=torch.where(is_near(now), self.record.held_steps + 1, 0),
+            episode_steps=self.record.steps + 1,
+        )
+        self.record = self.record.advanced(transition, log)
+        self._before = now
+        is_late = int(self.record.steps) >= TRIAL_STEPS
+        self.is_over = is_late or bool(self.record.is_success) or bool(self.record.is_dropped)
+
+
+EMPTY_TIME = 0.5
+"""How long the room is empty between two throws [s]: what lay there is taken away. Source: ours."""
+
+Joints = Float[np.ndarray, " num_joints"]
+OBJECT_POSE = slice(OBJECT.start, OBJECT.start + 7)
+"""Position and quaternion of the object in `qpos`."""
+
+_YES = torch.ones(1, dtype=torch.bool)
+
+
+class Phase(StrEnum):
+    """How far a throw is."""
+
+    EMPTY = "empty"
+    """There is no object in the room."""
+    HELD = "held"
+    """The thrower holds it."""
+    FLYING = "flying"
+    """It was thrown, and is not decided yet."""
+    OVER = "over"
+    """It was caught, dropped, or its time is over."""
+
+
+class SimulatedLab:
+    """The simulation in steps of its physics; nothing here knows real time.
+
+    Throws, dynamics and the noise of the encoders are those of the task. Its errors of actions and its delays
+    are not applied: what is late in a lab is late on the wires.
+
+    Attributes:
+        episode: What is thrown at which robot.
+        phase: How far the throw is.
+        num_throws: Throws so far.
+        max_joint_speed: Largest speed of an arm joint so far [rad/s].
+        lag: How far each joint is behind its target in a steady motion, per speed [s].
+    """
+
+    def __init__(self, task: CatchEnvCfg, seed: int) -> None:
+        """Build the scene: a robot in its start pose, and an empty room.
+
+        Args:
+            task: What is thrown at which robot.
+            seed: Of the first start pose and of all noise.
+        """
+        self._task, self._rng = task, np.random.default_rng(seed)
+        self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu")
+        names = self._world.objects.names
+        self._object_ids = torch.tensor([names.index(name) for name in task.objects])
+        qpos, qvel = (self._world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
+        self._qpos, self._qvel = qpos, qvel
+        self._log: PhysicsLog | None = None
+        self._steps, self._is_thrown, self._scorer = 0, False, None
+        self.num_throws, self.max_joint_speed = 0, 0.0
+        dynamics = task.dynamics.over(JointDynamics.nominal())
+        self.lag: Joints = dynamics.damping / dynamics.stiffness
+        self.prepare(seed)
+        self._held_from = inf
+
+    @property
+    def time(self) -> float:
+        """Time since the beginning [s]."""
+        return self._steps * self.physics_dt
+
+    @property
+    def physics_dt(self) -> float:
+        """Time of a physics step [s]."""
+        return self._task.scene.physics_dt
+
+    @property
+    def camera(self) -> CameraSpec:
+        """The camera's lens and place."""
+        return self._task.scene.camera
+
+    @property
+    def object_name(self) -> str:
+        """What is thrown."""
+        return self._world.objects.names[int(self.episode.parameters.object_id)]
+
+    @property
+    def record(self) -> EpisodeRecord | None:
+        """What became of the throw so far, since its release."""
+        return None if self._scorer is None else self._scorer.record
+
+    @property
+    def outcome(self) -> str:
+        """How far the throw is, and how it ended, in a word."""
+        if self._scorer is None or not self._scorer.is_over:
+            return self.phase.value
+        record = self._scorer.record
+        reached = "reached, not caught" if record.is_tracked else "missed"
+        return "caught" if record.is_success else reached
+
+    @property
+    def joints(self) -> Motion:
+        """The true joints now."""
+        return Motion(position=self._qpos[ROBOT].copy(), velocity=self._qvel[ROBOT].copy())
+
+    def encoders(self, time: float) -> Motion:
+        """What the encoders say at a time up to a physics step from now [s]."""
+        joints, parameters = self.joints, self.episode.parameters
+        noise = self._task.sensing.joint_noise * self._rng.standard_normal(len(joints.position))
+        position = joints.position + (time - self.time) * joints.velocity
+        return replace(joints, position=position + parameters.joint_bias[0].numpy() + noise)
+
+    def prepare(self, seed: int) -> None:
+        """Put the robot at the start of the throw of a seed; the object follows after `EMPTY_TIME`.
+
+        It is the throw that `CatchEnv.seed` and `reset` begin in one environment.
+        """
+        generator = torch.Generator().manual_seed(seed)
+        self.episode: Episode = draw_episode(self._task, self._object_ids, 1, generator)
+        self._world.reset(_YES, self.episode.parameters, self.episode.throw)
+        self._world.forward(_YES)
+        release_pos = self.episode.throw.pos[0].double().numpy()
+        phase = float(self._rng.uniform(0.0, 2.0 * pi))
+        self._thrower = Thrower(bystanders=Bystanders(release_pos=release_pos, phase=phase))
+        self.phase, self._is_thrown, self._scorer = Phase.EMPTY, False, None
+        self._held_from = self.time + EMPTY_TIME
+
+    def throw(self) -> None:
+        """Let the thrower throw, when the control step ends.
+
+        Raises:
+            DeploymentError: There is nothing to throw.
+        """
+        if self.phase is not Phase.HELD:
+            raise DeploymentError(
+                f"the throw is {self.phase.value}, not {Phase.HELD.value}: prepare one, and wait"
+            )
+        self._is_thrown = True
+
+    def step(self, joint_pos_target: Joints) -> bool:
+        """Simulate a physics step; return whether it ended a control step.
+
+        Args:
+            joint_pos_target: What the servos aim at [rad].
+        """
+        log = self._world.run(torch.from_numpy(joint_pos_target)[None], num_steps=1)
+        self._log = log if self._log is None else self._log.merged(log)
+        self._steps += 1
+        is_end = self._steps % self._task.scene.decimation == 0
+        if is_end:
+            self._end_control_step(self._log)
+            self._log = None
+        return is_end
+
+    def exposure(self) -> Exposure:
+        """What there is to see now."""
+        return Exposure(
+            moment=Moment(qpos=self._qpos.copy(), qvel=self._qvel.copy(), time=self.time),
+            object_name=None if self.phase is Phase.EMPTY else self.object_name,
+            thrower=self._thrower.joint_pos,
+        )
+
+    def truth(self) -> dict[str, Any]:
+        """What is true of the throw: for the operator and the report, not for the robot."""
+        record = self.record
+        return {
+            "phase": self.phase.value,
+            "throw": self.num_throws,
+            "object": None if self.phase is Phase.EMPTY else self.object_name,
+            "box": self._box(),
+            "object_pose": [round(value, 4) for value in self._qpos[OBJECT_POSE].tolist()],
+            "is_tracked": record is not None and bool(record.is_tracked),
+            "is_success": record is not None and bool(record.is_success),
+            "joint_speed": self.max_joint_speed,
+        }
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._world.close()
+
+    def __enter__(self) -> "SimulatedLab":
+        """Return the lab itself."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close it."""
+        self.close()
+
+    def _end_control_step(self, log: PhysicsLog) -> None:
+        """Judge, and go on with the throw."""
+        self.max_joint_speed = max(self.max_joint_speed, float(log.joint_speed))
+        if self._scorer is not None:
+            self._scorer.follow(self._world.privileged(log), log)
+            if self._scorer.is_over:
+                self.phase = Phase.OVER
+        elif self.phase is Phase.EMPTY and self.time >= self._held_from:
+            self.phase = Phase.HELD
+        elif self._is_thrown:
+            self._release(log)
+
+    def _release(self, log: PhysicsLog) -> None:
+        """Let the object fly."""
+        self._world.release(_YES, self.episode.throw)
+        self._world.forward(_YES)
+        self._scorer = ThrowScorer(self.episode, self._world.privileged(log))
+        self._thrower = replace(self._thrower, release=self.time)
+        self.phase, self.num_throws = Phase.FLYING, self.num_throws + 1
+
+    def _box(self) -> list[float] | None:
+        """The box of what the camera sees of the object [px]."""
+        if self.phase is Phase.EMPTY:
+            return None
+        sensing = self._task.sensing
+        points, is_visible = self._world.surface_points(sensing.camera.camera)
+        projection = nominal_projection(sensing.camera.camera, points)
+        box, is_seen = detect(points, is_visible, sensing.least_visible, projection)
+        return box[0].tolist() if is_seen else None

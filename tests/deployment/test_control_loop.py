@@ -1,0 +1,222 @@
+"""The loop between camera, servo and operator, in memory."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from loop_lab import (
+    BOX,
+    HOME,
+    PROFILE,
+    Surroundings,
+    new_pipeline,
+    picture,
+    remembering,
+    servo_status,
+    surroundings,
+)
+
+from pixel2catch.deployment.control_loop import ControlLoop, read_prompt
+from pixel2catch.deployment.image_subscriber import ImageSubscriber
+from pixel2catch.deployment.perception_thread import CallerWorker, Worker
+from pixel2catch.deployment.policy_pipeline import Controller
+from pixel2catch.deployment.stepped import StepClock
+from pixel2catch.errors import DeploymentError
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.mdp.sensing import ASSUMED_AGE
+from pixel2catch.perception.extractor import Extraction
+from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.ros2 import messages
+from pixel2catch.servo.state import Mode
+from pixel2catch.servo.watchdogs import Fault
+
+
+class LedLoop:
+    """A deployment that is led step by step."""
+
+    def __init__(
+        self,
+        around: Surroundings,
+        worker: Worker[Extraction] | None = None,
+        controller: Controller | None = None,
+    ) -> None:
+        self.around = around
+        pipeline, camera = new_pipeline(controller=controller), PROFILE.camera
+        images = ImageSubscriber(
+            around.connection.transport, camera, RGB_CAMERA, around.clock, assumes_age=pipeline.knows_age
+        )
+        self.control_loop = ControlLoop(pipeline, images, around.connection, PROFILE.operator, worker)
+        self._prompts = around.lab.publisher(PROFILE.operator.prompt)
+        self.statuses = around.lab.subscription(PROFILE.operator.status, 100)
+
+    def say(self, mode: Mode, **others: Any) -> None:
+        """The servo has ticked."""
+        self.around.servo.send(servo_status(mode, **{"time": self.around.clock.now(), **others}))
+
+    def point(self, text: str) -> None:
+        self._prompts.publish(messages.text(text))
+
+    def step(self) -> dict[str, Any]:
+        """Run until the next status."""
+        seen: list[dict[str, Any]] = []
+        self.control_loop.run(lambda: bool(seen), seen.append)
+        return seen[0]
+
+
+def test_from_the_prompt_on_every_image_gives_orders_and_a_status():
+    with surroundings() as around:
+        led = LedLoop(around)
+        led.say(Mode.ARMED)
+        around.show(picture())
+        assert led.step()["verdict"] == "no prompt"
+        assert around.servo.receive() == []
+        led.point(json.dumps({"box": BOX}))
+        status = {}
+        for _ in range(3):
+            taken = around.show(picture(), age=0.02)
+            status = led.step()
+            (policy_command,) = around.servo.receive()
+            assert policy_command.image_stamp == pytest.approx(taken, abs=0.01)
+            assert status["mode"] == "armed"
+            assert status["box"] == list(BOX)
+        sent = [json.loads(messages.read_text(message.data)) for message in led.statuses.take()]
+        assert sent[-1] == status
+        assert led.control_loop.statistics.num_steps == 4
+
+
+def test_without_images_the_steps_go_on_and_are_counted():
+    with surroundings() as around:
+        led = LedLoop(around)
+        led.say(Mode.ARMED)
+        around.show(picture())
+        led.point(json.dumps({"box": BOX}))
+        led.step()
+        led.step()
+        first, second = around.servo.receive()
+        assert second.target_stamp > first.target_stamp
+        assert second.image_stamp == first.image_stamp
+        assert led.control_loop.statistics.num_missed == 1
+
+
+def test_arming_begins_a_new_throw():
+    with surroundings() as around:
+        led = LedLoop(around)
+        around.show(picture())
+        led.point(json.dumps({"box": BOX}))
+        led.say(Mode.IDLE)
+        assert led.step()["box"] is not None
+        led.say(Mode.ARMED)
+        around.show(picture())
+        assert led.step()["box"] is None
+
+
+def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
+    """A tick of the servo that comes while the image is looked at counts."""
+    policy, _ = load_policy(Path("proposed"))
+    moved = HOME + 0.02
+    expected = Controller(policy, PROFILE.handedness).step(
+        torch.tensor(moved[None], dtype=torch.float32),
+        BoxHistory.begun(torch.tensor([BOX]), torch.tensor([1.8]), 1),
+    )
+    with surroundings() as around:
+
+        def move(_: float) -> None:
+            around.servo.send(servo_status(Mode.ARMED, time=around.clock.now(), joint_pos=moved))
+
+        led = LedLoop(around, CallerWorker(StepClock(move), lambda: 0.01))
+        led.say(Mode.ARMED)
+        around.show(picture())
+        led.point(json.dumps({"box": BOX}))
+        led.step()
+        (policy_command,) = around.servo.receive()
+        assert policy_command.joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
+
+
+def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without():
+    """The servo is told of the newest image; the age of the box is from the image that was looked at."""
+    with surroundings() as around:
+        led = LedLoop(around, CallerWorker(around.clock, lambda: 0.01), remembering())
+        led.say(Mode.ARMED)
+        led.point(json.dumps({"box": BOX}))
+        stamps, taken = list[float](), 0.0
+        while len(stamps) < 6:
+            if len(stamps) < 3:
+                taken = around.show(picture(), age=0.02)
+            led.step()
+            stamps += [policy_command.target_stamp for policy_command in around.servo.receive()]
+        now = around.clock.now()
+        led.say(Mode.RUN, time=now, target_stamp=stamps[0], image_stamp=now)
+        led.step()
+        (policy_command,) = around.servo.receive()
+        assert policy_command.image_stamp == pytest.approx(taken, abs=0.005)
+        assert min(after - before for before, after in pairwise(stamps)) > 0.5 * CONTROL_DT
+        assert led.control_loop.statistics.num_missed >= 3
+
+
+def test_a_camera_without_stamps_is_told_of_once():
+    with surroundings() as around:
+        led = LedLoop(around, controller=remembering())
+        led.say(Mode.ARMED)
+        led.point(json.dumps({"box": BOX}))
+        messages_said, before = list[str](), 0.0
+        for _ in range(4):
+            image, before = messages.image(picture(), 0.0), around.clock.now()
+            around.lab.publisher(PROFILE.camera.image).publish(image)
+            messages_said.append(led.step()["message"])
+        assert [bool(said) for said in messages_said].count(True) == 1
+        assert "have no stamps" in "".join(messages_said)
+        newest = around.servo.receive()[-1]
+        arrived = newest.image_stamp + ASSUMED_AGE * CONTROL_DT
+        assert before <= arrived <= newest.target_stamp
+
+
+def test_stops_and_refusals_are_told_once_and_counted():
+    with surroundings() as around:
+        led = LedLoop(around)
+        led.say(Mode.RUN)
+        led.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE)
+        led.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE, refused=Fault.START_POSE)
+        led.say(Mode.STOPPED, stopped_by=Fault.DEAD_MAN | Fault.IMAGE_STALE)
+        first, second = led.step(), led.step()
+        assert first["stopped_by"] == second["stopped_by"] == ["image stale", "dead man"]
+        assert (first["refused"], second["refused"]) == (["start pose"], [])
+        summary = led.control_loop.statistics.summary()
+        assert summary["stops"] == {"image stale, dead man": 1}
+        assert summary["refusals"] == {"start pose": 1}
+
+
+def test_the_latency_is_from_the_image_to_the_first_command_with_it():
+    with surroundings() as around:
+        led, now = LedLoop(around), around.clock.now()
+        for tick in range(4):
+            late = now + 0.004 * (tick // 2)
+            led.say(Mode.RUN, time=now + 0.002 * tick, target_stamp=late, image_stamp=now - 0.02)
+        led.step()
+        latency = led.control_loop.statistics.summary()["image_to_command_ms"]
+        assert latency["count"] == 1
+        assert latency["p50"] == pytest.approx(24.0, abs=1e-6)
+
+
+def test_a_dead_servo_is_an_error():
+    with surroundings() as around:
+        led = LedLoop(around)
+        around.servo.close()
+        with pytest.raises(DeploymentError, match="press its stop"):
+            led.step()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", '{"box": [1, 2, 3]}', '{"box": [9, 9, 1, 1]}', '{"box": null}', "[1, 2, 3, 4]"]
+)
+def test_a_bad_prompt_is_told_and_begins_nothing(text: str):
+    with pytest.raises(DeploymentError, match="prompt"):
+        read_prompt(messages.text(text))
+    with surroundings() as around:
+        led = LedLoop(around)
+        around.show(picture())
+        led.point(text)
+        assert "prompt" in led.step()["message"]

@@ -1,0 +1,95 @@
+"""Decisions come as regularly as images, but for the slowest looks."""
+
+import numpy as np
+import pytest
+
+from pixel2catch.deployment.timing import QUANTILE, SHIFT, STEP, DecisionDelay, DecisionTimer
+from pixel2catch.robot.constants import CONTROL_DT
+
+
+def test_first_looks_wait_for_nothing_and_count_as_little_as_others():
+    delay = DecisionDelay(longest=0.05)
+    for _ in range(5):
+        assert delay.moment(1.0, 1.5) < 1.5
+    assert delay.age == pytest.approx(5 * QUANTILE * STEP)
+
+
+def test_a_quicker_look_waits_and_a_slower_one_does_not():
+    delay = DecisionDelay(longest=0.05)
+    for _ in range(100):
+        delay.moment(1.0, 1.03)
+    assert delay.moment(2.0, 2.02) == pytest.approx(2.03, abs=2 * STEP)
+    assert delay.moment(3.0, 3.04) < 3.04
+
+
+def test_so_many_looks_are_in_time_and_steps_are_even():
+    """Of looks that take 26 to 34 ms at random, nine of ten wait; steps vary by a fifth of what they did."""
+    rng, delay = np.random.default_rng(0), DecisionDelay(longest=0.05)
+    stamps = CONTROL_DT * np.arange(3000)
+    done = stamps + rng.uniform(0.026, 0.034, len(stamps))
+    decided = np.array([max(delay.moment(*image), image[1]) for image in zip(stamps, done, strict=True)])
+    assert QUANTILE < np.mean(done[500:] < decided[500:]) < QUANTILE + 0.05  # it adapts before it waits
+    assert np.diff(decided[500:]).std() < 0.2 * np.diff(done[500:]).std()
+
+
+def test_it_follows_a_machine_that_becomes_slower_or_faster():
+    delay = DecisionDelay(longest=0.05)
+    for age, num in ((0.03, 100), (0.04, 40), (0.02, 500)):
+        for _ in range(num):
+            delay.moment(0.0, age)
+        assert delay.age == pytest.approx(age, abs=2 * STEP)
+
+
+def test_nobody_waits_longer_than_costs_nothing():
+    delay = DecisionDelay(longest=0.05)
+    for _ in range(1000):
+        delay.moment(0.0, 0.2)
+    assert delay.age == 0.05
+
+
+def decided(timer: DecisionTimer, ends: list[tuple[float, float]], until: float, step: float) -> np.ndarray:
+    """Times of decisions by a loop that looks at the clock this often, given stamps and ends of looks [s]."""
+    waiting, times, now = list(ends), list[float](), 0.0
+    while now < until:
+        now += step
+        while waiting and waiting[0][1] <= now:
+            timer.learn(waiting[0][0], now)
+            waiting.pop(0)
+        if now >= timer.due:
+            times.append(now)
+            timer.advance(now, is_even=True)
+    return np.array(times)
+
+
+@pytest.mark.parametrize(("least", "jitter", "every"), [(0.02, 0.0, 1), (0.02, 0.01, 1), (0.075, 0.01, 2)])
+def test_decisions_are_even_and_most_looks_are_done_just_before(least: float, jitter: float, every: int):
+    """Whether a look takes less than a control step, or more and every second image is looked at."""
+    rng = np.random.default_rng(0)
+    stamps = every * CONTROL_DT * np.arange(300)
+    ends = stamps + least + rng.uniform(0.0, jitter, len(stamps))
+    times = decided(DecisionTimer(0.01), list(zip(stamps, ends, strict=True)), stamps[-1], 1e-4)
+    gaps = np.diff(times[100:])
+    assert len(times) == pytest.approx(stamps[-1] / CONTROL_DT, abs=2)
+    assert gaps.mean() == pytest.approx(CONTROL_DT, rel=2e-3)
+    assert np.abs(gaps - CONTROL_DT).max() < SHIFT + 2e-4
+    later = [times[times >= end].min() - end for end in ends[150:-10]]
+    assert np.quantile(later, 0.8) < jitter + 3e-3
+
+
+def test_without_images_decisions_go_on_and_late_ones_are_left_out():
+    timer = DecisionTimer(1.0)
+    timer.advance(1.001, is_even=False)
+    assert timer.due == pytest.approx(1.0 + CONTROL_DT)
+    timer.advance(1.0 + 3.5 * CONTROL_DT, is_even=True)
+    assert timer.due == pytest.approx(1.0 + 4.0 * CONTROL_DT, abs=SHIFT)
+
+
+def test_before_the_first_orders_a_step_may_be_of_any_length():
+    timer = DecisionTimer(1.0)
+    timer.learn(0.99, 1.005)
+    timer.advance(1.0, is_even=False)
+    assert timer.due == pytest.approx(1.005 + CONTROL_DT, abs=1e-6)
+    timer.learn(1.02, 1.06)
+    before = timer.due
+    timer.advance(timer.due, is_even=True)
+    assert abs(timer.due - before - CONTROL_DT) == pytest.approx(SHIFT)

@@ -1,0 +1,135 @@
+"""Images from the network: the newest counts, a bad one does not, and each knows where the robot was."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loop_lab import HOME, PROFILE, Surroundings, picture, surroundings
+
+from pixel2catch.deployment.image_subscriber import ImageSubscriber
+from pixel2catch.errors import DeploymentError
+from pixel2catch.mdp.sensing import ASSUMED_AGE
+from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.ros2 import messages
+
+
+def images_in(around: Surroundings, *, assumes_age: bool = False) -> ImageSubscriber:
+    return ImageSubscriber(
+        around.connection.transport, PROFILE.camera, RGB_CAMERA, around.clock, assumes_age=assumes_age
+    )
+
+
+def test_the_newest_image_counts_and_the_others_are_counted():
+    with surroundings() as around:
+        images = images_in(around)
+        assert images.newest() is None
+        for edge in (100, 200, 300):
+            around.show(picture((edge, 100, edge + 20, 130)))
+        frame = images.newest()
+        assert frame is not None
+        assert frame.image[110, 310].tolist() == [200, 30, 20]
+        assert images.num_lost == 2
+        assert images.newest() is None
+
+
+def test_the_stamp_is_of_the_exposure_on_the_monotonic_clock():
+    with surroundings() as around:
+        images = images_in(around)
+        around.show(picture(), age=0.04)
+        frame, now = images.newest(), around.clock.now()
+        assert frame is not None
+        assert now - frame.stamp == pytest.approx(0.04, abs=0.01)
+
+
+def age_of_next(images: ImageSubscriber, around: Surroundings, stamp: float) -> float:
+    """Age of an image with this stamp in its header, in control steps."""
+    around.lab.publisher(PROFILE.camera.image).publish(messages.image(picture(), stamp))
+    frame = images.newest()
+    assert frame is not None
+    assert images.stamp == frame.stamp
+    return (around.clock.now() - frame.stamp) / CONTROL_DT
+
+
+@pytest.mark.parametrize(
+    ("age", "words"),
+    [(None, "have no stamps"), (-0.2, "stamps of 0.2 s ahead"), (86400.0, "stamps of 8.6e+04 s ago")],
+)
+def test_images_without_a_sound_stamp_are_as_old_as_training_assumes(age: float | None, words: str):
+    with surroundings() as around:
+        images = images_in(around, assumes_age=True)
+        for notice in (words, ""):
+            stamp = 0.0 if age is None else around.clock.stamp() - age
+            assert age_of_next(images, around, stamp) == pytest.approx(ASSUMED_AGE, abs=0.3)
+            said = images.take_notice()
+            assert notice in said
+            assert bool(said) == bool(notice)
+            assert not notice or "50 ms old" in said
+            assert not notice or "header.stamp" in said
+
+
+@pytest.mark.parametrize("age", [-0.04, 0.0, 0.3])
+def test_stamps_that_can_be_meant_are_believed(age: float):
+    with surroundings() as around:
+        images = images_in(around, assumes_age=True)
+        found = age_of_next(images, around, around.clock.stamp() - age)
+        assert found == pytest.approx(age / CONTROL_DT, abs=0.3)
+        assert images.take_notice() == ""
+
+
+def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp():
+    """It is as old as it says, and stops the robot; a camera that has stamps does not lose them."""
+    with surroundings() as around:
+        images = images_in(around, assumes_age=True)
+        age_of_next(images, around, around.clock.stamp() - 0.02)
+        assert age_of_next(images, around, around.clock.stamp() - 2.0) > 59.0
+        assert images.take_notice() == ""
+
+
+def test_a_policy_that_knows_no_ages_gets_the_stamps_as_they_are():
+    with surroundings() as around:
+        images = images_in(around)
+        assert age_of_next(images, around, around.clock.stamp() - 2.0) > 59.0
+        assert images.take_notice() == ""
+
+
+def test_joints_are_those_at_the_time_of_the_image():
+    with surroundings() as around:
+        images = images_in(around)
+        around.show(picture(), age=0.1)
+        now = around.clock.now()
+        for age in (0.15, 0.1, 0.05, 0.0):
+            images.remember(now - age, HOME + age)
+        frame = images.newest()
+        assert frame is not None
+        assert frame.joint_pos == pytest.approx(HOME + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (messages.image(np.zeros((240, 320, 3), dtype=np.uint8), 1.0), "sends 320 x 240 rgb8"),
+        (messages.image(picture(), 1.0)[:1000], "disagree about the type"),
+        (b"", "disagree about the type"),
+    ],
+)
+def test_a_bad_image_is_none_and_says_why(data: bytes, words: str):
+    with surroundings() as around:
+        images = images_in(around)
+        around.lab.publisher(PROFILE.camera.image).publish(data)
+        assert images.newest() is None
+        assert words in images.message
+        around.show(picture())
+        assert images.newest() is not None
+        assert images.message == ""
+
+
+def test_another_lens_than_the_calibrated_one_is_refused():
+    with surroundings() as around:
+        images, info = images_in(around), PROFILE.camera.info
+        assert info is not None
+        lens = around.lab.publisher(info)
+        lens.publish(messages.camera_info(RGB_CAMERA, 0.0))
+        images.newest()
+        lens.publish(messages.camera_info(replace(RGB_CAMERA, fx=1.05 * RGB_CAMERA.fx), 0.0))
+        with pytest.raises(DeploymentError, match="calibrate the camera"):
+            images.newest()

@@ -1,0 +1,130 @@
+"""A deployment on a recording decides what it decided then."""
+
+import json
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loop_lab import BOX, HOME, PROFILE, RED, picture, remembering
+from wire_lab import WireLab
+
+from pixel2catch.cli.main import main
+from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, Images
+from pixel2catch.deployment.replay import RecordedTargets, ReplayCfg, compare, recorded_targets, replay
+from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
+from pixel2catch.errors import DeploymentError
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.perception.choice import PromptCfg, make_prompter
+from pixel2catch.perception.color import ColorThreshold
+from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.servo.link import link
+from pixel2catch.servo.process import ServoSetup
+
+EPOCH = 1_790_000_000.0
+PERIOD = 17
+"""Ticks from image to image."""
+
+
+def new_pipeline(controller: Controller | None = None) -> PolicyPipeline:
+    policy, _ = load_policy(None)
+    controller = controller or Controller(policy, PROFILE.handedness)
+    prompter = make_prompter(PromptCfg(), RGB_CAMERA)
+    return make_pipeline(controller, ColorThreshold(RED), prompter, RGB_CAMERA, None)
+
+
+def record(folder: Path, images: Images, pipeline: PolicyPipeline) -> None:
+    """A second of a robot that stands still, and an object that moves through the image."""
+    broker, clock = Broker(), StepClock(lambda moment: go_on_until(moment))
+    clock.time = EPOCH
+    laboratory, node = broker.node(clock), broker.node(clock)
+    camera = laboratory.publisher(PROFILE.camera.image)
+    prompt = laboratory.publisher(PROFILE.operator.prompt)
+    with BagRecorder(folder) as recorder, ExitStack() as stack:
+        nobody, somebody = link()
+        stack.callback(nobody.close)
+        stack.callback(somebody.close)
+        lab = WireLab(broker.node(clock), nobody, PROFILE, clock)
+        lab.silent.add("brain")
+        recording = DeploymentRecorder(recorder, node, PROFILE, clock, images)
+        nodes = Nodes(servo=broker.node(clock), loop=node, clock=clock, recording=recording)
+        setup = ServoSetup(profile=PROFILE, is_dry_run=True)
+        robot = SteppedDeployment(setup, RGB_CAMERA, nodes, pipeline, PerceptionTime(0.01))
+        stack.callback(robot.close)
+        tick = 0
+
+        def go_on_until(moment: float) -> None:
+            nonlocal tick
+            while clock.time < moment:
+                clock.time += setup.limits.dt
+                tick += 1
+                if tick % PERIOD == 0:
+                    shown = picture(tuple(np.add(BOX, 0.1 * tick)))
+                    camera.publish(messages.image(shown, clock.time - 0.015))
+                lab.step()
+                robot.tick()
+                robot.look()
+
+        go_on_until(EPOCH + 0.1)
+        lab.ask_to_arm()
+        go_on_until(EPOCH + 0.2)
+        prompt.publish(messages.text(json.dumps({"box": list(np.add(BOX, 0.1 * tick))})))
+        go_on_until(EPOCH + 1.0)
+
+
+def replayed(recording: Path, out: Path, pipeline: PolicyPipeline) -> dict[str, Any]:
+    cfg = ReplayCfg(recording=recording, out=out, profile=PROFILE, camera=RGB_CAMERA)
+    replay(cfg, pipeline)
+    return compare(recorded_targets(recording), recorded_targets(out))
+
+
+@pytest.mark.parametrize(
+    ("method", "most"), [(None, 1e-5), ("shared_reward+age", 1e-3)], ids=["knows no age", "knows ages"]
+)
+def test_a_replay_decides_as_it_was_decided(tmp_path: Path, method: str | None, most: float):
+    """Of policies that know ages on the same images, and at times that differ by less than a tick."""
+    first, second = (new_pipeline(remembering(method) if method else None) for _ in range(2))
+    record(tmp_path / "then", "raw", first)
+    report = replayed(tmp_path / "then", tmp_path / "now", second)
+    assert report["num_then"] >= 20
+    assert report["num_both"] >= report["num_then"] - 1
+    assert report["arm"]["max"] < most
+    assert report["hand"]["max"] < most
+
+
+def test_a_recording_without_images_is_refused(tmp_path: Path):
+    with BagRecorder(tmp_path / "then") as recorder:
+        recorder.record(PROFILE.operator.arm, messages.boolean(True), EPOCH)
+    with pytest.raises(DeploymentError, match="no images on"):
+        replayed(tmp_path / "then", tmp_path / "now", new_pipeline())
+    assert not (tmp_path / "now").exists()
+
+
+def test_the_command_says_how_alike_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    record(tmp_path / "then", "jpeg", new_pipeline())
+    args = ["replay", str(tmp_path / "then"), "--out", str(tmp_path / "now"), "--segmenter", "color"]
+    assert main([*args, "--color", "340", "20", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["decided"]["num_both"] >= report["decided"]["num_then"] - 1 > 18
+    assert report["deploy"]["num_steps"] > 20
+    assert max(report["decided"][part]["max"] for part in ("arm", "hand")) < 0.2
+
+
+def test_differences_are_of_the_worst_joint_of_images_of_both():
+    target = np.tile(HOME, (3, 1))
+    then = RecordedTargets(time=np.array([1.0, 1.033, 1.067]), target=target)
+    other = target[:2].copy()
+    other[0, 1] += 0.25
+    other[1, len(JOINTS) - 1] += 0.5
+    now = RecordedTargets(time=np.array([1.001, 1.034]), target=other)
+    report = compare(then, now)
+    assert (report["num_then"], report["num_now"], report["num_both"]) == (3, 2, 2)
+    assert report["arm"] == pytest.approx({"median": 0.125, "max": 0.25})
+    assert report["hand"] == pytest.approx({"median": 0.25, "max": 0.5})
+    late = replace(now, time=now.time + 10.0)
+    assert compare(then, late) == {"num_then": 3, "num_now": 2, "num_both": 0}

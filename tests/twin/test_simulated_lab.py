@@ -1,0 +1,141 @@
+"""The lab behind the wires: throws and verdicts are those of the environment."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.errors import DeploymentError
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.evaluation.protocol import TRIAL_STEPS, EvaluationCfg
+from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.robot.objects import SEEN
+from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.twin.simulated_lab import EMPTY_TIME, Phase, SimulatedLab
+
+DECIMATION = 4
+QUIET = RandomizationCfg(action_noise=0.0, action_bias=0.0)
+TASK = CatchEnvCfg(scene=SceneCfg(physics_hz=30.0 * DECIMATION), randomization=QUIET)
+
+
+@pytest.fixture
+def lab() -> Iterator[SimulatedLab]:
+    with SimulatedLab(TASK, seed=0) as lab:
+        yield lab
+
+
+def control_step(lab: SimulatedLab, start: np.ndarray, end: np.ndarray) -> None:
+    for i in range(1, DECIMATION + 1):
+        lab.step(start + i / DECIMATION * (end - start))
+
+
+def wait_until_held(lab: SimulatedLab) -> np.ndarray:
+    target = lab.joints.position
+    while lab.phase is not Phase.HELD:
+        control_step(lab, target, target)
+    return target
+
+
+def caught_in_the_environment(env: CatchEnv, seed: int):
+    """Targets of every control step, steps of hovering, and the record when all is decided."""
+    policy, _ = load_policy(Path("proposed"))
+    env.seed(seed)
+    observation, targets = env.reset(), []
+    while True:
+        step = env.step(policy.act(observation.policy))
+        observation, record = step.observation, step.record
+        targets.append(step.joint_pos_target[0].double().numpy().copy())
+        if record.is_success or record.is_dropped or len(targets) == TRIAL_STEPS:
+            return targets, record
+
+
+@pytest.mark.parametrize(("seed", "is_caught"), [(5, False), (6, True)])
+def test_a_throw_goes_and_is_judged_as_in_the_environment(lab: SimulatedLab, seed: int, is_caught: bool):
+    _, method = load_policy(Path("proposed"))
+    env = EvaluationCfg(objects=SEEN, num_envs=1, task=TASK).make_env(method)
+    targets, expected = caught_in_the_environment(env, seed)
+    lab.prepare(seed)
+    before = wait_until_held(lab)
+    for number, target in enumerate(targets, start=1):
+        if number == int(lab.episode.throw.hover_steps):
+            lab.throw()
+        control_step(lab, before, target)
+        before = target
+    assert lab.phase is Phase.OVER
+    assert lab.record is not None
+    for name in ("steps", "held_steps", "is_tracked", "is_success", "is_dropped", "object_id"):
+        assert torch.equal(getattr(lab.record, name), getattr(expected, name)), name
+    assert lab.record.max_joint_speed == pytest.approx(expected.max_joint_speed, rel=1e-3)
+    assert lab.truth()["is_success"] == is_caught
+    env.close()
+
+
+def test_an_object_that_nobody_catches_is_missed_when_it_falls(lab: SimulatedLab):
+    lab.prepare(3)
+    target = wait_until_held(lab)
+    lab.throw()
+    control_step(lab, target, target)
+    start, num_steps = lab.time, 0
+    while lab.phase is Phase.FLYING:
+        control_step(lab, target, target)
+        num_steps += 1
+    assert lab.outcome == "missed"
+    assert 0.8 < lab.time - start < 1.6
+    assert num_steps < TRIAL_STEPS
+
+
+def test_the_object_waits_as_long_as_the_operator_wants(lab: SimulatedLab):
+    lab.prepare(5)
+    held_since = lab.time + EMPTY_TIME
+    target = wait_until_held(lab)
+    assert lab.time == pytest.approx(held_since, abs=CONTROL_DT)
+    box = lab.truth()["box"]
+    for _ in range(150):
+        control_step(lab, target, target)
+    assert lab.truth()["box"] == pytest.approx(box, abs=1e-3)
+
+
+def test_there_is_nothing_to_throw_in_an_empty_room(lab: SimulatedLab):
+    assert lab.truth()["box"] is None
+    with pytest.raises(DeploymentError, match="prepare"):
+        lab.throw()
+    lab.prepare(1)
+    wait_until_held(lab)
+    lab.throw()
+
+
+def test_an_unprepared_room_stays_empty(lab: SimulatedLab):
+    target = lab.joints.position
+    for _ in range(60):
+        control_step(lab, target, target)
+    assert lab.phase is Phase.EMPTY
+
+
+def test_encoders_have_the_noise_of_training_and_follow_between_physics_steps(lab: SimulatedLab):
+    readings = np.array([lab.encoders(lab.time).position for _ in range(400)])
+    error = readings - lab.joints.position
+    assert error.std(axis=0) == pytest.approx(np.full(19, 0.005), rel=0.2)
+    assert np.abs(error.mean(axis=0)).max() < 0.005
+    exact = replace(TASK, sensing=replace(TASK.sensing, joint_noise=0.0, joint_bias=0.0))
+    with SimulatedLab(exact, seed=0) as moving:
+        start = moving.joints.position
+        control_step(moving, start, start + 0.05)
+        joints = moving.joints
+        assert np.abs(joints.velocity[:6]).min() > 0.05
+        later = moving.encoders(moving.time + 0.002).position
+        assert later == pytest.approx(joints.position + 0.002 * joints.velocity)
+
+
+def test_a_seed_begins_the_same_throw_again(lab: SimulatedLab):
+    starts = []
+    for seed in (7, 8, 7):
+        lab.prepare(seed)
+        starts.append((lab.joints.position, lab.episode.throw.lin_vel))
+    assert np.array_equal(starts[0][0], starts[2][0])
+    assert torch.equal(starts[0][1], starts[2][1])
+    assert not np.array_equal(starts[0][0], starts[1][0])
