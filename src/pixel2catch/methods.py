@@ -130,6 +130,8 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
 METHODS = methods_of(UR5E_ALLEGRO)
 """The methods for the paper's robot."""
 
+PROPOSED = METHODS["proposed"]
+
 
 def find_method(name: str, workcell: WorkcellSpec = UR5E_ALLEGRO) -> Method:
     """The method of that name for a work cell; `NAME+MEMORY` is one with a memory, such as `catch+fit`.

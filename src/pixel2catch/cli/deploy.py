@@ -83,12 +83,13 @@ class Deploy:
         """Perception and policy, for this robot and camera."""
         from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.perception.robot_mask import RobotMask
+        from pixel2catch.perception.factory import make_robot_mask
+        from pixel2catch.workcells import find_workcell
 
         policy, _ = load_policy(self.policy)
-        controller = Controller(policy, profile.handedness, camera)
+        controller = Controller(policy, find_workcell(profile.workcell), camera)
         profile.require(policy.contract.commands)
-        robot = RobotMask(camera, handedness=profile.handedness) if self.mask_robot else None
+        robot = make_robot_mask(camera, profile.workcell) if self.mask_robot else None
         prompter = self.perception.make_prompter(camera)
         return make_pipeline(controller, self.perception.make_segmenter(), prompter, camera, robot)
 

@@ -8,8 +8,7 @@ from functools import partial
 from typing import Generic, TypeVar, final
 
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
-from pixel2catch.perception.extractor import Extraction
-from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.segmenter import Prompt
 from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.ros2.transport import Clock

@@ -9,23 +9,24 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.agents import COMMANDS
+from pixel2catch.agents import commands_of
 from pixel2catch.errors import DeploymentError, NonFiniteError, PolicyMismatchError
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.mdp.columns import put
 from pixel2catch.mdp.observations import Frame, pixel_columns
 from pixel2catch.mdp.snapshot import History, Measurement
-from pixel2catch.methods import Method, find_method
-from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
-from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.methods import Method
+from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.prompt import FirstPrompter, GivenPrompter, Prompter
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
-from pixel2catch.perception.tracking import LaterPrompter
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, JOINTS, RGB_CAMERA, CameraSpec
-from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.policy.own_methods import method_of
+from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+from pixel2catch.robots.geometry import WorkcellGeometry
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.motion import Joints
 
@@ -46,26 +47,27 @@ class Controller:
         method: The method that the policy was trained with.
     """
 
-    def __init__(self, policy: Policy, handedness: str, camera: CameraSpec = RGB_CAMERA) -> None:
+    def __init__(self, policy: Policy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
         """Take over a policy.
 
         Args:
             policy: The policy.
-            handedness: "left" or "right": which hand is on the arm.
+            workcell: The robots of the laboratory.
             camera: The camera of the laboratory.
 
         Raises:
-            PolicyMismatchError: It was trained for another robot, hand or camera, or needs what no camera
+            PolicyMismatchError: It was trained for another robot or camera, or needs what no camera
                 sees.
         """
-        self.method = find_method(policy.contract.method)
-        policy.contract.require(contract_of(self.method, handedness, camera))
+        self.method = method_of(policy.contract)
+        policy.contract.require(contract_of(self.method, workcell, camera))
         self._policy = policy
-        self._action_map = ActionMap.of(COMMANDS, torch.device("cpu"))
+        self._action_map = ActionMap.of(commands_of(workcell), torch.device("cpu"))
+        self._geometry, self._joints = WorkcellGeometry(workcell), workcell.joints
         self._past: _Past | None = None
         self._held: Tensor | None = None
         nowhere = BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), self.method.num_boxes)
-        at_zero = self._measure(torch.zeros(1, len(JOINTS)), nowhere)
+        at_zero = self._measure(torch.zeros(1, len(workcell.joints)), nowhere)
         _refuse_trackers(self.method, at_zero)
 
     def reset(self, joint_pos_target: Float[Tensor, "1 num_joints"] | None = None) -> None:
@@ -75,6 +77,7 @@ class Controller:
             joint_pos_target: Where the joints are held [rad]; where they are measured if absent.
         """
         self._past, self._held = None, joint_pos_target
+        self._policy.reset()
 
     @property
     def measurement(self) -> Measurement | None:
@@ -96,21 +99,31 @@ class Controller:
         Raises:
             NonFiniteError: There is a NaN or an infinity; nothing is remembered of it.
         """
-        _refuse_non_finite(joint_pos, boxes)
+        self._refuse_non_finite(joint_pos, boxes)
         past, now = self._past, self._measure(joint_pos, boxes)
         history = History(now, now, now)
         if past is not None:
             history = History(past.history.before, past.history.now, now)
         actions = self._policy.act(self.method.observe(history))
-        action = torch.cat([actions[agent.name] for agent in self.method.agents], dim=-1)
+        action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
         target = self._action_map.joint_pos_target(action, now.joint_pos)
         self._past = _Past(history, action, target)
         return target
 
+    def _refuse_non_finite(self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> None:
+        is_good = joint_pos.isfinite()[0].tolist()
+        bad = [joint.name for joint, good in zip(self._joints, is_good, strict=True) if not good]
+        bad += [] if boxes.box.isfinite().all() else ["the object's box"]
+        bad += [] if boxes.age.isfinite().all() else ["the age of the object's box"]
+        if bad:
+            raise NonFiniteError(
+                f"a reading has a NaN or an infinity for {', '.join(bad)}; stop, and look at what sent it."
+            )
+
     def _measure(self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> Measurement:
         """The measurement as the environment makes it; what only a tracker sees is not a number."""
         past = self._past
-        palm_pos, palm_quat = palm_pose(joint_pos[:, : len(ARM_JOINTS)])
+        palm_pos, palm_quat = self._geometry.palm_poses(joint_pos)
         held = joint_pos if self._held is None else self._held
         return Measurement(
             boxes=boxes,
@@ -131,7 +144,10 @@ def _refuse_trackers(method: Method, measurement: Measurement) -> None:
     """Refuse a method whose observation depends on what a measurement does not have."""
     columns = pixel_columns(method.pixel_features)
     for agent in method.agents:
-        frame = Frame(before=measurement, now=measurement, joints=agent.joints, pixel_columns=columns)
+        joints, palms = agent.joints, agent.palms
+        frame = Frame(
+            before=measurement, now=measurement, joints=joints, palms=palms, pixel_columns=columns
+        )
         terms = (*agent.observation, *agent.memory)
         blind = [term.__name__ for term in terms if not term(frame).isfinite().all()]
         if blind:
@@ -139,17 +155,6 @@ def _refuse_trackers(method: Method, measurement: Measurement) -> None:
                 f"a policy of method '{method.name}' reads {', '.join(blind)}, which one camera cannot give; "
                 "deploy a policy that reads pixel features, such as 'proposed'."
             )
-
-
-def _refuse_non_finite(joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> None:
-    is_good = joint_pos.isfinite()[0].tolist()
-    bad = [joint.name for joint, good in zip(JOINTS, is_good, strict=True) if not good]
-    bad += [] if boxes.box.isfinite().all() else ["the object's box"]
-    bad += [] if boxes.age.isfinite().all() else ["the age of the object's box"]
-    if bad:
-        raise NonFiniteError(
-            f"a reading has a NaN or an infinity for {', '.join(bad)}; stop, and look at what sent it."
-        )
 
 
 BOX_AGE = 1.8 * CONTROL_DT
@@ -182,7 +187,7 @@ class PolicyPipeline:
     """
 
     def __init__(
-        self, controller: Controller, extractor: PixelFeatureExtractor, person: GivenPrompter
+        self, controller: Controller, extractor: PixelFeatureExtractor, person: Prompter
     ) -> None:
         """Begin before the first throw.
 
@@ -308,12 +313,9 @@ def make_pipeline(
     Args:
         controller: The policy.
         segmenter: What finds the object.
-        prompter: What points it out where the operator does not.
+        prompter: What points it out, and where the operator points it out.
         camera: The camera.
         robot: The robot, whose motion is not the object's; None where that does no harm.
     """
-    person = GivenPrompter()
-    either = LaterPrompter(FirstPrompter(person, prompter))
-    return PolicyPipeline(
-        controller, PixelFeatureExtractor(segmenter, either, robot=robot, camera=camera), person
-    )
+    extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot, camera=camera, waits=True)
+    return PolicyPipeline(controller, extractor, prompter)

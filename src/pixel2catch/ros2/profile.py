@@ -236,7 +236,7 @@ class Profile:
 
     Attributes:
         name: Its name.
-        handedness: Which hand is on the arm.
+        workcell: Name of the work cell whose robot it is.
         camera: The camera's driver.
         robots: The drivers of arm and hand.
         status: What the arm's driver says of itself.
@@ -244,7 +244,7 @@ class Profile:
     """
 
     name: str
-    handedness: Literal["left", "right"]
+    workcell: str
     camera: CameraProfile
     robots: tuple[RobotPart, ...]
     status: StatusTopics = StatusTopics()

@@ -11,10 +11,10 @@ from itertools import accumulate
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from pixel2catch.robot.clearance import CAPSULES, TABLE_CLEARANCE, capsule_ends, hand_box
-from pixel2catch.robot.constants import TABLE, TableSpec, Vec3
-from pixel2catch.robot.kinematics import joint_matrices
-from pixel2catch.robot.ur5e import LINKS
+from pixel2catch.robots.geometry import TABLE_CLEARANCE, ArmShape, arm_shape, first_chain
+from pixel2catch.robots.spec import Vec3
+from pixel2catch.robots.workcell import TABLE, TableSpec, WorkcellSpec
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ROUNDING = 1e-9
 """Gap that is none [m], and what an axis across two that are parallel may seem to show."""
@@ -27,12 +27,14 @@ class Workspace:
     """What arm and hand keep to, world frame.
 
     Attributes:
+        workcell: The robot, the first of it.
         table: The table; the robot stays above it, wherever it is over it.
         clearance: Distance to keep from its top and from its sides [m].
         lower: Lowest corner of the space for the hand [m].
         upper: Highest corner. Source of both: ours; the shipped policies stay 8 cm or more inside.
     """
 
+    workcell: WorkcellSpec = UR5E_ALLEGRO
     table: TableSpec = TABLE
     clearance: float = TABLE_CLEARANCE
     lower: Vec3 = (0.0, -1.1, 0.35)
@@ -40,10 +42,10 @@ class Workspace:
 
     def contains(self, arm_pos: Float64[np.ndarray, "rows 6"]) -> Bool[np.ndarray, " rows"]:
         """Whether a robot with these arm positions [rad] is where it may be."""
-        frames = link_frames(arm_pos)
-        middle, lower, upper = _hand_box(frames[-1])
+        frames = self.link_frames(arm_pos)
+        middle, lower, upper = self._hand_box(frames[-1])
         is_inside = np.logical_and.reduce((lower >= self.lower) & (upper <= self.upper), axis=-1)
-        capsules = frames[_LINK_OF_CAPSULE] @ _ENDS
+        capsules = frames[self._shape.links] @ self._shape.ends[:, None]
         _, _, top = self._sides
         _, _, top_for_axes = self._sides_for_axes
         if (lower[:, 2] >= top).all() and (capsules[:, :, 2] >= top_for_axes).all():
@@ -75,7 +77,7 @@ class Workspace:
         across = np.cross(world[:, :, None], own[:, None]).reshape(-1, 9, 3)
         axes = np.concatenate((world, own, across), axis=1)
         distance = np.abs(axes @ (middle - table_middle)[:, :, None])[..., 0]
-        reach = np.abs(axes) @ table_half + np.abs(axes @ rotation) @ _HAND_HALF
+        reach = np.abs(axes) @ table_half + np.abs(axes @ rotation) @ self._shape.hand_half
         return np.any(distance > reach + ROUNDING, axis=-1)
 
     def _are_clear(self, ends: Float64[np.ndarray, "capsules rows 3 2"]) -> Bool[np.ndarray, " rows"]:
@@ -100,27 +102,31 @@ class Workspace:
     def _sides_for_axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same for the axis of each capsule."""
         near, far, top = self._sides
-        return near[:, None, None] - _RADII, far[:, None, None] + _RADII, top + _RADII[..., None]
+        radii = self._shape.radii[:, None]
+        return near[:, None, None] - radii, far[:, None, None] + radii, top + radii[..., None]
 
+    def link_frames(
+        self, arm_pos: Float64[np.ndarray, "rows num_joints"]
+    ) -> Float64[np.ndarray, "num_joints rows 4 4"]:
+        """World frames at the far ends of the arm's links; the last is the hand's, at the palm."""
+        angles = arm_pos.T
+        terms = np.empty((*angles.shape, 3))
+        terms[..., 0], terms[..., 1], terms[..., 2] = 1.0, np.cos(angles), np.sin(angles)
+        links = (terms @ self._terms).reshape(*angles.shape, 4, 4)
+        return np.array([*accumulate(links, np.matmul)])
 
-def _hand_box(palm: Float64[np.ndarray, "rows 4 4"]) -> tuple[Corners, Corners, Corners]:
-    """Middle of the box about the hand, and lower and upper corners of one in world axes about that [m]."""
-    rotation = palm[:, :3, :3]
-    middle, half = palm[:, :3, 3] + rotation @ _HAND_CENTER, np.abs(rotation) @ _HAND_HALF
-    return middle, middle - half, middle + half
+    def _hand_box(self, palm: Float64[np.ndarray, "rows 4 4"]) -> tuple[Corners, Corners, Corners]:
+        """Middle of the box about the hand, lower and upper corners of one in world axes about that [m]."""
+        rotation = palm[:, :3, :3]
+        middle = palm[:, :3, 3] + rotation @ self._shape.hand_center
+        half = np.abs(rotation) @ self._shape.hand_half
+        return middle, middle - half, middle + half
 
+    @cached_property
+    def _shape(self) -> ArmShape:
+        return arm_shape(self.workcell, self.workcell.palms[0])
 
-def link_frames(arm_pos: Float64[np.ndarray, "rows 6"]) -> Float64[np.ndarray, "6 rows 4 4"]:
-    """World frames at the far ends of the arm's links; the last is the hand's, at the palm."""
-    angles = arm_pos.T
-    terms = np.empty((*angles.shape, 3))
-    terms[..., 0], terms[..., 1], terms[..., 2] = 1.0, np.cos(angles), np.sin(angles)
-    links = (terms @ _TERMS).reshape(*angles.shape, 4, 4)
-    return np.array([*accumulate(links, np.matmul)])
-
-
-_TERMS = joint_matrices().swapaxes(0, 1).reshape(len(LINKS), 3, 16)
-_LINK_OF_CAPSULE = np.array([link for link, _ in CAPSULES])
-_ENDS = np.array([[capsule_ends(link, capsule)] for link, capsule in CAPSULES])
-_RADII = np.array([[capsule.radius] for _, capsule in CAPSULES])
-_HAND_CENTER, _HAND_HALF = hand_box()
+    @cached_property
+    def _terms(self) -> Float64[np.ndarray, "num_joints 3 16"]:
+        matrices = first_chain(self.workcell).matrices.numpy()
+        return matrices.swapaxes(0, 1).reshape(matrices.shape[1], 3, 16)

@@ -16,18 +16,18 @@ from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import DeploymentError
-from pixel2catch.rendering.room import JOINTS, Bystanders
-from pixel2catch.rendering.camera import OBJECT, ROBOT, Moment
 from pixel2catch.evaluation.protocol import TRIAL_STEPS
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_near
+from pixel2catch.rendering.camera import OBJECT, ROBOT, Moment
+from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
 from pixel2catch.robot.constants import CameraSpec
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.twin.camera import Exposure
 from pixel2catch.twin.drivers import Motion
 
-ARM = JOINTS.index("thrower_arm")
+ARM = BYSTANDER_JOINTS.index("thrower_arm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +148,8 @@ class SimulatedLab:
         self._log: PhysicsLog | None = None
         self._steps, self._is_thrown, self._scorer = 0, False, None
         self.num_throws, self.max_joint_speed = 0, 0.0
-        dynamics = task.dynamics.over(JointDynamics.nominal())
+        nominal = JointDynamics.nominal()
+        dynamics = task.dynamics.over(nominal) if task.dynamics else nominal
         self.lag: Joints = dynamics.damping / dynamics.stiffness
         self.prepare(seed)
         self._held_from = inf

@@ -13,10 +13,12 @@ from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, m
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.perception.choice import PromptCfg, SegmenterCfg, make_prompter, make_segmenter
-from pixel2catch.perception.color import ColorRange
+from pixel2catch.perception.background import BackgroundSubtraction
+from pixel2catch.perception.color import ColorRange, ColorThreshold
+from pixel2catch.perception.factory import make_robot_mask
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
-from pixel2catch.perception.segmenter import Image
+from pixel2catch.perception.segmenter import Image, Segmenter
 from pixel2catch.policy import Policy
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
@@ -28,6 +30,7 @@ from pixel2catch.twin.lab_node import LabNode
 from pixel2catch.twin.realtime import PROFILE
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.twin.trials import Outcome, RehearsalOperator, of_twin, rates, run_trial
+from pixel2catch.workcells import find_workcell
 
 HOP = 0.0005
 """Time from a cycle of the drivers to the servo's tick, and from there to the control loop [s].
@@ -201,23 +204,22 @@ def _rendered(cfg: SteppedRehearsalCfg, policy: Policy, stack: ExitStack) -> tup
     """What `pixel2catch twin` shows, and what `pixel2catch deploy` sees in it."""
     scene = cfg.task.scene
     view = stack.enter_context(RoomCamera(scene, cfg.seed))
-    robot = RobotMask(scene.camera, handedness=scene.handedness)
-    return lambda _, exposure: view.image(exposure), _pipeline(cfg, policy, SegmenterCfg(), robot)
+    robot = make_robot_mask(scene.camera, scene.workcell)
+    return lambda _, exposure: view.image(exposure), _pipeline(cfg, policy, BackgroundSubtraction(), robot)
 
 
 def _plain(cfg: SteppedRehearsalCfg, policy: Policy) -> tuple[Draw, PolicyPipeline]:
     """Red boxes, and eyes for red."""
-    return plain_image, _pipeline(cfg, policy, SegmenterCfg(kind="color", colors=RED_HUES), None)
+    return plain_image, _pipeline(cfg, policy, ColorThreshold(RED_HUES), None)
 
 
 def _pipeline(
-    cfg: SteppedRehearsalCfg, policy: Policy, segmenter: SegmenterCfg, robot: RobotMask | None
+    cfg: SteppedRehearsalCfg, policy: Policy, segmenter: Segmenter, robot: RobotMask | None
 ) -> PolicyPipeline:
     """What catches."""
     scene = cfg.task.scene
-    controller = Controller(policy, scene.handedness, scene.camera)
-    prompter = make_prompter(PromptCfg(), scene.camera)
-    return make_pipeline(controller, make_segmenter(segmenter), prompter, scene.camera, robot)
+    controller = Controller(policy, find_workcell(scene.workcell), scene.camera)
+    return make_pipeline(controller, segmenter, Prompter(), scene.camera, robot)
 
 
 def plain_image(lab: SimulatedLab, _: Exposure) -> Image:
