@@ -20,7 +20,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from pixel2catch.robot.allegro import Handedness
+from pixel2catch.robots.allegro import Handedness
 from pixel2catch.robot.constants import FINGERS, HAND_JOINTS
 from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.robot.ur5e import add_arm
@@ -150,7 +150,7 @@ class Hand:
 
 def our_hand(handedness: Handedness) -> Hand:
     """Ours, in the complete scene."""
-    model = build_model(SceneCfg(handedness=handedness))
+    model = build_model(SceneCfg(workcell="ur5e_allegro" if handedness == "left" else "ur5e_allegro_right"))
     links = {name: [[model.body(f"{name}_link_{i}").id] for i in range(CHAIN)] for name in FINGERS}
     joints = {
         name: [

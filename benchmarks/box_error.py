@@ -23,7 +23,8 @@ from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
 from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, HAND_JOINTS, RGB_CAMERA, JointSpec
-from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.robots.geometry import first_chain
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 from pixel2catch.robot.objects import OBJECTS, surface_points
 from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.sim.devices import make_simulation
@@ -165,7 +166,7 @@ def _path(
 
 def _palm_target(arm: Float[Tensor, "num_frames 6"]) -> Float[Tensor, "num_frames 3"]:
     """Where a held object's centre is, in front of the palm [m]."""
-    pos, quat = palm_pose(arm)
+    pos, quat = first_chain(UR5E_ALLEGRO).pose(arm)
     w, x, y, z = quat.unbind(-1)
     normal = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], dim=-1)
     return pos + HELD_DISTANCE * normal

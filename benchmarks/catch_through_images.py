@@ -48,7 +48,7 @@ class Duel:
 
     def __init__(self, cfg: EvaluationCfg, film: FilmCfg, actor: Actor, method: Method) -> None:
         self._env, self._actor = cfg.make_env(method), actor
-        perception = PerceptionRunner(BackgroundSubtraction(), film.scene.handedness)
+        perception = PerceptionRunner(BackgroundSubtraction(), film.scene.workcell)
         self.eye = RenderedDetector(self._env.eye, self._env.world, film, perception)
         self._env.eye = self.eye
 

@@ -18,10 +18,10 @@ from pixel2catch.envs.eye import Eye
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
-from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
+from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.robot_mask import RobotMask
+from pixel2catch.perception.factory import make_robot_mask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.timing import StageClock
 from pixel2catch.rendering.camera import ARM, OBJECT, ROBOT, CameraCfg, Exposure, Moment, RoomCamera
@@ -162,17 +162,17 @@ class PerceptionRunner:
     A person points the object out in the first image of each film that shows it.
     """
 
-    def __init__(self, segmenter: Segmenter, handedness: Handedness = "left", seed: int = 0) -> None:
+    def __init__(self, segmenter: Segmenter, workcell: str = "ur5e_allegro", seed: int = 0) -> None:
         """Begin before the first film.
 
         Args:
             segmenter: What finds the object's pixels.
-            handedness: Which hand the robot has.
+            workcell: The robots.
             seed: Of the person's errors.
         """
         self._person, self._rng = Prompter(), np.random.default_rng(seed)
         robot = make_robot_mask(workcell=workcell)
-        self._extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot)
+        self._extractor = PixelFeatureExtractor(segmenter, self._person, robot=robot)
         self._is_prompted, self._num_seen = False, 0
 
     @property

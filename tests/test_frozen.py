@@ -17,16 +17,16 @@ from pixel2catch.robot.scene import SceneCfg, build_model
 FOLDER = Path(__file__).parent / "frozen"
 MODELS, THROWS = FOLDER / "models.npz", FOLDER / "throws.json"
 PHYSICS_HZ, SEED = 240.0, 7
-HANDS: tuple[str, ...] = ("left", "right")
+WORKCELLS = ("ur5e_allegro", "ur5e_allegro_right")
 FIRST = next(iter(OBJECTS))
 DERIVED = ("plugin", "bvh_", "oct_", "mesh_")
 """Fields that follow from the others, or from the meshes of the objects, which are large."""
 
 
-def model_fields(handedness: str, object_name: str) -> dict[str, np.ndarray]:
+def model_fields(workcell: str, object_name: str) -> dict[str, np.ndarray]:
     """All numbers of the compiled model, and the names of everything in it."""
     model = build_model(
-        SceneCfg(workcell={"left": "ur5e_allegro", "right": "ur5e_allegro_right"}[handedness]), object_name
+        SceneCfg(workcell=workcell), object_name
     )
     arrays = {name: getattr(model, name) for name in dir(model) if not name.startswith(("_", *DERIVED))}
     options = {f"opt.{name}": getattr(model.opt, name) for name in dir(model.opt) if not name.startswith("_")}
@@ -37,15 +37,15 @@ def model_fields(handedness: str, object_name: str) -> dict[str, np.ndarray]:
 
 
 def frozen_models() -> dict[str, np.ndarray]:
-    """The model of each hand, and of each other object what differs from that of the first."""
+    """The model with each hand, and of each other object what differs from that of the first."""
     arrays = {}
-    for handedness in HANDS:
-        whole = model_fields(handedness, FIRST)
-        arrays |= {f"{handedness}/{FIRST}/{field}": value for field, value in whole.items()}
+    for workcell in WORKCELLS:
+        whole = model_fields(workcell, FIRST)
+        arrays |= {f"{workcell}/{FIRST}/{field}": value for field, value in whole.items()}
         for name in OBJECTS:
-            fields = model_fields(handedness, name)
+            fields = model_fields(workcell, name)
             changed = {field: v for field, v in fields.items() if not np.array_equal(v, whole[field])}
-            arrays |= {f"{handedness}/{name}/{field}": v for field, v in changed.items()}
+            arrays |= {f"{workcell}/{name}/{field}": v for field, v in changed.items()}
     return arrays
 
 
@@ -62,13 +62,13 @@ def outcomes(policy_name: str) -> dict[str, str]:
     return {name: "".join(str(int(flag)) for flag in values) for name, values in flags.items()}
 
 
-@pytest.mark.parametrize("handedness", HANDS)
-def test_the_compiled_model_is_what_it_was(handedness: str):
+@pytest.mark.parametrize("workcell", WORKCELLS)
+def test_the_compiled_model_is_what_it_was(workcell: str):
     with np.load(MODELS) as file:
-        frozen = {tuple(key.split("/")): file[key] for key in file if key.startswith(handedness)}
+        frozen = {tuple(key.split("/")): file[key] for key in file if key.startswith(workcell + "/")}
     whole = {field: value for (_, name, field), value in frozen.items() if name == FIRST}
     for name in OBJECTS:
-        now = model_fields(handedness, name)
+        now = model_fields(workcell, name)
         then = whole | {field: value for (_, other, field), value in frozen.items() if other == name}
         for field, value in then.items():
             np.testing.assert_allclose(now[field], value, rtol=1e-9, atol=1e-12, err_msg=f"{name}: {field}")

@@ -40,7 +40,7 @@ def untrained(camera: dict[str, object] | CameraSpec) -> Policy:
     """A policy that was trained for a camera, were it trained."""
     torch.manual_seed(0)
     fields = dataclasses.asdict(camera) if isinstance(camera, CameraSpec) else camera
-    return Policy(dataclasses.replace(contract_of(METHODS["proposed"], "left"), camera=fields), hidden=(8,))
+    return Policy(dataclasses.replace(contract_of(METHODS["proposed"]), camera=fields), hidden=(8,))
 
 
 def run(*args: str | Path) -> int:

@@ -39,7 +39,7 @@ def pixel2catch(*args: str | Path) -> subprocess.CompletedProcess[str]:
 def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("untrained")
-    Policy(contract_of(PROPOSED, "left"), hidden=(16,)).save(folder)
+    Policy(contract_of(PROPOSED), hidden=(16,)).save(folder)
     return folder
 
 
@@ -140,7 +140,7 @@ def test_edited_policy(untrained: Path, tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_policy_of_another_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    contract = dataclasses.replace(contract_of(PROPOSED, "left"), control_dt=0.1)
+    contract = dataclasses.replace(contract_of(PROPOSED), control_dt=0.1)
     Policy(contract, hidden=(16,)).save(tmp_path)
     assert "control_dt: policy 0.1" in one_line_error(capsys, "evaluate", tmp_path)
 
@@ -195,7 +195,7 @@ def test_bench_prints_one_json_object(capsys: pytest.CaptureFixture[str]):
 @pytest.mark.parametrize("ending", [".xml", ".mjb"])
 def test_exported_scene_loads(ending: str, tmp_path: Path):
     path = tmp_path / f"scene{ending}"
-    assert main(["scene", str(path), "--object", "l_block", "--handedness", "right"]) == 0
+    assert main(["scene", str(path), "--object", "l_block", "--workcell", "ur5e_allegro_right"]) == 0
     load = mujoco.MjModel.from_xml_path if ending == ".xml" else mujoco.MjModel.from_binary_path
     model = load(str(path))
     assert (model.nq, model.nu) == (26, 19)

@@ -34,7 +34,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def untrained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("untrained")
-    Policy(contract_of(METHODS["proposed"], "left"), hidden=(8,)).save(folder)
+    Policy(contract_of(METHODS["proposed"]), hidden=(8,)).save(folder)
     return folder
 
 

@@ -47,7 +47,7 @@ def test_a_contract_tells_what_a_method_of_package_terms_observes(name: str, mem
 
 def test_a_method_of_the_package_is_its_own():
     for method in METHODS.values():
-        assert method_of(contract_of(method, "left")) is method
+        assert method_of(contract_of(method)) is method
 
 
 def test_how_many_boxes_an_own_memory_holds_is_not_told():

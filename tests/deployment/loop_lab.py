@@ -24,6 +24,7 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.servo.link import ServoEnd, ServoStatus, link
 from pixel2catch.servo.state import Mode
+from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])
 PROFILE = Profile.load("ur5e_allegro_v4")
@@ -46,7 +47,10 @@ def picture(box: tuple[float, float, float, float] | None = BOX) -> np.ndarray:
 def remembering(method: str = "shared_reward+boxes") -> Controller:
     """A policy that knows how old its boxes are, with random networks."""
     torch.manual_seed(0)
-    return Controller(Policy(contract_of(find_method(method), PROFILE.handedness)).eval(), PROFILE.handedness)
+    return Controller(
+        Policy(contract_of(find_method(method), find_workcell(PROFILE.workcell))).eval(),
+        find_workcell(PROFILE.workcell),
+    )
 
 
 def new_pipeline(segmenter: Segmenter | None = None, controller: Controller | None = None) -> PolicyPipeline:
@@ -54,7 +58,9 @@ def new_pipeline(segmenter: Segmenter | None = None, controller: Controller | No
     policy, _ = load_policy(Path("proposed"))
     person = Prompter(finds_flights=False)
     extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
-    return PolicyPipeline(controller or Controller(policy, PROFILE.handedness), extractor, person)
+    return PolicyPipeline(
+        controller or Controller(policy, find_workcell(PROFILE.workcell)), extractor, person
+    )
 
 
 def servo_status(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> ServoStatus:

@@ -33,6 +33,7 @@ from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.ros2 import messages
 from pixel2catch.servo.state import Mode
 from pixel2catch.servo.watchdogs import Fault
+from pixel2catch.workcells import find_workcell
 
 
 class LedLoop:
@@ -118,7 +119,7 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
     """A tick of the servo that comes while the image is looked at counts."""
     policy, _ = load_policy(Path("proposed"))
     moved = HOME + 0.02
-    expected = Controller(policy, PROFILE.handedness).step(
+    expected = Controller(policy, find_workcell(PROFILE.workcell)).step(
         torch.tensor(moved[None], dtype=torch.float32),
         BoxHistory.begun(torch.tensor([BOX]), torch.tensor([1.8]), 1),
     )

@@ -47,7 +47,7 @@ def policy_of(method: str, recurrent: int = 0) -> Policy:
     if folder is not None and not recurrent:
         return Policy.load(folder)
     torch.manual_seed(0)
-    policy = Policy(contract_of(find_method(method), "left"), recurrent=recurrent).eval()
+    policy = Policy(contract_of(find_method(method)), recurrent=recurrent).eval()
     with torch.no_grad():
         for network in (policy.network(name) for name in policy.contract.agents):
             network.get_parameter("network.6.weight").mul_(20.0)
@@ -170,7 +170,7 @@ def test_a_policy_that_needs_a_tracker_is_refused(method: str, term: str):
 def test_the_camera_of_the_policy_is_that_of_the_laboratory():
     """A policy trained for a calibrated camera runs with that one, and with no other."""
     calibrated = replace(RGB_CAMERA, pos=(0.02, -0.01, 2.19))
-    policy = Policy(contract_of(find_method("proposed"), "left", calibrated)).eval()
+    policy = Policy(contract_of(find_method("proposed"), camera=calibrated)).eval()
     given = Controller(policy, "left", calibrated).step(HOME, BOX)
     assert given.isfinite().all()
     with pytest.raises(PolicyMismatchError, match=r"camera\.pos"):
@@ -178,5 +178,5 @@ def test_the_camera_of_the_policy_is_that_of_the_laboratory():
 
 
 def test_a_policy_of_the_other_hand_is_refused():
-    with pytest.raises(PolicyMismatchError, match="handedness"):
+    with pytest.raises(PolicyMismatchError, match="workcell"):
         Controller(policy_of("proposed"), "right")

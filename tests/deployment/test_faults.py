@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 from camera_lab import CameraLab
 from loop_lab import PROFILE, RED
+from pixel2catch.perception.choice import PromptCfg, make_prompter
 from servo_rows import LIMITS
 
 from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
 from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.perception.choice import PromptCfg, make_prompter
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.robot.constants import RGB_CAMERA
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.process import ServoSetup
+from pixel2catch.workcells import find_workcell
 
 ARM = PROFILE.robots[0].command_topic
 
@@ -40,7 +41,11 @@ class Watcher:
         policy, _ = load_policy(None)
         prompter = make_prompter(PromptCfg(), RGB_CAMERA)
         pipeline = make_pipeline(
-            Controller(policy, PROFILE.handedness), ColorThreshold(RED), prompter, RGB_CAMERA, None
+            Controller(policy, find_workcell(PROFILE.workcell)),
+            ColorThreshold(RED),
+            prompter,
+            RGB_CAMERA,
+            None,
         )
         nodes = Nodes(servo=self.broker.node(self.clock), loop=self.broker.node(self.clock), clock=self.clock)
         setup = ServoSetup(profile=PROFILE, limits=LIMITS)

@@ -16,6 +16,7 @@ from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.workcells import find_workcell
 
 PROMPT = BoxPrompt(box=BOX)
 
@@ -51,7 +52,7 @@ def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, 
     """Where images are younger than that, the policy gets what was between them; where older, the newest."""
     pipeline = new_pipeline()
     policy, _ = load_policy(Path("proposed"))
-    controller = Controller(policy, PROFILE.handedness)
+    controller = Controller(policy, find_workcell(PROFILE.workcell))
     pipeline.begin(PROMPT)
     joint_pos = torch.from_numpy(HOME[None]).float()
     for step in range(4):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loop_lab import BOX, HOME, PROFILE, RED, picture, remembering
+from pixel2catch.perception.choice import PromptCfg, make_prompter
 from wire_lab import WireLab
 
 from pixel2catch.cli.main import main
@@ -18,13 +19,13 @@ from pixel2catch.deployment.replay import RecordedTargets, ReplayCfg, compare, r
 from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.perception.choice import PromptCfg, make_prompter
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.servo.link import link
 from pixel2catch.servo.process import ServoSetup
+from pixel2catch.workcells import find_workcell
 
 EPOCH = 1_790_000_000.0
 PERIOD = 17
@@ -33,7 +34,7 @@ PERIOD = 17
 
 def new_pipeline(controller: Controller | None = None) -> PolicyPipeline:
     policy, _ = load_policy(None)
-    controller = controller or Controller(policy, PROFILE.handedness)
+    controller = controller or Controller(policy, find_workcell(PROFILE.workcell))
     prompter = make_prompter(PromptCfg(), RGB_CAMERA)
     return make_pipeline(controller, ColorThreshold(RED), prompter, RGB_CAMERA, None)
 

@@ -7,13 +7,13 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from pixel2catch.robot.clearance import HAND_LOWER, HAND_UPPER, depth_in_table
+from pixel2catch.robots.geometry import first_chain
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from pixel2catch.robot.allegro import Handedness
-from pixel2catch.robot.clearance import HAND_LOWER, HAND_UPPER, depth_in_table
 from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, JOINTS, TableSpec
-from pixel2catch.robot.kinematics import palm_pose
 from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.servo.workspace import Workspace, link_frames
 
@@ -22,8 +22,8 @@ HOME = np.array([[joint.home for joint in ARM_JOINTS]])
 ELBOW_AND_WRIST = ("forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
 
 
-def model_of(handedness: Handedness) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    model = build_model(SceneCfg(handedness=handedness))
+def model_of(workcell: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    model = build_model(SceneCfg(workcell=workcell))
     return model, mujoco.MjData(model)
 
 
@@ -44,12 +44,12 @@ def half_extents(model: mujoco.MjModel, data: mujoco.MjData, geom: int, axes: np
 def test_the_last_frame_is_the_palm_of_training():
     random = np.random.default_rng(0)
     arm_pos = random.uniform(LOWER[:6], UPPER[:6], (50, 6))
-    palm_pos, _ = palm_pose(torch.from_numpy(arm_pos))
+    palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(arm_pos))
     np.testing.assert_allclose(link_frames(arm_pos)[-1][:, :3, 3], palm_pos.numpy(), atol=1e-12)
 
 
 def test_the_frames_are_where_the_links_of_the_model_are():
-    model, data = model_of("left")
+    model, data = model_of("ur5e_allegro")
     arm_pos = np.random.default_rng(1).uniform(LOWER[:6], UPPER[:6], (20, 6))
     frames = link_frames(arm_pos)
     for row, joints in enumerate(arm_pos):
@@ -58,9 +58,9 @@ def test_the_frames_are_where_the_links_of_the_model_are():
             np.testing.assert_allclose(frames[link][row, :3, 3], data.body(body).xpos, atol=1e-9)
 
 
-@pytest.mark.parametrize("handedness", ["left", "right"])
-def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(handedness: Handedness):
-    model, data = model_of(handedness)
+@pytest.mark.parametrize("workcell", ["ur5e_allegro", "ur5e_allegro_right"])
+def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(workcell: str):
+    model, data = model_of(workcell)
     parts = ("wrist_3", "palm", *FINGERS)
     geoms = [g for g in range(model.ngeom) if model.body(model.geom_bodyid[g]).name.startswith(parts)]
     random = np.random.default_rng(2)
@@ -78,7 +78,7 @@ def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(handedness: Han
 
 def test_no_pose_inside_touches_the_table():
     """Poses about the table's height, by MuJoCo's collisions; some of those outside do touch it."""
-    model, data = model_of("left")
+    model, data = model_of("ur5e_allegro")
     table = model.geom("table").id
     random = np.random.default_rng(3)
     lower, upper = np.array(LOWER), np.array(UPPER)

@@ -67,7 +67,7 @@ def test_a_result_counts_for_its_own_policy_only(tmp_path: Path):
     write_evaluation(folder, RUN, "seen", successes=3)
     assert folder.result(RUN, "seen") is not None
     torch.manual_seed(0)
-    Policy(contract_of(PROPOSED, "left"), hidden=(4,)).save(folder.run(RUN) / "policy")
+    Policy(contract_of(PROPOSED), hidden=(4,)).save(folder.run(RUN) / "policy")
     assert folder.result(RUN, "seen") is None
 
 

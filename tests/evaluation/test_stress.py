@@ -129,7 +129,7 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     torch.manual_seed(0)
     root, folders = tmp_path_factory.mktemp("runs"), []
     for name, place in (("proposed", "first/policy"), ("only_wh", "second")):
-        Policy(contract_of(METHODS[name], "left"), hidden=(16,)).save(root / place)
+        Policy(contract_of(METHODS[name]), hidden=(16,)).save(root / place)
         folders.append(str(root / place.split("/")[0]))
     return folders
 

@@ -1,6 +1,7 @@
 import numpy as np
 import torch
-from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.robots.geometry import first_chain
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 from pixel2catch.evaluation.comparison.figures import arm_points, sample_paths
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
@@ -23,4 +24,4 @@ def test_the_arm_leads_from_the_base_to_the_palm():
     points = arm_points()
     home = torch.tensor([[joint.home for joint in ARM_JOINTS]], dtype=torch.float64)
     assert np.allclose(points[0], ROBOT_BASE_POS)
-    assert np.allclose(points[-1], palm_pose(home)[0][0], atol=1e-6)
+    assert np.allclose(points[-1], first_chain(UR5E_ALLEGRO).pose(home)[0][0], atol=1e-6)

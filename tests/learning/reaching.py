@@ -30,7 +30,7 @@ CONTRACT = PolicyContract(
     commands={"pan": PUSH, "idle": PUSH, "finger": PUSH},
     control_dt=1 / 30,
     camera={"width": 640.0, "pos": (0.0, 0.1, 2.2)},
-    handedness="left",
+    workcell="ur5e_allegro",
 )
 
 SMALL = TrainCfg(

@@ -6,7 +6,8 @@ from functools import cache
 import cv2
 import numpy as np
 import torch
-from pixel2catch.robot.kinematics import palm_pose
+from pixel2catch.robots.geometry import first_chain
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
@@ -43,7 +44,7 @@ def lens(camera: CameraSpec = RGB_CAMERA) -> Intrinsics:
 
 def palm(joint_pos: np.ndarray) -> np.ndarray:
     """Pose of the palm in the world at joint positions [rad]."""
-    pos, quat = palm_pose(torch.from_numpy(joint_pos)[None])
+    pos, quat = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joint_pos)[None])
     return pose_matrix(pos[0].tolist(), quat[0].tolist())
 
 

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from pixel2catch.robot.allegro import Handedness
 
 from pixel2catch.camera.pinhole import back_project
 from pixel2catch.errors import PerceptionError
@@ -56,9 +55,9 @@ def seen_robot(model: mujoco.MjModel, joint_pos: np.ndarray) -> np.ndarray:
     return is_robot.reshape(ROWS.shape)
 
 
-def shares(handedness: Handedness, margin: int) -> tuple[np.ndarray, np.ndarray]:
+def shares(workcell: str, margin: int) -> tuple[np.ndarray, np.ndarray]:
     """In every pose, masked pixels of the robot and of the rest, both as shares of the robot's."""
-    model = build_model(SceneCfg(handedness=handedness, visuals=True))
+    model = build_model(SceneCfg(workcell=workcell, visuals=True))
     robot = RobotMask(model, JOINT_NAMES, RGB_CAMERA, margin=margin)
     covered, hidden = [], []
     for joint_pos in poses():
@@ -70,9 +69,9 @@ def shares(handedness: Handedness, margin: int) -> tuple[np.ndarray, np.ndarray]
     return np.array(covered), np.array(hidden)
 
 
-@pytest.mark.parametrize("handedness", ["left", "right"])
-def test_without_a_margin_the_mask_is_the_robot(handedness: Handedness):
-    covered, hidden = shares(handedness, margin=0)
+@pytest.mark.parametrize("workcell", ["ur5e_allegro", "ur5e_allegro_right"])
+def test_without_a_margin_the_mask_is_the_robot(workcell: str):
+    covered, hidden = shares(workcell, margin=0)
     assert covered.min() >= 0.99
     assert np.median(hidden) <= 0.05
 

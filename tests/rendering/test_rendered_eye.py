@@ -14,13 +14,9 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import METHODS
 from pixel2catch.perception.background import BackgroundSubtraction
-<<<<<<< HEAD:tests/evaluation/test_rendered_eye.py
-from pixel2catch.perception.plausibility import Verdict
-=======
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.rendering.camera import OBJECT
 from pixel2catch.rendering.renderer import find_gl_backend
->>>>>>> rebuild-evaluation:tests/rendering/test_rendered_eye.py
 from pixel2catch.robot.constants import CONTROL_DT
 
 METHOD = METHODS["proposed"]

@@ -20,7 +20,7 @@ from pixel2catch.robot.scene import SceneCfg
 @pytest.fixture(scope="module")
 def throws() -> list[RecordedThrow]:
     torch.manual_seed(0)
-    policy = Policy(contract_of(PROPOSED, "left"), hidden=(16,))
+    policy = Policy(contract_of(PROPOSED), hidden=(16,))
     return recorded_throws(EvaluationCfg(objects=("cube_l",), num_envs=2, seed=1), policy, PROPOSED)
 
 

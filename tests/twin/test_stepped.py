@@ -90,7 +90,7 @@ def test_perception_takes_the_time_that_is_said(report: dict[str, Any]):
 def knowing_ages(policy: Policy) -> Policy:
     """The same policy of a method that knows how old its boxes are, which makes nothing of it."""
     contract = policy.contract
-    aware = Policy(contract_of(find_method(f"{contract.method}+age"), contract.handedness)).eval()
+    aware = Policy(contract_of(find_method(f"{contract.method}+age"))).eval()
     for name in contract.agents:
         state = aware.network(name).state_dict()
         for key, value in policy.network(name).state_dict().items():
