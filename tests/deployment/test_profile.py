@@ -163,7 +163,7 @@ MISTAKES = [
     ("camera.width", "640", "camera: width: '640' is not of type int"),
     ("camera.width", True, "camera: width: True is not of type int"),
     ("camera.image", "raw", "camera: image: 'raw' is no topic; write its whole name: '/raw'"),
-    ("handedness", "Left", "handedness: unknown value 'Left'. Did you mean 'left'?"),
+    ("workcell", 5, "workcell: 5 is not of type str"),
     ("robots", 3, "robots: 3 is not of type list"),
     ("status", "none", "status: 'none' has no keys"),
     (f"{ARM_JOINT}.index", 2, "robots[0]: joints.elbow_joint: unknown key 'index'"),

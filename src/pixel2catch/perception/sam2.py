@@ -267,38 +267,32 @@ def load_sam2(
             folder, config=config, dtype=dtype, local_files_only=True, output_loading_info=True
         )
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError, StrictDataclassError) as error:
-        raise PerceptionError(
-            f"{folder} cannot be read as SAM 2: {error}. {_download_advice(folder)}"
-        ) from error
+        raise _unusable(folder, f"{folder} cannot be read as SAM 2: {error}") from error
     model, report = loaded
     missing = sorted(report["missing_keys"])
     if missing:
-        raise PerceptionError(
-            f"{folder} lacks {len(missing)} weights of SAM 2, such as {missing[0]}. "
-            f"{_download_advice(folder)}"
-        )
+        raise _unusable(folder, f"{folder} lacks {len(missing)} weights of SAM 2, such as {missing[0]}")
     return model.eval().requires_grad_(False).to(device)
 
 
 def _require_files(folder: Path) -> None:
     config = folder / "config.json"
     if not config.is_file():
-        raise PerceptionError(f"there is no SAM 2 checkpoint in {folder}. {_download_advice(folder)}")
+        raise _unusable(folder, f"there is no SAM 2 checkpoint in {folder}")
     if not any(folder.glob("*.safetensors")):
-        raise PerceptionError(f"{folder} has no weights (*.safetensors). {_download_advice(folder)}")
+        raise _unusable(folder, f"{folder} has no weights (*.safetensors)")
     try:
         kind = json.loads(config.read_text()).get("model_type")
     except (ValueError, AttributeError) as error:
-        raise PerceptionError(f"{config} is damaged: {error}. {_download_advice(folder)}") from error
-    if kind != Sam2VideoConfig.model_type:
-        raise PerceptionError(
-            f"{folder} holds a model of type '{kind}', not '{Sam2VideoConfig.model_type}'. "
-            f"{_download_advice(folder)}"
-        )
+        raise _unusable(folder, f"{config} is damaged: {error}") from error
+    if kind != (wanted := Sam2VideoConfig.model_type):
+        raise _unusable(folder, f"{folder} holds a model of type '{kind}', not '{wanted}'")
 
 
-def _download_advice(folder: Path) -> str:
-    return f"On a machine with a network: hf download {MODEL_ID} --local-dir {folder}"
+def _unusable(folder: Path, problem: str) -> PerceptionError:
+    return PerceptionError(
+        f"{problem}. On a machine with a network: hf download {MODEL_ID} --local-dir {folder}"
+    )
 
 
 def _with_image_size(config: Sam2VideoConfig, size: int) -> Sam2VideoConfig:
