@@ -20,10 +20,11 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from pixel2catch.robots.allegro import Handedness
 from pixel2catch.robot.constants import FINGERS, HAND_JOINTS
 from pixel2catch.robot.scene import SceneCfg, build_model
-from pixel2catch.robot.ur5e import add_arm
+from pixel2catch.robots.allegro import Handedness
+from pixel2catch.robots.ur5e import UR5E
+from pixel2catch.robots.workcell import robot_mjcf
 
 SAMPLES = 200
 POSES = 2000
@@ -70,10 +71,7 @@ def report(name: str, value: str) -> None:
 
 def compare_arms(path: str) -> None:
     """The arm without a hand."""
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    add_arm(spec)
-    ours, theirs = spec.compile(), load(path, "collision")
+    ours, theirs = robot_mjcf(UR5E, visuals=False).compile(), load(path, "collision")
     ours.body_gravcomp[:] = 0.0
     moving = [sorted(set(m.jnt_bodyid.tolist())) for m in (ours, theirs)]
     report("masses of the links, ours [kg]", np.array2string(ours.body_mass[moving[0]]))

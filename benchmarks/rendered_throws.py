@@ -19,18 +19,18 @@ from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
+from pixel2catch.perception.factory import make_robot_mask
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.factory import make_robot_mask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.timing import StageClock
 from pixel2catch.rendering.camera import ARM, OBJECT, ROBOT, CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.rendering.video import RecordedThrow
 from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.robot.scene import SceneCfg
 from pixel2catch.robots.geometry import first_chain
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
-from pixel2catch.robot.scene import SceneCfg
 
 NUM_EMPTY_AGAIN = 3
 """Images of the empty room before every throw but the first: the room is known."""

@@ -25,9 +25,7 @@ DERIVED = ("plugin", "bvh_", "oct_", "mesh_")
 
 def model_fields(workcell: str, object_name: str) -> dict[str, np.ndarray]:
     """All numbers of the compiled model, and the names of everything in it."""
-    model = build_model(
-        SceneCfg(workcell=workcell), object_name
-    )
+    model = build_model(SceneCfg(workcell=workcell), object_name)
     arrays = {name: getattr(model, name) for name in dir(model) if not name.startswith(("_", *DERIVED))}
     options = {f"opt.{name}": getattr(model.opt, name) for name in dir(model.opt) if not name.startswith("_")}
     fields = {

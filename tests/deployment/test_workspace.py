@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 from pixel2catch.robot.clearance import HAND_LOWER, HAND_UPPER, depth_in_table
-from pixel2catch.robots.geometry import first_chain
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, JOINTS, TableSpec
 from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.robots.geometry import first_chain
 from pixel2catch.servo.workspace import Workspace, link_frames
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 LOWER, UPPER = np.array([(joint.lower, joint.upper) for joint in JOINTS]).T
 HOME = np.array([[joint.home for joint in ARM_JOINTS]])

@@ -1,11 +1,11 @@
 import numpy as np
 import torch
-from pixel2catch.robots.geometry import first_chain
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 from pixel2catch.evaluation.comparison.figures import arm_points, sample_paths
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, ROBOT_BASE_POS
+from pixel2catch.robots.geometry import first_chain
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
 def test_paths_lead_from_release_to_aim_in_free_fall():

@@ -9,19 +9,19 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from pixel2catch.robots.geometry import first_chain
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 from twin_bench import PROFILE, Bench
 
 from domains import free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robot.constants import PALM_POS
+from pixel2catch.robots.geometry import first_chain
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock
 from pixel2catch.twin.page import BOX_COLOR, Page, with_box
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.twin.stepped import SteppedRehearsalCfg, in_step
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
 class Shown:

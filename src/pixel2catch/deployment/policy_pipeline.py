@@ -145,9 +145,7 @@ def _refuse_trackers(method: Method, measurement: Measurement) -> None:
     columns = pixel_columns(method.pixel_features)
     for agent in method.agents:
         joints, palms = agent.joints, agent.palms
-        frame = Frame(
-            before=measurement, now=measurement, joints=joints, palms=palms, pixel_columns=columns
-        )
+        frame = Frame(before=measurement, now=measurement, joints=joints, palms=palms, pixel_columns=columns)
         terms = (*agent.observation, *agent.memory)
         blind = [term.__name__ for term in terms if not term(frame).isfinite().all()]
         if blind:
@@ -186,9 +184,7 @@ class PolicyPipeline:
         knows_age: Whether the policy is told how old the boxes are. One that is not gets all of the same age.
     """
 
-    def __init__(
-        self, controller: Controller, extractor: PixelFeatureExtractor, person: Prompter
-    ) -> None:
+    def __init__(self, controller: Controller, extractor: PixelFeatureExtractor, person: Prompter) -> None:
         """Begin before the first throw.
 
         Args:
