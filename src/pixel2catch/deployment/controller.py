@@ -52,6 +52,7 @@ class Controller:
         self.method = find_method(policy.contract.method)
         policy.contract.require(contract_of(self.method, handedness, camera))
         self._policy = policy
+        policy.reset()
         self._action_map = ActionMap.of(COMMANDS, torch.device("cpu"))
         self._past: _Past | None = None
         self._held: Tensor | None = None
