@@ -4,8 +4,8 @@ import csv
 import io
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -17,12 +17,6 @@ from pixel2catch.learning.config import TrainCfg
 METRICS_FILE = "metrics.csv"
 Row = dict[str, int | float]
 """Metrics of one update by name; `transitions` is the abscissa."""
-
-
-class _File(Protocol):
-    def write(self, row: Row) -> None: ...
-
-    def close(self) -> None: ...
 
 
 class TrainingLog:
@@ -52,10 +46,11 @@ class TrainingLog:
         )
         self._task = self._bar.add_task("", total=cfg.transitions, completed=transitions)
         self._bar.start()
-        self._files: dict[str, _File] = {}
+        self._csv = self._tensorboard = None
         if not is_silent:
-            self._files["metrics"] = CsvLog(folder / METRICS_FILE, transitions)
-            self._files["TensorBoard events"] = TensorBoardLog(folder, transitions)
+            self._csv = CsvLog(folder / METRICS_FILE, transitions)
+            # What older event files say after these transitions is hidden.
+            self._tensorboard = SummaryWriter(str(folder), purge_step=transitions or None)
 
     def __enter__(self) -> "TrainingLog":
         """Nothing more to open."""
@@ -63,8 +58,8 @@ class TrainingLog:
 
     def __exit__(self, *_: object) -> None:
         """Close the files and leave the terminal as it was."""
-        for name, file in self._files.items():
-            self.attempt(name, file.close)
+        if self._tensorboard is not None:
+            self.attempt("TensorBoard events", self._tensorboard.close)
         self._bar.stop()
 
     def write(self, row: Row) -> None:
@@ -79,8 +74,10 @@ class TrainingLog:
                 f"{share} · {row['transitions'] / 1e6:.2f} M transitions · {line}"
                 f" · {max(left, 0.0):.0f} s left"
             )
-        for name, file in self._files.items():
-            self.attempt(name, lambda file=file: file.write(row))
+        if self._csv is not None:
+            self.attempt("metrics", partial(self._csv.write, row))
+        if self._tensorboard is not None:
+            self.attempt("TensorBoard events", partial(_add_scalars, self._tensorboard, row))
 
     def attempt(self, what: str, write: Callable[[], None]) -> None:
         """Write something; if that fails, say so and go on."""
@@ -141,25 +138,10 @@ class CsvLog:
             _append(self._path, _format(self._rows[self._num_written :], columns).encode())
         self._columns, self._num_written = columns, len(self._rows)
 
-    def close(self) -> None:
-        """Nothing to do: no file stays open."""
 
-
-class TensorBoardLog:
-    """The same rows for TensorBoard, over transitions."""
-
-    def __init__(self, folder: Path, transitions: int = 0) -> None:
-        """Open a new event file; what older files say after `transitions` is hidden."""
-        self._writer = SummaryWriter(str(folder), purge_step=transitions or None)
-
-    def write(self, row: Row) -> None:
-        """Add a row."""
-        for name, value in row.items():
-            self._writer.add_scalar(name, value, int(row["transitions"]))
-
-    def close(self) -> None:
-        """Flush and close the file."""
-        self._writer.close()
+def _add_scalars(writer: SummaryWriter, row: Row) -> None:
+    for name, value in row.items():
+        writer.add_scalar(name, value, int(row["transitions"]))
 
 
 def _read_rows(path: Path) -> list[dict[str, str]]:

@@ -127,9 +127,9 @@ class Mappo:
     def _ask(self, teacher: Policy, observation: Observation) -> None:
         """Remember a teacher's actions; joints are in the same order, however they are split over agents."""
         advice = torch.cat(list(teacher.act(observation.teacher).values()), dim=-1)
-        rooms = [batch.advice for batch in self.rollout.values()]
-        for room, part in zip(rooms, advice.split([room.shape[-1] for room in rooms], dim=-1), strict=True):
-            room[self._num_steps] = part
+        buffers = [batch.advice for batch in self.rollout.values()]
+        for buffer, part in zip(buffers, advice.split([b.shape[-1] for b in buffers], dim=-1), strict=True):
+            buffer[self._num_steps] = part
 
     def record(self, step: Step) -> None:
         """Remember what became of the last actions. A time-out ends an episode like any other end (paper)."""

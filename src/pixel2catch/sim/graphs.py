@@ -22,6 +22,7 @@ class GraphedFunction(Generic[Result]):
         function: Callable[..., Result],
         *,
         num_eager_calls: int,
+        is_aside: bool = True,
         pool: Any = None,
         generator: torch.Generator | None = None,
         around: Callable[[], AbstractContextManager[Any]] = nullcontext,
@@ -31,11 +32,13 @@ class GraphedFunction(Generic[Result]):
         Args:
             function: Takes tensors of the same shapes in every call, and never waits for the device.
             num_eager_calls: Calls before it is recorded: in the first, libraries set themselves up.
+            is_aside: Whether those run on a stream of their own, as gradients require; not where another
+                library works on the current stream.
             pool: Memory that several recordings share, a `torch.cuda.graph_pool_handle`; its own if absent.
             generator: Random generator that the function draws from, if not torch's own.
             around: Entered around the recorded call, such as a capture by another library.
         """
-        self._function, self._num_eager_calls = function, num_eager_calls
+        self._function, self._num_eager_calls, self._is_aside = function, num_eager_calls, is_aside
         self._pool, self._generator, self._around = pool, generator, around
         self._graph: torch.cuda.CUDAGraph | None = None
 
@@ -43,7 +46,7 @@ class GraphedFunction(Generic[Result]):
         """Return what the function returns; a later call overwrites the tensors in it."""
         if self._num_eager_calls > 0:
             self._num_eager_calls -= 1
-            return self._run_aside(arguments)
+            return self._run_aside(arguments) if self._is_aside else self._function(*arguments)
         if self._graph is None:
             self._graph = self._record(arguments)
         for own, argument in zip(self._arguments, arguments, strict=True):
@@ -52,7 +55,6 @@ class GraphedFunction(Generic[Result]):
         return self._result
 
     def _run_aside(self, arguments: tuple[Tensor, ...]) -> Result:
-        """Run on another stream, as recording requires of the calls before it."""
         device = arguments[0].device
         stream = torch.cuda.Stream(device)
         stream.wait_stream(torch.cuda.current_stream(device))

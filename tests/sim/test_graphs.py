@@ -1,0 +1,42 @@
+"""Functions that are recorded as CUDA graphs and replayed."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from pixel2catch.sim.graphs import GraphedFunction
+
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA"),
+]
+
+
+@pytest.mark.parametrize("is_aside", [True, False])
+def test_replays_compute_what_the_function_does(is_aside: bool) -> None:
+    """Calls are counted on the host: the function runs in the eager calls and once more to be recorded."""
+    state, num_runs = torch.zeros(3, device="cuda"), [0]
+
+    def add_up(values: Tensor, scale: Tensor) -> Tensor:
+        num_runs[0] += 1
+        state.add_(values * scale)
+        return 2.0 * state
+
+    graphed, expected = GraphedFunction(add_up, num_eager_calls=2, is_aside=is_aside), torch.zeros(3)
+    for number in range(6):
+        values = torch.arange(3.0) + number
+        expected += 0.5 * values
+        result = graphed(values.cuda(), torch.tensor(0.5, device="cuda"))
+        torch.testing.assert_close(result.cpu(), 2.0 * expected)
+    assert num_runs[0] == 3
+
+
+def test_a_recording_draws_anew_from_its_generator() -> None:
+    generator = torch.Generator("cuda").manual_seed(0)
+
+    def draw(values: Tensor) -> Tensor:
+        return values + torch.rand(4, device="cuda", generator=generator)
+
+    graphed = GraphedFunction(draw, num_eager_calls=1, generator=generator)
+    draws = torch.stack([graphed(torch.zeros(4, device="cuda")).clone() for _ in range(4)])
+    assert len(draws.unique(dim=0)) == 4
