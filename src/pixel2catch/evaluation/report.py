@@ -4,14 +4,16 @@ import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
 from rich.table import Table
 
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.files import write_atomically
 from pixel2catch.robot.objects import SEEN, UNSEEN
+
+if TYPE_CHECKING:  # it takes a second, and most results are no pictures
+    from matplotlib.figure import Figure
 
 PAPER = {
     ("without_pf", SEEN): ((12.13, 1.27), (8.93, 1.04)),
@@ -156,7 +158,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any], where: str) -
     return "; ".join(f"{name}: {before.get(name)} {where}, {now.get(name)} now" for name in names)
 
 
-def png(figure: Figure) -> bytes:
+def png(figure: "Figure") -> bytes:
     """The figure as a PNG file."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI)
