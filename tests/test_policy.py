@@ -176,7 +176,7 @@ def test_a_policy_from_before_there_were_tasks_is_of_the_papers(policy: Policy, 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format_version": 99}, "'format_version' is 99, this code reads 1"),
+        ({"format_version": 99}, "'format_version' is 99, this code reads 2"),
         ({"camera": None}, "field 'camera' is missing"),
         ({"colour": "red"}, "field 'colour' is unknown"),
         ({"hidden": None}, "field 'hidden' is missing"),

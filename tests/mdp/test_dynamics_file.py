@@ -26,7 +26,7 @@ PAPER = GainRanges().of(UR5E_ALLEGRO)
 GAINS = GainRanges(
     damping_scale=with_elbow(PAPER.damping_scale, (0.95, 1.05)),
     is_damping_relative=with_elbow((False,) * 19, True),
-)
+).of(UR5E_ALLEGRO)
 
 
 def test_file_keeps_every_value(tmp_path):
@@ -45,7 +45,7 @@ def test_absent_file_is_the_nominal_robot():
 def test_file_without_ranges_keeps_the_papers(tmp_path):
     path = tmp_path / "dynamics.json"
     path.write_text(json.dumps({"format_version": 1, **DYNAMICS.to_dict()}))
-    assert DynamicsFile.load(path) == DynamicsFile(dynamics=DYNAMICS)
+    assert DynamicsFile.load(path) == DynamicsFile(dynamics=DYNAMICS, gains=PAPER)
 
 
 @pytest.mark.parametrize(

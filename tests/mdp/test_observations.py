@@ -64,7 +64,7 @@ def test_layout(agent: AgentSpec):
     for before, now in itertools.pairwise(HISTORY):
         z = select_features(pixel_features(before.box, now.box, RGB_CAMERA), PROPOSED.pixel_features)
         (own,) = agent.joints
-        frames += [z, now.palm_pos, now.palm_quat, now.joint_pos[:, own], now.action[:, own]]
+        frames += [z, now.palm_pos[:, 0], now.palm_quat[:, 0], now.joint_pos[:, own], now.action[:, own]]
     assert torch.equal(observation(agent, PROPOSED), torch.cat(frames, dim=-1))
 
 
@@ -85,7 +85,7 @@ def test_journal_adds_palm_displacement_and_targets():
     arm = METHODS["journal"].agents[0]
     older, newer = observation(arm, METHODS["journal"])[:, :68].split(34, dim=-1)
     for row, before, now in ((older, OLDEST, BEFORE), (newer, BEFORE, NOW)):
-        torch.testing.assert_close(row[:, 25:28], now.palm_pos - before.palm_pos)
+        torch.testing.assert_close(row[:, 25:28], (now.palm_pos - before.palm_pos)[:, 0])
         assert torch.equal(row[:, 28:], now.joint_pos_target[:, :6])
         assert row[:, 25:28].abs().min() > 0  # the release's palm displacement is always zero
 

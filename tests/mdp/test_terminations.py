@@ -28,7 +28,7 @@ def test_numbers_of_the_task():
 
 def test_distance_by_hand():
     now = privileged(object_pos=torch.tensor([[1.0, 2.0, 3.0]]), palm_pos=torch.tensor([[1.0, -1.0, -1.0]]))
-    assert palm_distance(now).tolist() == [5.0]
+    assert palm_distance(now).tolist() == [[5.0]]
 
 
 @given(st.floats(0.0, 0.2), st.floats(-3.14, 3.14), st.floats(-1.57, 1.57))

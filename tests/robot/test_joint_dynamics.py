@@ -15,6 +15,7 @@ from pixel2catch.robot.joint_dynamics import (
     command_lag,
     filter_transition,
 )
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM = tuple(joint.name for joint in ARM_JOINTS)
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
@@ -34,8 +35,10 @@ def test_nominal_dynamics_are_the_simulators():
 def test_values_out_of_range_are_refused():
     with pytest.raises(InvalidValueError, match="filter_gain"):
         ELBOW.with_values(filter_gain=0.0)
+    with pytest.raises(InvalidValueError, match="name each once"):
+        dataclasses.replace(ELBOW, joints=())
     with pytest.raises(UnknownNameError, match="elbow"):
-        dataclasses.replace(ELBOW, joints=("elbow",))
+        dataclasses.replace(ELBOW, joints=("elbow",)).require(UR5E_ALLEGRO.joints)
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS)
