@@ -70,7 +70,7 @@ LEAP_RIGHT = RobotSpec(
                 for finger in (*FINGERS, "thumb")
             ),
             lower=(-0.25, -0.17, -0.20),
-            upper=(0.16, 0.19, 0.06),
+            upper=(0.16, 0.19, 0.10),
         ),
     ),
 )
