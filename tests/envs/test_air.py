@@ -9,16 +9,19 @@ import torch
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.draws import draw_episode
 from pixel2catch.envs.step import Step
-from pixel2catch.mdp.randomization import RandomizationCfg
+from pixel2catch.mdp.randomization import RandomizationCfg, by_joint
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS
 from pixel2catch.robot.objects import OBJECTS
 from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 AT_ONCE = ThrowCfg(hover_steps=(2, 2))
 VELOCITY = slice(len(JOINTS), len(JOINTS) + 3)
 FINE = SceneCfg(physics_hz=600.0)
+
+BIAS = by_joint(UR5E_ALLEGRO, "action_bias", torch.device("cpu"))
 
 
 def make(num_envs: int, randomization: RandomizationCfg, scene: SceneCfg = FINE) -> CatchEnv:
@@ -54,7 +57,7 @@ def test_drag_of_an_episode_is_that_of_its_object_air_and_mass():
     cfg = CatchEnvCfg(randomization=RandomizationCfg(air_density=1.2))
     names = tuple(OBJECTS)
     generator = torch.Generator().manual_seed(0)
-    episode = draw_episode(cfg, torch.arange(len(names)), 50, generator)
+    episode = draw_episode(cfg.for_workcell(UR5E_ALLEGRO), BIAS, torch.arange(len(names)), 50, generator)
     assert episode.drag is not None
     for row, object_id in enumerate(episode.parameters.object_id.tolist()):
         spec = OBJECTS[names[object_id]]
@@ -64,7 +67,9 @@ def test_drag_of_an_episode_is_that_of_its_object_air_and_mass():
 
 def test_air_may_be_each_episodes_own():
     cfg = CatchEnvCfg(randomization=RandomizationCfg(air_density=(0.4, 1.5)))
-    episode = draw_episode(cfg, torch.tensor([0]), 2000, torch.Generator().manual_seed(0))
+    episode = draw_episode(
+        cfg.for_workcell(UR5E_ALLEGRO), BIAS, torch.tensor([0]), 2000, torch.Generator().manual_seed(0)
+    )
     assert episode.drag is not None
     first = next(iter(OBJECTS.values()))
     density = episode.drag * episode.parameters.mass_scale * first.mass / (0.5 * first.drag_area)

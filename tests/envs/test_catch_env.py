@@ -103,7 +103,7 @@ def test_an_object_held_for_twenty_steps_is_a_success_at_exactly_that_step():
     ended, rewards = {}, {}
     for number in range(1, 36):
         truth = env.world.privileged(env.world.quiet_log())
-        reach = truth.palm_pos + torch.tensor([0.0104, 0.0, 0.0489])  # 5 cm along the palm's normal
+        reach = truth.palm_pos[:, 0] + torch.tensor([0.0104, 0.0, 0.0489])  # 5 cm along the palm's normal
         move_object(env, 0, reach[0])
         move_object(env, 1, reach[1] + (number == 11) * torch.tensor([0.5, 0.0, 0.0]))
         step = next(rollout(env, 1))
@@ -121,7 +121,7 @@ def test_a_success_does_not_end_an_evaluation():
     step = None
     for _ in range(25):
         truth = env.world.privileged(env.world.quiet_log())
-        move_object(env, 0, truth.palm_pos[0] + torch.tensor([0.0104, 0.0, 0.0489]))
+        move_object(env, 0, truth.palm_pos[0, 0] + torch.tensor([0.0104, 0.0, 0.0489]))
         step = next(rollout(env, 1))
         assert not step.terminated.any()
     assert step is not None
@@ -239,7 +239,7 @@ def test_recorded_measurements_give_the_observations_again(name):
             history = History(history.before, history.now, now)
         if history is not None:
             for agent in method.agents:
-                again = observe(agent.observation, agent.memory, agent.joints, columns, history)
+                again = observe(agent.observation, agent.memory, agent.joints, agent.palms, columns, history)
                 assert torch.equal(again, step.observation.policy[agent.name])
     assert history is not None
 

@@ -46,7 +46,7 @@ UNCHANGED = RandomizationCfg(
 def parameters(num_envs: int) -> EpisodeParameters:
     """Every joint at home, every factor 1."""
     generator = torch.Generator().manual_seed(0)
-    return sample_parameters(UNCHANGED, SensingCfg(), torch.tensor([0]), num_envs, generator)
+    return sample_parameters(UNCHANGED, SensingCfg(), torch.zeros(19), torch.tensor([0]), num_envs, generator)
 
 
 def targets(num_steps: int) -> np.ndarray:
@@ -106,7 +106,8 @@ def test_a_path_without_latency_is_a_physics_step_behind_nominal_joints():
 
 def rollout(simulation: Simulation, ramp: np.ndarray) -> torch.Tensor:
     """Joint positions after every physics step of a ramp, two steps to a target, in both copies."""
-    qpos, drives = simulation.bind("qpos"), Drives(simulation, IDENTIFIED)
+    speeds = [joint.velocity_limit for joint in JOINTS]
+    qpos, drives = simulation.bind("qpos"), Drives(simulation, IDENTIFIED, NOMINAL, speeds)
     qpos[:, :19] = torch.tensor(HOME).to(qpos)
     everywhere = torch.ones(2, dtype=torch.bool)
     drives.reset(everywhere, qpos[:, :19].clone(), parameters(2))

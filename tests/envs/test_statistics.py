@@ -13,6 +13,8 @@ from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import METHODS
+from pixel2catch.robots.geometry import WorkcellGeometry
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 OBJECTS = ("ball", "box")
 TERMS = {"arm": ("arm.a", "arm.b"), "hand": ("hand.c",)}
@@ -28,6 +30,9 @@ def statistics() -> EpisodeStatistics:
 
 def yes(*rows: int) -> torch.Tensor:
     return torch.tensor([float(row) for row in rows]) > 0
+
+
+ARMS = (slice(0, 6),)
 
 
 def record() -> EpisodeRecord:
@@ -146,7 +151,7 @@ def state_of(height: float, speed: float = 0.0, joint_speed: float = 0.0) -> Pri
     joint_vel[0, :2] = torch.tensor([joint_speed, -joint_speed])
     joint_vel[0, 7] = 100.0
     return Privileged(
-        palm_pos=torch.tensor([[1.0, 0.0, 1.0]]),
+        palm_pos=torch.tensor([[[1.0, 0.0, 1.0]]]),
         fingertip_pos=torch.zeros(1, 4, 3),
         object_pos=torch.tensor([[1.0, 0.0, height]]),
         object_lin_vel=torch.tensor([[0.0, 0.0, -speed]]),
@@ -165,6 +170,7 @@ def step_of(before: Privileged, now: Privileged, held: int, number: int) -> Tran
         joint_pos_target=torch.zeros(1, 19),
         held_steps=torch.tensor([held]),
         episode_steps=torch.tensor([number]),
+        geometry=WorkcellGeometry(UR5E_ALLEGRO),
     )
 
 
@@ -185,7 +191,9 @@ def test_a_record_of_three_steps_by_hand():
     ):
         now = state_of(height)
         itself = number != 2
-        episode = episode.advanced(step_of(now, now, held, number), log_of(touching, depth, itself=itself))
+        episode = episode.advanced(
+            step_of(now, now, held, number), log_of(touching, depth, itself=itself), ARMS
+        )
     assert (episode.steps.item(), episode.held_steps.item(), episode.contact_steps.item()) == (3, 2, 2)
     assert episode.contact_height.item() == pytest.approx(1.04)
     assert episode.penetration_sum.item() == pytest.approx(0.004)
@@ -201,7 +209,7 @@ def held_for(
     """The record after these steps of a hold, all alike."""
     now = state_of(1.04, joint_speed=joint_speed)
     for held in range(first, last + 1):
-        episode = episode.advanced(step_of(now, now, held, held), log_of(True, torque=torque))
+        episode = episode.advanced(step_of(now, now, held, held), log_of(True, torque=torque), ARMS)
     return episode
 
 

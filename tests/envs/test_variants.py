@@ -15,13 +15,14 @@ from pixel2catch.envs.tasks import TASKS, find_task
 from pixel2catch.envs.told import drawn_parameters
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
+from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg, by_joint
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import Range, ThrowCfg
 from pixel2catch.methods import find_method
 from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 MANY = 20_000
 COARSE = SceneCfg(physics_hz=60.0)
@@ -38,9 +39,13 @@ NEAR = replace(
 )
 MIXED = replace(PLAIN, variants=(FAR, NEAR))
 
+BIAS = by_joint(UR5E_ALLEGRO, "action_bias", torch.device("cpu"))
+
 
 def draw(cfg: CatchEnvCfg, num_envs: int = MANY) -> Episode:
-    return draw_episode(cfg, OBJECT_IDS, num_envs, torch.Generator().manual_seed(0))
+    return draw_episode(
+        cfg.for_workcell(UR5E_ALLEGRO), BIAS, OBJECT_IDS, num_envs, torch.Generator().manual_seed(0)
+    )
 
 
 def is_within(values: Tensor, limits: Range) -> bool:
