@@ -20,6 +20,9 @@ from pixel2catch.ros2.transport import Topic
 SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
 ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
 
+NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
+"""Modes of a UR robot; it may move in the first and the last. Source: `ur_dashboard_msgs`."""
+
 STORE = get_typestore(Stores.ROS2_JAZZY)
 """Definitions of all messages. Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`."""
 
