@@ -6,7 +6,7 @@ process ends, however it does, the other end is told so.
 
 import socket
 from dataclasses import dataclass, fields
-from typing import Generic, TypeVar, final
+from typing import Any, Generic, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float64
@@ -98,7 +98,8 @@ class ServoStatus:
     def of(cls, row: Row) -> "ServoStatus":
         """Read it."""
         values = (*row[:4].tolist(), *map(int, row[4:9].tolist()), *row[9:].reshape(2, -1))
-        return cls(**{entry.name: value for entry, value in zip(fields(cls), values, strict=True)})
+        by_name: dict[str, Any] = dict(zip((entry.name for entry in fields(cls)), values, strict=True))
+        return cls(**by_name)
 
     @property
     def row(self) -> Row:
