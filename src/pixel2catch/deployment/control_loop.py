@@ -141,7 +141,6 @@ class ControlLoop:
             self._point(message.data)
 
     def _point(self, data: bytes) -> None:
-        """Begin a throw where the operator points."""
         try:
             self._perception.begin(read_prompt(data))
             self._message = ""

@@ -91,7 +91,6 @@ class TrajectoryFollower:
         self._mode = servo_status.mode
 
     def _order(self, now: float) -> None:
-        """Tell the servo the target that is due."""
         if not np.isfinite(self._armed_at):
             return
         elapsed = now - self._armed_at - self._ramp_time

@@ -229,7 +229,6 @@ def replay(cfg: ReplayCfg, pipeline: PolicyPipeline) -> RunStatistics:
 
 
 def _require_images(cfg: ReplayCfg) -> None:
-    """Refuse a recording without images."""
     name = cfg.profile.camera.image.name
     with opened_bag(cfg.recording) as reader:
         topics = sorted({connection.topic for connection in reader.connections})

@@ -288,7 +288,6 @@ class SimulatedLab:
             self._release(log)
 
     def _release(self, log: PhysicsLog) -> None:
-        """Let the object fly."""
         self._world.release(_YES, self.episode.throw)
         self._world.forward(_YES)
         self._scorer = ThrowScorer(self.episode, self._world.privileged(log))

@@ -213,7 +213,6 @@ def _plain(cfg: SteppedRehearsalCfg, policy: Policy) -> tuple[Draw, PolicyPipeli
 def _pipeline(
     cfg: SteppedRehearsalCfg, policy: Policy, segmenter: SegmenterCfg, robot: RobotMask | None
 ) -> PolicyPipeline:
-    """What catches."""
     scene = cfg.task.scene
     controller = Controller(policy, scene.handedness, scene.camera)
     prompter = make_prompter(PromptCfg(), scene.camera)
