@@ -248,8 +248,8 @@ class RecordedTargets:
         target: Targets in joint order [rad].
     """
 
-    time: Float[np.ndarray, " num_orders"]
-    target: Float[np.ndarray, "num_orders num_joints"]
+    time: Float[np.ndarray, " num_commands"]
+    target: Float[np.ndarray, "num_commands num_joints"]
 
 
 def recorded_targets(recording: Path) -> RecordedTargets:

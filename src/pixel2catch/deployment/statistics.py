@@ -47,7 +47,7 @@ class RunStatistics:
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _thinking: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _ticks: deque[float] = field(default_factory=lambda: deque(maxlen=SERVO_MEMORY))
-    _orders: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
+    _sent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
     _last: ServoStatus | None = None
     _refused: int = 0
     _clamped: int = 0
@@ -66,8 +66,8 @@ class RunStatistics:
             self.num_overruns += took > CONTROL_DT
 
     def note_command(self, policy_command: PolicyCommand) -> None:
-        """Note orders by the image that they were decided on, of which the servo is not told."""
-        self._orders.append((policy_command.target_stamp, policy_command.image_stamp))
+        """Note a command by the image that it was decided on, of which the servo is not told."""
+        self._sent.append((policy_command.target_stamp, policy_command.image_stamp))
 
     def note_status(self, servo_status: ServoStatus, dt: float) -> None:
         """Note a tick of the servo, which is to come every so often [s]."""
@@ -84,7 +84,7 @@ class RunStatistics:
             if servo_status.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
                 self.stops[", ".join(flag_names(Fault, servo_status.stopped_by))] += 1
             if servo_status.mode in ACTIVE and servo_status.target_stamp > last.target_stamp:
-                image_stamp = dict(self._orders).get(servo_status.target_stamp, servo_status.image_stamp)
+                image_stamp = dict(self._sent).get(servo_status.target_stamp, servo_status.image_stamp)
                 self._latencies.append(servo_status.time - image_stamp)
         self._last = servo_status
 

@@ -276,7 +276,7 @@ class SimulatedLab:
         self.close()
 
     def _end_control_step(self, log: PhysicsLog) -> None:
-        """Judge, and go on with the throw."""
+        """Score, and go on with the throw."""
         self.max_joint_speed = max(self.max_joint_speed, float(log.joint_speed))
         if self._scorer is not None:
             self._scorer.follow(self._world.privileged(log), log)
