@@ -13,7 +13,7 @@ from pixel2catch.ros2.transport import Clock
 from pixel2catch.servo.link import LoopEnd, ServoEnd
 from pixel2catch.servo.process import Servo, ServoSetup
 from pixel2catch.servo.state import Mode
-from pixel2catch.servo.watchdogs import reasons
+from pixel2catch.servo.watchdogs import Fault, flag_names
 
 
 class ClockOfScript(Clock):
@@ -82,7 +82,11 @@ class Stage:
     @property
     def stopped_by(self) -> tuple[str, ...]:
         """Why it was stopped first."""
-        return next(reasons(each.stopped_by) for each in self.lab.servo_statuses if each.mode == Mode.STOPPED)
+        return next(
+            tuple(flag_names(Fault, each.stopped_by))
+            for each in self.lab.servo_statuses
+            if each.mode == Mode.STOPPED
+        )
 
 
 def wait(num_ticks: int) -> Iterator[None]:

@@ -11,7 +11,7 @@ from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
 from pixel2catch.servo.state import Clamp, Mode
-from pixel2catch.servo.watchdogs import Fault, reasons
+from pixel2catch.servo.watchdogs import Fault, flag_names
 
 STEP_TICKS = round(CONTROL_DT / LIMITS.dt) + 1
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
@@ -87,8 +87,8 @@ def test_every_fault_stops_and_is_named():
     assert (output.mode == Mode.STOPPED).all()
     for row, (fault, field, _) in enumerate(MISHAPS):
         found = int(output.stopped_by[row])
-        assert found & fault if field == "now" else found == fault, reasons(found)
-        assert str(fault.name).lower().replace("_", " ") in reasons(found)
+        assert found & fault if field == "now" else found == fault, tuple(flag_names(Fault, found))
+        assert str(fault.name).lower().replace("_", " ") in tuple(flag_names(Fault, found))
 
 
 def test_every_stop_stands_still_in_time_near_where_the_joints_are():

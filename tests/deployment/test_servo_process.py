@@ -15,7 +15,7 @@ from pixel2catch.ros2.profile import Profile, StatusTopics
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import LoopEnd, ServoEnd, link
 from pixel2catch.servo.state import Mode
-from pixel2catch.servo.watchdogs import reasons
+from pixel2catch.servo.watchdogs import Fault, flag_names
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
@@ -183,7 +183,7 @@ def test_a_driver_that_says_nothing_of_itself_is_not_armed(topic: str, stage: St
 
     stage.play(script())
     reason = "speed scaling" if topic == "speed_scaling" else "safety mode"
-    assert {reasons(each.refused) for each in stage.lab.servo_statuses} == {(), (reason,)}
+    assert {tuple(flag_names(Fault, each.refused)) for each in stage.lab.servo_statuses} == {(), (reason,)}
     assert stage.modes == [Mode.IDLE]
 
 

@@ -17,7 +17,7 @@ from pixel2catch.ros2.transport import RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.process import RunningServo, ServoSetup, start_servo
 from pixel2catch.servo.state import Mode
-from pixel2catch.servo.watchdogs import reasons
+from pixel2catch.servo.watchdogs import Fault, flag_names
 
 RATE = 0.1
 """Rate of the clock: what is late on a machine that is busy with tests is not late by this one."""
@@ -63,7 +63,8 @@ class Theatre:
     def story(self) -> list[str]:
         """What was found last, for the message of a test that fails."""
         return [
-            str((each.mode, *reasons(each.found | each.stopped_by))) for each in self.lab.servo_statuses[-5:]
+            str((each.mode, *tuple(flag_names(Fault, each.found | each.stopped_by))))
+            for each in self.lab.servo_statuses[-5:]
         ]
 
 

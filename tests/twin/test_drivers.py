@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pixel2catch.twin.drivers import NORMAL, PROTECTIVE_STOP, ArmDriver, HandDriver, Motion
+from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
+from pixel2catch.twin.drivers import ArmDriver, HandDriver, Motion
 
 HOME = np.array((0.5, -1.0))
 AHEAD = np.array((0.039, -0.039))
@@ -55,7 +56,7 @@ def test_a_silence_of_40_ms_in_a_motion_halts_the_program(arm: ArmDriver):
     assert arm.is_running
     arm.cycle(None, REST)
     assert not arm.is_running
-    assert (arm.num_halts, arm.safety_mode) == (1, NORMAL)
+    assert (arm.num_halts, arm.safety_mode) == (1, NORMAL_SAFETY_MODE)
     assert np.array_equal(arm.cycle(HOME + 0.01, REST), HOME)  # where it is
     assert not arm.is_running
 
@@ -78,7 +79,7 @@ def test_a_reset_lets_the_program_run_again(arm: ArmDriver):
     arm.cycle(None, REST)
     arm.reset(HOME + 1.0)
     assert arm.is_running
-    assert arm.safety_mode == NORMAL
+    assert arm.safety_mode == NORMAL_SAFETY_MODE
     aims = [arm.cycle(None, REST) for _ in range(50)]  # nobody has commanded since
     assert np.array_equal(aims[-1], HOME + 1.0)
     assert arm.num_halts == 1

@@ -21,6 +21,35 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Vision:
+    """What looks for the object beside a robot.
+
+    Attributes:
+        mask_robot: Ignore motion where the robot is in the image.
+        perception: What looks for the object.
+    """
+
+    mask_robot: bool = True
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
+
+    def make_pipeline(
+        self, policy_path: Path | None, profile: "Profile", camera: "CameraSpec"
+    ) -> "PolicyPipeline":
+        """Perception and policy, for this robot and camera."""
+        from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
+        from pixel2catch.evaluation.loading import load_policy
+        from pixel2catch.perception.factory import make_robot_mask
+        from pixel2catch.workcells import find_workcell
+
+        policy, _ = load_policy(policy_path)
+        controller = Controller(policy, find_workcell(profile.workcell), camera)
+        profile.require(policy.contract.commands)
+        robot = make_robot_mask(camera, profile.workcell) if self.mask_robot else None
+        prompter = self.perception.make_prompter(camera)
+        return make_pipeline(controller, self.perception.make_segmenter(), prompter, camera, robot)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Deploy:
     """Catch with a robot: camera images and joint states in, joint commands out. See docs/deployment.md.
 
@@ -29,22 +58,20 @@ class Deploy:
 
     Attributes:
         policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-        mask_robot: Ignore motion where the robot is in the image.
         record: New folder for a rosbag2 (MCAP) of all that was seen, decided and commanded.
         record_images: How images are recorded; raw ones are 27 MB a second.
         seconds: When to end. Default: at Ctrl-C.
         json: Print the summary as one JSON object, and each status as a line of JSON.
-        perception: What looks for the object.
+        vision: What looks for the object.
         link: How the robot is reached, and how fast it may be.
     """
 
     policy: Positional[Path | None] = None
-    mask_robot: bool = True
     record: Path | None = None
     record_images: Literal["jpeg", "raw", "none"] = "jpeg"
     seconds: float | None = None
     json: bool = False
-    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
+    vision: Vision = field(default_factory=Vision)
     link: Link = field(default_factory=Link)
 
     def run(self) -> None:
@@ -58,10 +85,10 @@ class Deploy:
             from pixel2catch.deployment.perception_thread import ThreadWorker
             from pixel2catch.servo.process import CONTROL_LOOP, set_niceness
         set_niceness(CONTROL_LOOP)
-        self.perception.prepare()
+        self.vision.perception.prepare()
         notes: list[str] = []
-        camera, profile = self.perception.camera_spec(notes), self.link.load()
-        pipeline = self.make_pipeline(profile, camera)
+        camera, profile = self.vision.perception.camera_spec(notes), self.link.robot.load()
+        pipeline = self.vision.make_pipeline(self.policy, profile, camera)
         for note in notes:
             say(note)
         with ExitStack() as stack:
@@ -78,20 +105,6 @@ class Deploy:
             if self.json
             else "\n".join(lines(control_loop.statistics.summary()))
         )
-
-    def make_pipeline(self, profile: "Profile", camera: "CameraSpec") -> "PolicyPipeline":
-        """Perception and policy, for this robot and camera."""
-        from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
-        from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.perception.factory import make_robot_mask
-        from pixel2catch.workcells import find_workcell
-
-        policy, _ = load_policy(self.policy)
-        controller = Controller(policy, find_workcell(profile.workcell), camera)
-        profile.require(policy.contract.commands)
-        robot = make_robot_mask(camera, profile.workcell) if self.mask_robot else None
-        prompter = self.perception.make_prompter(camera)
-        return make_pipeline(controller, self.perception.make_segmenter(), prompter, camera, robot)
 
     def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -18,27 +18,38 @@ NODE = "pixel2catch"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Network:
-    """How a robot and its deployment are reached.
+class Robot:
+    """Which robot it is.
 
     Attributes:
         profile: The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
             ur5e_allegro_classic) or a .yaml file.
-        transport: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
-        loopback: Speak to this machine only, as the digital twin does.
-        clock: Seconds in a real second: 1, or the --clock of a digital twin.
     """
 
     profile: str = "ur5e_allegro_v4"
-    transport: Literal["dds", "ros"] = "dds"
-    loopback: bool = False
-    clock: float = 1.0
 
     def load(self) -> "Profile":
         """The robot's profile."""
         from pixel2catch.ros2.profile import Profile
 
         return Profile.load(self.profile)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Network:
+    """How a robot and its deployment are reached.
+
+    Attributes:
+        robot: The robot.
+        transport: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
+        loopback: Speak to this machine only, as the digital twin does.
+        clock: Seconds in a real second: 1, or the --clock of a digital twin.
+    """
+
+    robot: Robot = field(default_factory=Robot)
+    transport: Literal["dds", "ros"] = "dds"
+    loopback: bool = False
+    clock: float = 1.0
 
     @contextmanager
     def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:

@@ -40,7 +40,7 @@ class Operate:
         with needs_extra("deployment"):
             from pixel2catch.deployment.operator import KeyOperator, OperatorConsole
             from pixel2catch.deployment.switches import Switches
-        profile = self.network.load()
+        profile = self.network.robot.load()
         teller = _Teller()
         with Switches(self.device) as switches, self.network.join("pixel2catch_operator") as (node, clock):
             console = OperatorConsole(node, profile.operator, clock)

@@ -46,7 +46,7 @@ class Record:
             from pixel2catch.deployment.follower import TrajectoryFollower
             from pixel2catch.servo.limits import ServoLimits
         prepare("cpu")
-        trajectory, profile = Trajectory.load(self.trajectory), self.link.load()
+        trajectory, profile = Trajectory.load(self.trajectory), self.link.robot.load()
         profile.require(trajectory.joints)
         with ExitStack() as stack:
             connection = self.link.connect(profile, self.out, "none", stack)

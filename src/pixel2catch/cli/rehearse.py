@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
+
+from pixel2catch.cli.twin import TaskArgs
 
 if TYPE_CHECKING:
     from pixel2catch.twin.rehearsal import Outcome, RehearsalCfg
@@ -28,10 +30,9 @@ class Rehearse:
     Attributes:
         policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
         throws: How many throws.
-        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
+        task: What is thrown at which robot.
         seed: Of the first throw; the next has the next.
         clock: Seconds of twin and deployment in a real second, at most 1.
-        dynamics: Dynamics file of the robot that the twin is. Default: the nominal robot.
         domain: DDS domain (ROS_DOMAIN_ID), one that nobody else uses.
         lockstep: One process whose time goes on when it has nothing to do, instead of real time.
         perception_ms: With --lockstep: least time that perception takes for an image.
@@ -46,10 +47,9 @@ class Rehearse:
 
     policy: Positional[str | None] = None
     throws: int = 10
-    objects: tuple[str, ...] = ("seen",)
+    task: TaskArgs = field(default_factory=TaskArgs)
     seed: int = 0
     clock: float = 1.0
-    dynamics: Path | None = None
     domain: int = 77
     lockstep: bool = False
     perception_ms: float = 10.0
@@ -108,15 +108,13 @@ class Rehearse:
     def _in_step(self, show: Callable[["Outcome"], None]) -> dict[str, Any]:
         """The report of a rehearsal in lockstep."""
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import load_policy, task_of
-        from pixel2catch.robot.objects import select_objects
+        from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.twin.stepped import SteppedRehearsalCfg, rehearse_stepped
 
         prepare("cpu")
         policy, _ = load_policy(Path(self.policy) if self.policy else None)
-        task = replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
         cfg = SteppedRehearsalCfg(
-            task=task,
+            task=self.task.make(policy),
             throws=self.throws,
             seed=self.seed,
             perception_time=1e-3 * self.perception_ms,
@@ -131,9 +129,9 @@ class Rehearse:
         """What is rehearsed."""
         from pixel2catch.twin.rehearsal import RehearsalCfg
 
-        twin = ["--objects", *self.objects]
+        twin = ["--objects", *self.task.objects]
         twin += ["--policy", self.policy] if self.policy else []
-        twin += ["--dynamics", str(self.dynamics)] if self.dynamics else []
+        twin += ["--dynamics", str(self.task.dynamics)] if self.task.dynamics else []
         deploy = [self.policy] if self.policy else []
         deploy += ["--record", str(self.record)] if self.record else []
         return RehearsalCfg(

@@ -8,8 +8,8 @@ from typing import Any
 
 from tyro.conf import Positional
 
-from pixel2catch.cli.deploy import Deploy
-from pixel2catch.perception.factory import PerceptionArgs
+from pixel2catch.cli.deploy import Vision
+from pixel2catch.cli.link import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,21 +23,19 @@ class Replay:
         recording: What `deploy --record` or `rehearse --record` wrote, with images.
         out: New folder for the recording (MCAP) of what was decided now.
         policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-        profile: The robot of then: a shipped profile or a .yaml file.
         perception_ms: Time that perception takes for an image.
-        mask_robot: Ignore motion where the robot is in the image.
         json: Print the report as one JSON object.
-        perception: What looks for the object.
+        robot: The robot of then.
+        vision: What looks for the object.
     """
 
     recording: Positional[Path]
     out: Path
     policy: Path | None = None
-    profile: str = "ur5e_allegro_v4"
     perception_ms: float = 10.0
-    mask_robot: bool = True
     json: bool = False
-    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
+    robot: Robot = field(default_factory=Robot)
+    vision: Vision = field(default_factory=Vision)
 
     def run(self) -> None:
         """Replay, compare and report."""
@@ -45,11 +43,9 @@ class Replay:
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.replay import ReplayCfg, compare, recorded_targets, replay
-            from pixel2catch.ros2.profile import Profile
-        self.perception.prepare()
+        self.vision.perception.prepare()
         notes: list[str] = []
-        profile, camera = Profile.load(self.profile), self.perception.camera_spec(notes)
-        deploy = Deploy(policy=self.policy, mask_robot=self.mask_robot, perception=self.perception)
+        profile, camera = self.robot.load(), self.vision.perception.camera_spec(notes)
         cfg = ReplayCfg(
             recording=self.recording,
             out=self.out,
@@ -57,7 +53,7 @@ class Replay:
             camera=camera,
             perception_time=1e-3 * self.perception_ms,
         )
-        statistics = replay(cfg, deploy.make_pipeline(profile, camera))
+        statistics = replay(cfg, self.vision.make_pipeline(self.policy, profile, camera))
         report = {
             "deploy": statistics.summary(),
             "decided": compare(recorded_targets(self.recording), recorded_targets(self.out)),

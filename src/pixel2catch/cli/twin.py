@@ -1,12 +1,34 @@
 """`pixel2catch twin`: the lab on the wire, without a lab."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pixel2catch.envs.cfg import CatchEnvCfg
+    from pixel2catch.policy import Policy
     from pixel2catch.twin.lab_node import LabNode
     from pixel2catch.twin.realtime import ClockStats
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskArgs:
+    """What is thrown at which robot.
+
+    Attributes:
+        dynamics: Dynamics file of the robot that the twin is. Default: the nominal robot.
+        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
+    """
+
+    dynamics: Path | None = None
+    objects: tuple[str, ...] = ("seen",)
+
+    def make(self, policy: "Policy") -> "CatchEnvCfg":
+        """The task in which a policy is to catch."""
+        from pixel2catch.evaluation.loading import task_of
+        from pixel2catch.robot.objects import select_objects
+
+        return replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,8 +40,7 @@ class Twin:
 
     Attributes:
         policy: Policy whose hand and camera the twin has. Default: catch_alone+fit.
-        dynamics: Dynamics file of the robot that is simulated. Default: the nominal robot.
-        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
+        task: What is thrown at which robot.
         clock: Seconds of the twin in a real second, at most 1; `deploy` must be given the same.
         seed: Seed of the room and of all noise; a throw has a seed of its own.
         web: Port of a page that shows the twin and has buttons to throw. Default: no page.
@@ -27,8 +48,7 @@ class Twin:
     """
 
     policy: Path | None = None
-    dynamics: Path | None = None
-    objects: tuple[str, ...] = ("seen",)
+    task: TaskArgs = field(default_factory=TaskArgs)
     clock: float = 1.0
     seed: int = 0
     web: int | None = None
@@ -37,14 +57,12 @@ class Twin:
     def run(self) -> None:
         """Serve, and say what happens."""
         import os
-        from dataclasses import replace
 
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
         from pixel2catch.cli.extras import needs_extra
-        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.interruption import StopRequest
-        from pixel2catch.robot.objects import select_objects
 
         with needs_extra("twin"):
             from pixel2catch.twin.realtime import TwinCfg, serve
@@ -52,8 +70,7 @@ class Twin:
         if self.domain is not None:
             os.environ["ROS_DOMAIN_ID"] = str(self.domain)
         policy, _ = load_policy(self.policy)
-        task = replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
-        cfg = TwinCfg(task=task, seed=self.seed, clock=self.clock, web=self.web)
+        cfg = TwinCfg(task=self.task.make(policy), seed=self.seed, clock=self.clock, web=self.web)
         last = ""
 
         def report(lab_node: "LabNode", stats: "ClockStats") -> bool:

@@ -1,4 +1,4 @@
-"""The loop of a deployment: images and decisions come in, orders, a status and a recording go out."""
+"""The loop of a deployment: images and servo statuses come in, commands, a status and a recording go out."""
 
 import json
 from collections.abc import Callable
@@ -140,7 +140,6 @@ class ControlLoop:
             self._point(message.data)
 
     def _point(self, data: bytes) -> None:
-        """Begin a throw where the operator points."""
         try:
             self._perception.begin(read_prompt(data))
             self._message = ""
@@ -189,7 +188,7 @@ class ControlLoop:
     def _conclude(
         self, policy_command: PolicyCommand | None, complaint: str, *, began: float, is_missed: bool
     ) -> dict[str, Any]:
-        """Send orders, and publish and record what happened in a control step that began at a time [s]."""
+        """Send a command, and publish and record what happened in a control step that began at a time [s]."""
         if policy_command and self._mode in ACTIVE:
             self._servo.send(policy_command)
         end, seen = self._clock.now(), self._seen
@@ -205,7 +204,7 @@ class ControlLoop:
         return status
 
     def _decide(self) -> tuple[PolicyCommand | None, str]:
-        """Orders, if there can be any, and what is wrong."""
+        """A command, if there can be one, and what is wrong."""
         try:
             return self._pipeline.decide(self._joint_pos, self._clock.now()), ""
         except (NonFiniteError, DeploymentError) as error:

@@ -14,7 +14,7 @@ from pixel2catch.servo.motion import Joints
 from pixel2catch.servo.state import Mode
 
 PERIOD = 0.01
-"""Time between two orders [s]. Source: ours."""
+"""Time between two commands [s]. Source: ours."""
 
 
 class TrajectoryFollower:
@@ -49,7 +49,7 @@ class TrajectoryFollower:
 
         Args:
             is_over: Asked all the time whether to end before.
-            on_status: Gets a status with all orders.
+            on_status: Gets a status with every command.
 
         Raises:
             DeploymentError: The servo process is gone, or it has stopped the robot.
@@ -57,7 +57,7 @@ class TrajectoryFollower:
         clock, due = self._connection.clock, self._connection.clock.now()
         while not (is_over() or self.is_done):
             self._hear()
-            self._order(clock.now())
+            self._command(clock.now())
             on_status(self.statistics.status(None, ""))
             due = max(due + PERIOD, clock.now())
             clock.sleep_until(due)
@@ -90,8 +90,7 @@ class TrajectoryFollower:
             )
         self._mode = servo_status.mode
 
-    def _order(self, now: float) -> None:
-        """Tell the servo the target that is due."""
+    def _command(self, now: float) -> None:
         if not np.isfinite(self._armed_at):
             return
         elapsed = now - self._armed_at - self._ramp_time

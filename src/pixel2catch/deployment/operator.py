@@ -106,7 +106,6 @@ class KeyOperator:
             self._console.watch()
 
     def _look(self) -> list[Press]:
-        """One look at the keys."""
         console, keys = self._console, self._keys
         presses = self._switches.poll()
         down = {press.code for press in presses if press.is_down}

@@ -146,7 +146,7 @@ class PerceptionResult:
 
 
 class ConcurrentPerception:
-    """Looks at the newest images and has the control loop remember what was seen.
+    """Looks at the newest images and has the pipeline remember what was seen.
 
     While an image is looked at, the newest of those that arrive waits. Where an image takes 60 ms, every
     second one of a camera of 30 Hz is looked at, as soon as it arrives.
@@ -202,7 +202,7 @@ class ConcurrentPerception:
         return look
 
     def _done(self) -> PerceptionResult | None:
-        """The look that is done; the control loop remembers it."""
+        """The look that is done; the pipeline remembers it."""
         seen = self._worker.fetch()
         if seen is None or self._work is None:
             return None

@@ -229,7 +229,6 @@ def replay(cfg: ReplayCfg, pipeline: PolicyPipeline) -> RunStatistics:
 
 
 def _require_images(cfg: ReplayCfg) -> None:
-    """Refuse a recording without images."""
     name = cfg.profile.camera.image.name
     with opened_bag(cfg.recording) as reader:
         topics = sorted({connection.topic for connection in reader.connections})
@@ -249,8 +248,8 @@ class RecordedTargets:
         target: Targets in joint order [rad].
     """
 
-    time: Float[np.ndarray, " num_orders"]
-    target: Float[np.ndarray, "num_orders num_joints"]
+    time: Float[np.ndarray, " num_commands"]
+    target: Float[np.ndarray, "num_commands num_joints"]
 
 
 def recorded_targets(recording: Path) -> RecordedTargets:

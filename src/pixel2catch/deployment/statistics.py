@@ -10,7 +10,7 @@ from pixel2catch.perception.extractor import Extraction
 from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.state import Clamp, Mode
-from pixel2catch.servo.watchdogs import Fault
+from pixel2catch.servo.watchdogs import Fault, flag_names
 
 MEMORY = 40_000
 """Latencies that are kept: more than twenty minutes at 30 Hz."""
@@ -19,11 +19,6 @@ SERVO_MEMORY = 1_000_000
 """Durations of servo ticks that are kept: half an hour at 500 Hz."""
 
 ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))
-
-
-def words(kind: type[Fault] | type[Clamp], found: int) -> list[str]:
-    """The flags that are set, in words, such as "image stale"."""
-    return [str(flag.name).lower().replace("_", " ") for flag in kind if flag & found]
 
 
 @dataclass(kw_only=True)
@@ -52,7 +47,7 @@ class RunStatistics:
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _thinking: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _ticks: deque[float] = field(default_factory=lambda: deque(maxlen=SERVO_MEMORY))
-    _orders: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
+    _sent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
     _last: ServoStatus | None = None
     _refused: int = 0
     _clamped: int = 0
@@ -71,8 +66,8 @@ class RunStatistics:
             self.num_overruns += took > CONTROL_DT
 
     def note_command(self, policy_command: PolicyCommand) -> None:
-        """Note orders by the image that they were decided on, of which the servo is not told."""
-        self._orders.append((policy_command.target_stamp, policy_command.image_stamp))
+        """Note a command by the image that it was decided on, of which the servo is not told."""
+        self._sent.append((policy_command.target_stamp, policy_command.image_stamp))
 
     def note_status(self, servo_status: ServoStatus, dt: float) -> None:
         """Note a tick of the servo, which is to come every so often [s]."""
@@ -81,15 +76,15 @@ class RunStatistics:
         self._ticks.append(servo_status.duration)
         self._refused |= servo_status.refused
         self._clamped |= servo_status.clamped
-        self.clamps.update(words(Clamp, servo_status.clamped))
+        self.clamps.update(flag_names(Clamp, servo_status.clamped))
         if servo_status.refused:
-            self.refusals[", ".join(words(Fault, servo_status.refused))] += 1
+            self.refusals[", ".join(flag_names(Fault, servo_status.refused))] += 1
         if last is not None:
             self.num_late_ticks += servo_status.time - last.time > 2.0 * dt + 1e-4
             if servo_status.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
-                self.stops[", ".join(words(Fault, servo_status.stopped_by))] += 1
+                self.stops[", ".join(flag_names(Fault, servo_status.stopped_by))] += 1
             if servo_status.mode in ACTIVE and servo_status.target_stamp > last.target_stamp:
-                image_stamp = dict(self._orders).get(servo_status.target_stamp, servo_status.image_stamp)
+                image_stamp = dict(self._sent).get(servo_status.target_stamp, servo_status.image_stamp)
                 self._latencies.append(servo_status.time - image_stamp)
         self._last = servo_status
 
@@ -99,10 +94,10 @@ class RunStatistics:
         refused, clamped, self._refused, self._clamped = self._refused, self._clamped, 0, 0
         return {
             "mode": Mode(last.mode).name.lower() if last else "starting",
-            "stopped_by": words(Fault, last.stopped_by) if last else [],
-            "found": words(Fault, last.found) if last else [],
-            "refused": words(Fault, refused),
-            "clamped": words(Clamp, clamped),
+            "stopped_by": flag_names(Fault, last.stopped_by) if last else [],
+            "found": flag_names(Fault, last.found) if last else [],
+            "refused": flag_names(Fault, refused),
+            "clamped": flag_names(Clamp, clamped),
             "box": seen.box[0].tolist() if seen and seen.is_valid else None,
             "verdict": str(seen.verdict) if seen else None,
             "latency_ms": round(1e3 * self._latencies[-1], 2) if self._latencies else None,

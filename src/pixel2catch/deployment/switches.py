@@ -122,7 +122,6 @@ class Switches:
 
 
 def _advice(error: OSError) -> str:
-    """What to do where a device cannot be opened."""
     if error.errno == errno.EACCES:
         return "become a member of the group 'input', and log in again"
     devices = sorted(map(str, DEVICES.glob("*-event-*")))

@@ -62,8 +62,6 @@ class MessageQueues:
 
 @dataclass(frozen=True, eq=False)
 class _Listener:
-    """A subscription on the broker."""
-
     node: "MemoryTransport"
     topic: Topic
     queue: MessageQueue

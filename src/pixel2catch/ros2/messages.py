@@ -4,9 +4,10 @@ Stamps are seconds since the epoch; a decoded message is checked for what its ty
 """
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -19,6 +20,9 @@ from pixel2catch.ros2.transport import Topic
 
 SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
 ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
+
+NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
+"""Modes of a UR robot; it may move in the first and the last. Source: `ur_dashboard_msgs`."""
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 """Definitions of all messages. Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`."""
@@ -239,54 +243,21 @@ def read_camera_info(data: bytes) -> CameraReading:
     )
 
 
-def boolean(value: bool) -> bytes:
-    """Encode a yes or no."""
-    return encode(BOOLEAN, value)
+Value = TypeVar("Value", bool, int, float, str)
 
 
-def read_boolean(data: bytes) -> bool:
-    """Decode a yes or no; raise DeploymentError if it is damaged."""
-    return bool(decode(data, BOOLEAN).data)
+def _single(
+    kind: str, value: type[Value], field: str = "data"
+) -> tuple[Callable[[Value], bytes], Callable[[bytes], Value]]:
+    """What encodes and decodes messages of one value; the latter raises DeploymentError for others."""
+    return partial(encode, kind), lambda data: value(getattr(decode(data, kind), field))
 
 
-def number(value: float) -> bytes:
-    """Encode a number."""
-    return encode(NUMBER, value)
-
-
-def read_number(data: bytes) -> float:
-    """Decode a number; raise DeploymentError if it is damaged."""
-    return float(decode(data, NUMBER).data)
-
-
-def text(value: str) -> bytes:
-    """Encode a text."""
-    return encode(TEXT, value)
-
-
-def read_text(data: bytes) -> str:
-    """Decode a text; raise DeploymentError if it is damaged."""
-    return decode(data, TEXT).data
-
-
-def safety_mode(mode: int) -> bytes:
-    """Encode the safety mode of a UR robot; 1 is normal."""
-    return encode(SAFETY_MODE, mode)
-
-
-def read_safety_mode(data: bytes) -> int:
-    """Decode the safety mode of a UR robot; raise DeploymentError if it is damaged."""
-    return int(decode(data, SAFETY_MODE).mode)
-
-
-def robot_mode(mode: int) -> bytes:
-    """Encode the mode of a UR robot; 7 is running."""
-    return encode(ROBOT_MODE, mode)
-
-
-def read_robot_mode(data: bytes) -> int:
-    """Decode the mode of a UR robot; raise DeploymentError if it is damaged."""
-    return int(decode(data, ROBOT_MODE).mode)
+boolean, read_boolean = _single(BOOLEAN, bool)
+number, read_number = _single(NUMBER, float)
+text, read_text = _single(TEXT, str)
+safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
+robot_mode, read_robot_mode = _single(ROBOT_MODE, int, "mode")
 
 
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

@@ -5,8 +5,8 @@ process ends, however it does, the other end is told so.
 """
 
 import socket
-from dataclasses import dataclass
-from typing import Generic, TypeVar, final
+from dataclasses import dataclass, fields
+from typing import Any, Generic, TypeVar, final
 
 import numpy as np
 from jaxtyping import Float64
@@ -27,23 +27,23 @@ Row = Float64[np.ndarray, " size"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyCommand:
-    """What the control loop tells the servo.
+    """What the control loop tells the servo; a row has the fields in their order.
 
     Attributes:
-        joint_pos_target: Targets of the policy in joint order [rad].
-        target_stamp: When they were decided, `Clock.now` [s].
+        target_stamp: When the targets were decided, `Clock.now` [s].
         image_stamp: When the newest image was taken, `Clock.now` [s].
         is_stop_requested: Whether the control loop asks to stop.
+        joint_pos_target: Targets of the policy in joint order [rad].
     """
 
-    joint_pos_target: Joints
     target_stamp: float
     image_stamp: float
     is_stop_requested: bool = False
+    joint_pos_target: Joints
 
     @classmethod
     def none(cls) -> "PolicyCommand":
-        """What holds before anything was ordered."""
+        """What holds before anything was commanded."""
         unknown = np.full(len(JOINTS), np.nan)
         return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf)
 
@@ -52,25 +52,27 @@ class PolicyCommand:
         """Read it."""
         target_stamp, image_stamp, stop = row[:3].tolist()
         return cls(
-            joint_pos_target=row[3:],
             target_stamp=target_stamp,
             image_stamp=image_stamp,
             is_stop_requested=stop != 0.0,
+            joint_pos_target=row[3:],
         )
 
     @property
     def row(self) -> Row:
         """Write it."""
-        head = (self.target_stamp, self.image_stamp, float(self.is_stop_requested))
-        return np.concatenate((head, self.joint_pos_target))
+        return np.hstack(list(vars(self).values()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ServoStatus:
-    """What the servo tells the control loop in every tick.
+    """What the servo tells the control loop in every tick; a row has the fields in their order.
 
     Attributes:
         time: When it was decided, `Clock.now` [s].
+        duration: How long the tick took [s], in real time.
+        target_stamp: When the newest targets were decided, `Clock.now` [s].
+        image_stamp: When their image was taken, `Clock.now` [s].
         mode: A `Mode`.
         stopped_by: `Fault` bits that a stop is for.
         found: `Fault` bits found in this tick.
@@ -78,12 +80,12 @@ class ServoStatus:
         clamped: `Clamp` bits.
         command: Commands in joint order [rad]; NaN while nothing is sent.
         joint_pos: Newest measured joint positions [rad].
-        duration: How long the tick took [s], in real time.
-        target_stamp: When the newest orders were decided, `Clock.now` [s].
-        image_stamp: When their image was taken, `Clock.now` [s].
     """
 
     time: float
+    duration: float
+    target_stamp: float
+    image_stamp: float
     mode: int
     stopped_by: int
     found: int
@@ -91,39 +93,18 @@ class ServoStatus:
     clamped: int
     command: Joints
     joint_pos: Joints
-    duration: float
-    target_stamp: float
-    image_stamp: float
 
     @classmethod
     def of(cls, row: Row) -> "ServoStatus":
         """Read it."""
-        time, duration, target_stamp, image_stamp, *numbers = row[:_DECISION_HEAD].tolist()
-        mode, stopped_by, found, refused, clamped = map(int, numbers)
-        command, joint_pos = row[_DECISION_HEAD:].reshape(2, -1)
-        return cls(
-            time=time,
-            mode=mode,
-            stopped_by=stopped_by,
-            found=found,
-            refused=refused,
-            clamped=clamped,
-            command=command,
-            joint_pos=joint_pos,
-            duration=duration,
-            target_stamp=target_stamp,
-            image_stamp=image_stamp,
-        )
+        values = (*row[:4].tolist(), *map(int, row[4:9].tolist()), *row[9:].reshape(2, -1))
+        by_name: dict[str, Any] = dict(zip((entry.name for entry in fields(cls)), values, strict=True))
+        return cls(**by_name)
 
     @property
     def row(self) -> Row:
         """Write it."""
-        numbers = (self.mode, self.stopped_by, self.found, self.refused, self.clamped)
-        times = (self.time, self.duration, self.target_stamp, self.image_stamp)
-        return np.concatenate(((*times, *numbers), self.command, self.joint_pos))
-
-
-_DECISION_HEAD = 9
+        return np.hstack(list(vars(self).values()))
 
 
 Sent = TypeVar("Sent", PolicyCommand, ServoStatus)

@@ -108,7 +108,7 @@ class Servo:
             ServoSubscriptions(transport, setup.profile),
             CommandPublisher(transport, setup, clock),
         )
-        self._state, self._orders = ServoState.idle(1, len(JOINTS)), PolicyCommand.none()
+        self._state, self._policy_command = ServoState.idle(1, len(JOINTS)), PolicyCommand.none()
         self._is_ending = False
         self.unforeseen: Exception | None = None
 
@@ -140,7 +140,7 @@ class Servo:
         """Hear, decide, command and tell."""
         begun = perf_counter()
         self._guard(self._hear)
-        now, policy_command = self._clock.now(), self._orders
+        now, policy_command = self._clock.now(), self._policy_command
         if self._is_ending:
             policy_command = replace(policy_command, is_stop_requested=True)
         inputs = self._subscriptions.inputs(now, policy_command)
@@ -165,7 +165,7 @@ class Servo:
     def _hear(self) -> None:
         """Take what control loop, robot and operator have said."""
         for policy_command in self._end.receive():
-            self._orders = policy_command
+            self._policy_command = policy_command
         if self._end.is_closed:
             self.end()
         self._subscriptions.hear(self._clock.now())

@@ -235,7 +235,6 @@ def _first_command(state: ServoState, found: Findings, limits: ServoLimits) -> R
 
 
 def _refusals(state: ServoState, first: Rows, found: Findings, limits: ServoLimits) -> Bits:
-    """What speaks against arming."""
     is_off = np.abs(found.joint_pos - first) > limits.joints.start_error
     return found.robot | bits(
         {

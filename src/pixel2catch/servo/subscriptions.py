@@ -22,10 +22,6 @@ DEPTH = 16
 POLL_TIME = 0.2
 """Time between two counts of the other publishers [s]. Source: ours."""
 
-NORMAL_SAFETY_MODE = 1
-RUNNING_ROBOT_MODE = 7
-"""The modes in which the robot may move. Source: `ur_dashboard_msgs` SafetyMode.NORMAL, RobotMode.RUNNING."""
-
 SCALING_DIGITS = 3
 """Digits to which a share of the speed counts: the driver multiplies two fractions. Source: ours."""
 
@@ -75,8 +71,8 @@ class DriverStatusSubscriber:
     def __init__(self, transport: Transport, topics: StatusTopics) -> None:
         """Begin to listen."""
         watched: list[tuple[Topic | None, Callable[[bytes], bool]]] = [
-            (topics.safety_mode, lambda data: messages.read_safety_mode(data) == NORMAL_SAFETY_MODE),
-            (topics.robot_mode, lambda data: messages.read_robot_mode(data) == RUNNING_ROBOT_MODE),
+            (topics.safety_mode, lambda data: messages.read_safety_mode(data) == messages.NORMAL_SAFETY_MODE),
+            (topics.robot_mode, lambda data: messages.read_robot_mode(data) == messages.RUNNING_ROBOT_MODE),
             (topics.program_running, messages.read_boolean),
         ]
         self._modes = [(transport.subscription(topic, DEPTH), read) for topic, read in watched if topic]

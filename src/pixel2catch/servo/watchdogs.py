@@ -129,6 +129,6 @@ def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
     )
 
 
-def reasons(found: int) -> tuple[str, ...]:
-    """Faults in words, such as "image stale"."""
-    return tuple(str(fault.name).lower().replace("_", " ") for fault in Fault if fault & found)
+def flag_names(kind: type[IntFlag], found: int) -> list[str]:
+    """The flags that are set, in words, such as "image stale"."""
+    return [str(flag.name).lower().replace("_", " ") for flag in kind if flag & found]

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
+
 CYCLE = 0.002
 """Time in which both drivers read a command and publish the joints [s]. Source: UR driver, 500 Hz."""
 
@@ -26,12 +28,6 @@ seen; a sender whose commands stand still may go.
 
 DECELERATION = 4.0
 """Deceleration of a halt, and here of every stop [rad/s²]. Source: UR driver, its `stopj`."""
-
-NORMAL, PROTECTIVE_STOP = 1, 3
-"""Safety modes. Source: `ur_dashboard_msgs`."""
-
-RUNNING = 7
-"""Robot mode with the brakes released. Source: `ur_dashboard_msgs`."""
 
 Joints = Float[np.ndarray, " num_part_joints"]
 
@@ -97,7 +93,7 @@ class ArmDriver(Driver):
     """The UR's driver and its program on the robot, which ignores commands that ask for too large a step.
 
     Attributes:
-        safety_mode: `NORMAL` or `PROTECTIVE_STOP`.
+        safety_mode: `NORMAL_SAFETY_MODE` or `PROTECTIVE_STOP`.
         num_halts: How often the program halted.
     """
 
@@ -112,7 +108,7 @@ class ArmDriver(Driver):
         self._silence = 0.0
         self._is_moving = False
         self._braking: Motion | None = None
-        self.safety_mode, self.num_ignored, self.num_halts = NORMAL, 0, 0
+        self.safety_mode, self.num_ignored, self.num_halts = NORMAL_SAFETY_MODE, 0, 0
 
     @property
     def is_running(self) -> bool:
@@ -121,7 +117,7 @@ class ArmDriver(Driver):
 
     def reset(self, position: Joints) -> None:
         """See `Driver.reset`; the program runs again."""
-        self._target, self._braking, self.safety_mode = position, None, NORMAL
+        self._target, self._braking, self.safety_mode = position, None, NORMAL_SAFETY_MODE
         self._is_moving = False
 
     def protective_stop(self) -> None:
@@ -132,7 +128,7 @@ class ArmDriver(Driver):
         """See `Driver.cycle`."""
         self._silence = self._silence + CYCLE if command is None else 0.0
         is_silent = self._is_moving and self._silence > SILENCE + 0.5 * CYCLE
-        if self.is_running and (is_silent or self.safety_mode != NORMAL):
+        if self.is_running and (is_silent or self.safety_mode != NORMAL_SAFETY_MODE):
             self._braking = joints
             self.num_halts += 1
         if self._braking is not None:

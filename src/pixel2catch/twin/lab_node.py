@@ -12,7 +12,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile, RobotPart, StatusTopics
 from pixel2catch.ros2.transport import Topic, Transport
 from pixel2catch.twin.camera import Camera
-from pixel2catch.twin.drivers import CYCLE, RUNNING, ArmDriver, Driver, HandDriver, Motion
+from pixel2catch.twin.drivers import CYCLE, ArmDriver, Driver, HandDriver, Motion
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
 
 COMMAND = Topic(name="/twin/command", type=messages.TEXT)
@@ -112,7 +112,7 @@ class StatusPublisher:
         status = (arm.safety_mode, arm.is_running)
         if status != self._last:
             self._send("safety_mode", messages.safety_mode(arm.safety_mode))
-            self._send("robot_mode", messages.robot_mode(RUNNING))
+            self._send("robot_mode", messages.robot_mode(messages.RUNNING_ROBOT_MODE))
             self._send("program_running", messages.boolean(arm.is_running))
         self._last = status
 

@@ -166,7 +166,6 @@ class Page:
                 self._add_mesh(f"/object/{name}/{i}", part, np.array(OBJECT_RGBA))
 
     def _add_mesh(self, name: str, part: ConvexPart, rgba: np.ndarray, **pose: Any) -> None:
-        """Show a convex part."""
         corners = part.faces.reshape(-1, 3)
         triangles = np.arange(len(corners)).reshape(-1, 3)
         color = np.rint(255 * rgba[:3]).astype(np.uint8)

@@ -277,7 +277,7 @@ class SimulatedLab:
         self.close()
 
     def _end_control_step(self, log: PhysicsLog) -> None:
-        """Judge, and go on with the throw."""
+        """Score, and go on with the throw."""
         self.max_joint_speed = max(self.max_joint_speed, float(log.joint_speed))
         if self._scorer is not None:
             self._scorer.follow(self._world.privileged(log), log)
@@ -289,7 +289,6 @@ class SimulatedLab:
             self._release(log)
 
     def _release(self, log: PhysicsLog) -> None:
-        """Let the object fly."""
         self._world.release(_YES, self.episode.throw)
         self._world.forward(_YES)
         self._scorer = ThrowScorer(self.episode, self._world.privileged(log))

@@ -216,7 +216,6 @@ def _plain(cfg: SteppedRehearsalCfg, policy: Policy) -> tuple[Draw, PolicyPipeli
 def _pipeline(
     cfg: SteppedRehearsalCfg, policy: Policy, segmenter: Segmenter, robot: RobotMask | None
 ) -> PolicyPipeline:
-    """What catches."""
     scene = cfg.task.scene
     controller = Controller(policy, find_workcell(scene.workcell), scene.camera)
     return make_pipeline(controller, segmenter, Prompter(), scene.camera, robot)
