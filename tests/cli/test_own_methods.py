@@ -37,8 +37,8 @@ THROWS = ("--num-envs", "2", "--trials", "1", "--physics-hz", "30", "--objects",
 def test_a_contract_tells_what_a_method_of_package_terms_observes(name: str, memory: str):
     method = find_method(name + memory)
     own = replace(method, name=f"mine{memory}")
-    found = method_of(contract_of(own, "left"))
-    assert contract_of(found, "left") == contract_of(own, "left")
+    found = method_of(contract_of(own))
+    assert contract_of(found) == contract_of(own)
     assert (found.pixel_features, found.num_boxes) == (method.pixel_features, method.num_boxes)
     for mine, theirs in zip(found.agents, method.agents, strict=True):
         assert (mine.observation, mine.memory) == (theirs.observation, theirs.memory)
@@ -53,7 +53,7 @@ def test_a_method_of_the_package_is_its_own():
 def test_how_many_boxes_an_own_memory_holds_is_not_told():
     remembering = replace(find_method("proposed+fit"), name="mine", num_boxes=4)
     with pytest.raises(PolicyMismatchError, match=r"remembers.*--import"):
-        method_of(contract_of(remembering, "left"))
+        method_of(contract_of(remembering))
 
 
 def test_the_option_is_taken_wherever_it_stands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

@@ -20,6 +20,8 @@ from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
+from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STEADY_ACTIONS = RandomizationCfg(action_noise=0.0, action_bias=0.0)
 """The environment adds this noise after the policy, where no controller can know of it."""
@@ -78,7 +80,7 @@ def require_parity(method: str, sensing: SensingCfg, most: float, recurrent: int
         The boxes of every step.
     """
     policy = policy_of(method, recurrent)
-    controller = Controller(policy_of(method, recurrent), "left")
+    controller = Controller(policy_of(method, recurrent), UR5E_ALLEGRO)
     cfg = CatchEnvCfg(randomization=STEADY_ACTIONS, sensing=sensing)
     env = CatchEnv(cfg, find_method(method), num_envs=1, seed=3)
     given, boxes, num_ended = None, list[BoxHistory](), 0
@@ -124,7 +126,7 @@ def measured(controller: Controller) -> Measurement:
 
 def test_a_throw_begins_as_an_episode():
     """The history is the first reading, the last action none; nothing of the throw before is left."""
-    controller = Controller(policy_of("journal"), "left")
+    controller = Controller(policy_of("journal"), UR5E_ALLEGRO)
     first = controller.step(HOME, BOX)
     assert torch.equal(measured(controller).joint_pos_target, HOME)
     assert not measured(controller).action.any()
@@ -138,7 +140,7 @@ def test_a_throw_begins_as_an_episode():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_refused_by_name_and_forgotten(bad: float):
-    controller, twin = (Controller(policy_of("proposed"), "left") for _ in range(2))
+    controller, twin = (Controller(policy_of("proposed"), UR5E_ALLEGRO) for _ in range(2))
     controller.step(HOME, BOX)
     twin.step(HOME, BOX)
     joint_pos = HOME.clone()
@@ -164,19 +166,19 @@ def test_what_is_no_number_is_refused_by_name_and_forgotten(bad: float):
 )
 def test_a_policy_that_needs_a_tracker_is_refused(method: str, term: str):
     with pytest.raises(PolicyMismatchError, match=term):
-        Controller(policy_of(method), "left")
+        Controller(policy_of(method), UR5E_ALLEGRO)
 
 
 def test_the_camera_of_the_policy_is_that_of_the_laboratory():
     """A policy trained for a calibrated camera runs with that one, and with no other."""
     calibrated = replace(RGB_CAMERA, pos=(0.02, -0.01, 2.19))
     policy = Policy(contract_of(find_method("proposed"), camera=calibrated)).eval()
-    given = Controller(policy, "left", calibrated).step(HOME, BOX)
+    given = Controller(policy, UR5E_ALLEGRO, calibrated).step(HOME, BOX)
     assert given.isfinite().all()
     with pytest.raises(PolicyMismatchError, match=r"camera\.pos"):
-        Controller(policy, "left")
+        Controller(policy, UR5E_ALLEGRO)
 
 
 def test_a_policy_of_the_other_hand_is_refused():
     with pytest.raises(PolicyMismatchError, match="workcell"):
-        Controller(policy_of("proposed"), "right")
+        Controller(policy_of("proposed"), find_workcell("ur5e_allegro_right"))

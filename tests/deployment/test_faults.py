@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from camera_lab import CameraLab
 from loop_lab import PROFILE, RED
-from pixel2catch.perception.choice import PromptCfg, make_prompter
 from servo_rows import LIMITS
 
 from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
 from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorThreshold
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.robot.constants import RGB_CAMERA
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
@@ -39,7 +39,7 @@ class Watcher:
         self.statuses: list[dict[str, Any]] = []
         self.commands: list[tuple[float, np.ndarray]] = []
         policy, _ = load_policy(None)
-        prompter = make_prompter(PromptCfg(), RGB_CAMERA)
+        prompter = Prompter()
         pipeline = make_pipeline(
             Controller(policy, find_workcell(PROFILE.workcell)),
             ColorThreshold(RED),

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from loop_lab import BOX, HOME, PROFILE, RED, picture, remembering
-from pixel2catch.perception.choice import PromptCfg, make_prompter
 from wire_lab import WireLab
 
 from pixel2catch.cli.main import main
@@ -20,6 +19,7 @@ from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, Ste
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorThreshold
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
@@ -35,7 +35,7 @@ PERIOD = 17
 def new_pipeline(controller: Controller | None = None) -> PolicyPipeline:
     policy, _ = load_policy(None)
     controller = controller or Controller(policy, find_workcell(PROFILE.workcell))
-    prompter = make_prompter(PromptCfg(), RGB_CAMERA)
+    prompter = Prompter()
     return make_pipeline(controller, ColorThreshold(RED), prompter, RGB_CAMERA, None)
 
 

@@ -7,16 +7,18 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from pixel2catch.robot.clearance import HAND_LOWER, HAND_UPPER, depth_in_table
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from pixel2catch.robot.constants import ARM_JOINTS, FINGERS, JOINTS, TableSpec
+from pixel2catch.robot.constants import ARM_JOINTS, JOINTS
 from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.robots.allegro import PALM
 from pixel2catch.robots.geometry import first_chain
-from pixel2catch.servo.workspace import Workspace, link_frames
+from pixel2catch.robots.workcell import TableSpec
+from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
+FINGERS = tuple(finger.name for finger in PALM.fingers)
 LOWER, UPPER = np.array([(joint.lower, joint.upper) for joint in JOINTS]).T
 HOME = np.array([[joint.home for joint in ARM_JOINTS]])
 ELBOW_AND_WRIST = ("forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
@@ -45,13 +47,13 @@ def test_the_last_frame_is_the_palm_of_training():
     random = np.random.default_rng(0)
     arm_pos = random.uniform(LOWER[:6], UPPER[:6], (50, 6))
     palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(arm_pos))
-    np.testing.assert_allclose(link_frames(arm_pos)[-1][:, :3, 3], palm_pos.numpy(), atol=1e-12)
+    np.testing.assert_allclose(Workspace().link_frames(arm_pos)[-1][:, :3, 3], palm_pos.numpy(), atol=1e-12)
 
 
 def test_the_frames_are_where_the_links_of_the_model_are():
     model, data = model_of("ur5e_allegro")
     arm_pos = np.random.default_rng(1).uniform(LOWER[:6], UPPER[:6], (20, 6))
-    frames = link_frames(arm_pos)
+    frames = Workspace().link_frames(arm_pos)
     for row, joints in enumerate(arm_pos):
         put(model, data, joints)
         for link, body in enumerate(ELBOW_AND_WRIST, start=1):
@@ -72,8 +74,8 @@ def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(workcell: str):
         for geom in geoms:
             middle = axes.T @ (data.geom_xpos[geom] - origin)
             half = half_extents(model, data, geom, axes)
-            assert (middle - half >= HAND_LOWER).all()
-            assert (middle + half <= HAND_UPPER).all()
+            assert (middle - half >= np.array(PALM.lower)).all()
+            assert (middle + half <= np.array(PALM.upper)).all()
 
 
 def test_no_pose_inside_touches_the_table():
@@ -133,7 +135,7 @@ def test_the_box_about_the_hand_and_the_table_are_apart_if_no_point_is_in_both()
     rotation = Rotation.random(300, rng=random).as_matrix()
     found = workspace._is_box_clear(middle, rotation)
     near, far, top = workspace._sides
-    half = (np.array(HAND_UPPER) - np.array(HAND_LOWER)) / 2.0
+    half = (np.array(np.array(PALM.upper)) - np.array(np.array(PALM.lower))) / 2.0
     for place, turn, is_clear in zip(middle, rotation, found, strict=True):
         planes, at = np.vstack((turn.T, -turn.T)), turn.T @ place
         table = list(zip((*near, 0.0), (*far, top), strict=True))
@@ -152,7 +154,8 @@ def test_what_costs_in_training_is_what_the_servo_holds_back():
     """Training looks at points and corners alone: it sees no intrusion that is none, and most that are."""
     random = np.random.default_rng(4)
     arm_pos = HOME + random.uniform(-1.6, 1.6, (4000, 6))
-    depth = depth_in_table(torch.from_numpy(arm_pos)).numpy()
+    joint_pos = torch.from_numpy(np.pad(arm_pos, ((0, 0), (0, 13)))).float()
+    depth = WorkcellGeometry(UR5E_ALLEGRO).depth_in_table(joint_pos)[:, 0].numpy()
     is_clear = Workspace(lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, 9.0)).contains(arm_pos)
     assert not (depth[is_clear] > 0.0).any()
     assert (depth[~is_clear] > 0.0).mean() > 0.9

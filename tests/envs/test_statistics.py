@@ -248,7 +248,7 @@ def test_deceleration_counts_from_the_first_contact_to_success():
         (9.0, 0.0, 21, True, 150.0),  # shaken afterwards
     ):
         step = step_of(state_of(1.04, before), state_of(1.04, after), held, 1)
-        episode = episode.advanced(step, log_of(touching))
+        episode = episode.advanced(step, log_of(touching), ARMS)
         assert episode.peak_deceleration.item() == pytest.approx(expected)
 
 

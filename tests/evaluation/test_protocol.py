@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from pixel2catch.agents import commands_of
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.metrics import assess
@@ -27,11 +28,13 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import PROPOSED
 from pixel2catch.robot.objects import SEEN
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PALM = (0.434, 0.133, 1.391)
 """Palm in the start pose [m]."""
 
 NUM_ENVS = 8
+ARM_COMMANDS = commands_of(UR5E_ALLEGRO)[:6]
 
 
 class Grasp:
@@ -170,7 +173,7 @@ def test_actions_are_latched_after_a_success():
 
 def test_shake_begins_after_the_hold_test():
     steps = torch.arange(TEST_STEPS)
-    action = shake_action(steps)
+    action = shake_action(steps, ARM_COMMANDS)
     assert action.shape == (HOLD_TEST_STEPS + SHAKE_STEPS, 6)
     assert (action[:HOLD_TEST_STEPS] == 0.0).all()
     assert (action[HOLD_TEST_STEPS:, 0] != 0.0).all()
@@ -189,7 +192,7 @@ def test_shake_accelerates_the_palm():
     for step in range(HOLD_TEST_STEPS - 5, TEST_STEPS):
         env.step(
             {
-                "arm": shake_action(torch.full((NUM_ENVS,), step)),
+                "arm": shake_action(torch.full((NUM_ENVS,), step), ARM_COMMANDS),
                 "hand": torch.zeros(NUM_ENVS, 13),
             }
         )

@@ -3,9 +3,9 @@ import torch
 
 from pixel2catch.evaluation.comparison.figures import arm_points, sample_paths
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, ROBOT_BASE_POS
+from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY
 from pixel2catch.robots.geometry import first_chain
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO, UR5E_POS
 
 
 def test_paths_lead_from_release_to_aim_in_free_fall():
@@ -23,5 +23,5 @@ def test_paths_lead_from_release_to_aim_in_free_fall():
 def test_the_arm_leads_from_the_base_to_the_palm():
     points = arm_points()
     home = torch.tensor([[joint.home for joint in ARM_JOINTS]], dtype=torch.float64)
-    assert np.allclose(points[0], ROBOT_BASE_POS)
+    assert np.allclose(points[0], UR5E_POS)
     assert np.allclose(points[-1], first_chain(UR5E_ALLEGRO).pose(home)[0][0], atol=1e-6)

@@ -6,8 +6,9 @@ import pytest
 from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit
 from pixel2catch.identification.identify import gain_ranges, half_widths, ratios
 from pixel2catch.identification.report_tables import weak_directions
-from pixel2catch.mdp.randomization import TABLE_1_GAINS, GainRanges
+from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")
 SCALE = np.array((1.0, 1.0, 1.0, 1.0, 0.0))
@@ -66,7 +67,7 @@ def test_parameters_that_were_not_fitted_have_no_ratio():
     assert ratios(fit_of(fit_with(SCALE).covariance[:, 4:, 4:], ("latency",))) == ()
 
 
-PAPER = GainRanges()
+PAPER = GainRanges().of(UR5E_ALLEGRO)
 ELBOW, WRIST, INDEX = 2, 5, 6
 GAINS = ("stiffness", "damping", "armature")
 TOGETHER = np.ones(3)
@@ -115,7 +116,7 @@ def test_damping_fitted_at_an_assumed_stiffness_is_relative_to_it():
 def test_stiffness_fitted_at_an_assumed_damping_is_drawn_apart():
     ranges = gain_ranges(fit_of(np.stack([0.03**2 * np.eye(1)]), ("stiffness",)), PAPER)
     np.testing.assert_allclose(ranges.stiffness_scale[ELBOW], about_one(1.96 * 0.03))
-    assert ranges.damping_scale == TABLE_1_GAINS
+    assert ranges.damping_scale == PAPER.damping_scale
     assert not any(ranges.is_damping_relative)
 
 

@@ -143,6 +143,8 @@ def test_a_step_knows_what_arrives_before_and_after_a_jump():
 def test_dry_friction_is_that_of_training():
     """The law is written for PyTorch in `envs/servo.py`, and for NumPy here."""
     nominal, speeds = JointDynamics.nominal(), np.linspace(-1.0, 1.0, 19)[None]
-    servos = Servos.on(torch.device("cpu"), torch.float64, nominal, np.ones(19).tolist())
+    servos = Servos.on(
+        torch.device("cpu"), torch.float64, nominal, np.ones(19).tolist(), np.ones(19).tolist()
+    )
     expected = servos.friction(torch.from_numpy(speeds)).numpy()
     np.testing.assert_allclose(friction_torque(nominal.frictionloss, speeds), expected, rtol=1e-12)

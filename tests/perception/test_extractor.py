@@ -86,7 +86,7 @@ def test_features_are_those_of_training():
             replace(measurement, boxes=BoxHistory.begun(each.box, torch.zeros(1), 1))
             for each in (before, now)
         ]
-        frame = Frame(before=frames[0], now=frames[1], joints=slice(0), pixel_columns=tuple(range(8)))
+        frame = Frame(before=frames[0], now=frames[1], joints=(), palms=(), pixel_columns=tuple(range(8)))
         assert torch.equal(now.features, pixels(frame))
 
 

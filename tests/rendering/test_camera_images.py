@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pixel2catch.twin.thrower import Thrower
 
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
@@ -14,6 +13,7 @@ from pixel2catch.rendering.renderer import Renderer, find_gl_backend
 from pixel2catch.rendering.room import Bystanders, build_room
 from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.twin.simulated_lab import Thrower
 
 RELEASE = np.array((2.6, 0.1, 0.8))
 MODEL = build_model(SceneCfg())

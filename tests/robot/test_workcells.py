@@ -124,6 +124,7 @@ def test_a_random_roll_out(workcell: WorkcellSpec, name: str):
 def test_a_random_roll_out_on_a_gpu(workcell: WorkcellSpec):
     method = find_method("catch", workcell)
     env = CatchEnv(CatchEnvCfg(scene=SceneCfg(workcell=workcell.name)), method, num_envs=64, device="cuda:0")
+    step = env.step({n: torch.zeros(env.num_envs, k, device=env.device) for n, k in env.action_sizes.items()})
     for _ in range(5):
         step = env.step({n: torch.zeros(64, size, device="cuda:0") for n, size in env.action_sizes.items()})
     env.check()

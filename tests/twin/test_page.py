@@ -14,8 +14,7 @@ from twin_bench import PROFILE, Bench
 from domains import free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.robot.constants import PALM_POS
-from pixel2catch.robots.geometry import first_chain
+from pixel2catch.robots.geometry import bare_model, first_chain
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock
 from pixel2catch.twin.page import BOX_COLOR, Page, with_box
@@ -59,7 +58,7 @@ def test_the_robot_is_shown_where_the_joint_states_have_it(shown: Shown):
     shown.go_on()
     palm, joints = shown.page.bodies["palm"], shown.bench.lab.joints.position
     turned = np.zeros(3)
-    mujoco.mju_rotVecQuat(turned, np.array(PALM_POS), np.array(palm.wxyz))
+    mujoco.mju_rotVecQuat(turned, bare_model(UR5E_ALLEGRO).site("palm").pos, np.array(palm.wxyz))
     expected, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joints)[None, :6])
     assert palm.position + turned == pytest.approx(expected[0].numpy(), abs=0.02)  # noisy encoders
 

@@ -17,6 +17,7 @@ from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.protocol import TRIAL_STEPS
+from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_near
@@ -26,6 +27,7 @@ from pixel2catch.robot.constants import CameraSpec
 from pixel2catch.robot.joint_dynamics import JointDynamics
 from pixel2catch.twin.camera import Exposure
 from pixel2catch.twin.drivers import Motion
+from pixel2catch.workcells import find_workcell
 
 ARM = BYSTANDER_JOINTS.index("thrower_arm")
 
@@ -61,14 +63,15 @@ class ThrowScorer:
         is_over: Whether it is decided: caught, dropped, or out of time.
     """
 
-    def __init__(self, episode: Episode, now: Privileged) -> None:
+    def __init__(self, episode: Episode, world: CatchWorld, now: Privileged) -> None:
         """Begin with a release.
 
         Args:
             episode: What is thrown.
+            world: At which robot.
             now: The state at the release.
         """
-        self._before = now
+        self._world, self._before = world, now
         self.record: EpisodeRecord = replace(episode.record, steps=episode.throw.hover_steps)
         self.is_over = False
 
@@ -88,8 +91,9 @@ class ThrowScorer:
             joint_pos_target=torch.zeros(1, 0),
             held_steps=torch.where(is_near(now), self.record.held_steps + 1, 0),
             episode_steps=self.record.steps + 1,
+            geometry=self._world.geometry,
         )
-        self.record = self.record.advanced(transition, log)
+        self.record = self.record.advanced(transition, log, self._world.arms)
         self._before = now
         is_late = int(self.record.steps) >= TRIAL_STEPS
         self.is_over = is_late or bool(self.record.is_success) or bool(self.record.is_dropped)
@@ -139,7 +143,9 @@ class SimulatedLab:
             task: What is thrown at which robot.
             seed: Of the first start pose and of all noise.
         """
-        self._task, self._rng = task, np.random.default_rng(seed)
+        workcell = find_workcell(task.scene.workcell)
+        self._task, self._rng = task.for_workcell(workcell), np.random.default_rng(seed)
+        self._action_bias = by_joint(workcell, "action_bias", torch.device("cpu"))
         self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu")
         names = self._world.objects.names
         self._object_ids = torch.tensor([names.index(name) for name in task.objects])
@@ -148,7 +154,7 @@ class SimulatedLab:
         self._log: PhysicsLog | None = None
         self._steps, self._is_thrown, self._scorer = 0, False, None
         self.num_throws, self.max_joint_speed = 0, 0.0
-        nominal = JointDynamics.nominal()
+        nominal = JointDynamics.nominal(specs=workcell.joints)
         dynamics = task.dynamics.over(nominal) if task.dynamics else nominal
         self.lag: Joints = dynamics.damping / dynamics.stiffness
         self.prepare(seed)
@@ -206,7 +212,7 @@ class SimulatedLab:
         It is the throw that `CatchEnv.seed` and `reset` begin in one environment.
         """
         generator = torch.Generator().manual_seed(seed)
-        self.episode: Episode = draw_episode(self._task, self._object_ids, 1, generator)
+        self.episode: Episode = draw_episode(self._task, self._action_bias, self._object_ids, 1, generator)
         self._world.reset(_YES, self.episode.parameters, self.episode.throw)
         self._world.forward(_YES)
         release_pos = self.episode.throw.pos[0].double().numpy()
@@ -291,7 +297,7 @@ class SimulatedLab:
     def _release(self, log: PhysicsLog) -> None:
         self._world.release(_YES, self.episode.throw)
         self._world.forward(_YES)
-        self._scorer = ThrowScorer(self.episode, self._world.privileged(log))
+        self._scorer = ThrowScorer(self.episode, self._world, self._world.privileged(log))
         self._thrower = replace(self._thrower, release=self.time)
         self.phase, self.num_throws = Phase.FLYING, self.num_throws + 1
 
