@@ -166,7 +166,7 @@ def _path(
 
 def _palm_target(arm: Float[Tensor, "num_frames 6"]) -> Float[Tensor, "num_frames 3"]:
     """Where a held object's centre is, in front of the palm [m]."""
-    pos, quat = first_chain(UR5E_ALLEGRO).pose(arm.double())
+    pos, quat = first_chain(UR5E_ALLEGRO, torch.float32).pose(arm)
     w, x, y, z = quat.unbind(-1)
     normal = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], dim=-1)
     return pos + HELD_DISTANCE * normal

@@ -21,7 +21,7 @@ from pixel2catch.mdp.observations import PAPER_TERMS
 from pixel2catch.methods import METHODS, PROPOSED
 
 def palm_height(frame):
-    return frame.now.palm_pos[:, 2:]
+    return frame.now.palm_pos[:, 0, 2:]
 
 METHODS["size_alone"] = replace(PROPOSED, name="size_alone", pixel_features=("w", "h"))
 seeing = tuple(replace(agent, observation=(*PAPER_TERMS, palm_height)) for agent in PROPOSED.agents)

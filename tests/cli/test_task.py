@@ -10,6 +10,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 SIZE = (
     "--num-envs",
@@ -51,7 +52,8 @@ def test_training_is_for_the_task(out: Path):
     for found, variant in zip(variants, TASKS["wide"].variants, strict=True):
         assert found["sensing"]["latency_steps"] == list(variant.sensing.latency_steps)
         ranges = found["randomization"]["gains"]["stiffness_scale"]
-        assert ranges == [list(limits) for limits in variant.randomization.gains.stiffness_scale]
+        of_all = variant.randomization.gains.of(UR5E_ALLEGRO).stiffness_scale
+        assert ranges == [list(limits) for limits in of_all]
         assert len(ranges) == len(ARM_JOINTS) + len(HAND_JOINTS)
 
 

@@ -77,7 +77,7 @@ def test_without_a_margin_the_mask_is_the_robot(workcell: str):
 
 
 def test_the_margin_covers_the_robot_and_little_else():
-    covered, hidden = shares("left", MARGIN)
+    covered, hidden = shares("ur5e_allegro", MARGIN)
     assert covered.min() >= 0.999
     assert np.median(hidden) <= 0.6
 

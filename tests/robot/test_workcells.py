@@ -111,6 +111,7 @@ def test_a_random_roll_out(workcell: WorkcellSpec, name: str):
     contract = contract_of(method, workcell)
     assert {n: agent.num_inputs for n, agent in contract.agents.items()} == env.observation_sizes
     generator = torch.Generator().manual_seed(0)
+    step = env.step({n: torch.zeros(3, size) for n, size in env.action_sizes.items()})
     for _ in range(5):
         actions = {
             n: torch.rand(3, size, generator=generator) * 2 - 1 for n, size in env.action_sizes.items()

@@ -131,9 +131,8 @@ class JointDynamics:
         return JointDynamics(joints=tuple(joints), **values)
 
     def over(self, below: "JointDynamics") -> "JointDynamics":
-        """The joints of both, those of the larger first; what both have is as in here."""
-        larger, smaller = sorted((below, self), key=lambda each: -len(each.joints))
-        joints = tuple(dict.fromkeys((*larger.joints, *smaller.joints)))
+        """The joints of both, those of `below` first; what both have is as in here."""
+        joints = tuple(dict.fromkeys((*below.joints, *self.joints)))
         owners = [self if name in self.joints else below for name in joints]
         columns = [owner.joints.index(name) for owner, name in zip(owners, joints, strict=True)]
         values = {

@@ -9,6 +9,7 @@ from typing import Any
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.stress.suite import Change
+from pixel2catch.workcells import find_workcell
 
 PARTS = ("scene", "throws", "randomization", "sensing", "shake")
 """Parts of a task that are compared; a setting that changes anything else is not trained on."""
@@ -38,9 +39,11 @@ def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
     others = [field.name for field in fields(nominal) if field.name not in PARTS]
     if any(getattr(nominal, name) is not getattr(changed, name) for name in others):
         return False
+    workcell = find_workcell(task.scene.workcell)
+    nominal, changed, trained = (each.for_workcell(workcell) for each in (nominal, changed, task))
     return any(
         all(_is_within(getattr(nominal, p), getattr(changed, p), getattr(variant, p)) for p in PARTS)
-        for variant in task.all_variants
+        for variant in trained.all_variants
     )
 
 
