@@ -120,10 +120,10 @@ def _read(model: mujoco.MjModel, site: str) -> tuple[tuple[str, ...], np.ndarray
             after = place
         after = pose_matrix(model.body_pos[body], model.body_quat[body]) @ after
         body = int(model.body_parentid[body])
-    befores = [np.eye(4)] * (len(names) - 1) + [after]
+    leading = [np.eye(4)] * (len(names) - 1) + [after]
     parts = [
         [before @ part @ following for part in _turning(axis)]
-        for before, axis, following in zip(befores, axes, afters, strict=True)
+        for before, axis, following in zip(leading, axes, afters, strict=True)
     ]
     return tuple(reversed(names)), np.stack(parts[::-1], axis=1)
 
