@@ -20,11 +20,11 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from pixel2catch.robot.constants import FINGERS, HAND_JOINTS
-from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.robots.allegro import Handedness
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.robots.workcell import robot_mjcf
+from pixel2catch.scene.constants import FINGERS, HAND_JOINTS
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 SAMPLES = 200
 POSES = 2000

@@ -22,10 +22,10 @@ from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directi
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
-from pixel2catch.robot.constants import ARM_JOINTS, GRAVITY, HAND_JOINTS, RGB_CAMERA, JointSpec
-from pixel2catch.robot.objects import OBJECTS, surface_points
-from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.robots.geometry import first_chain
+from pixel2catch.scene.constants import ARM_JOINTS, GRAVITY, HAND_JOINTS, RGB_CAMERA, JointSpec
+from pixel2catch.scene.objects import OBJECTS, surface_points
+from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.devices import make_simulation
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

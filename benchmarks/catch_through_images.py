@@ -27,7 +27,7 @@ from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, Tr
 from pixel2catch.files import write_atomically
 from pixel2catch.methods import Method
 from pixel2catch.perception.background import BackgroundSubtraction
-from pixel2catch.robot.objects import OBJECTS, select_objects
+from pixel2catch.scene.objects import OBJECTS, select_objects
 
 SENSING = ("corner_noise", "latency_steps", "joint_noise", "joint_bias", "least_visible")
 """What the report says of the sensors."""

@@ -21,8 +21,8 @@ import torch
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.files import write_atomically
-from pixel2catch.robot.joint_dynamics import JointDynamics
-from pixel2catch.robot.objects import select_objects
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.objects import select_objects
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.twin.stepped import SteppedRehearsalCfg, rehearse_stepped
 

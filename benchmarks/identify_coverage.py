@@ -18,7 +18,7 @@ from pixel2catch.identification.fit import LATENCY_UNIT, SERVO_PARAMETERS, Fit, 
 from pixel2catch.identification.identify import CONFIDENCE, half_widths
 from pixel2catch.identification.rehearsal import RecorderCfg, simulated_recordings, unlike_nominal
 from pixel2catch.identification.trajectory import Trajectory
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 FREE = SERVO_PARAMETERS
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")

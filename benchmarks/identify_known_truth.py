@@ -21,7 +21,7 @@ import numpy as np
 from pixel2catch.cli.main import main as pixel2catch
 from pixel2catch.identification.identify import start_of_fit
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 NOISE = 2e-4
 GOALS = {"damping / stiffness [%]": 2.0, "armature [%]": 5.0, "latency [ms]": 1.0, "held out / noise": 1.1}

@@ -24,7 +24,7 @@ from pixel2catch.identification.fit import FitCfg, fit_dynamics
 from pixel2catch.identification.identify import half_widths, stiff
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion, is_settled
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 FREE = ("damping", "latency")
 

@@ -29,7 +29,7 @@ from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.rendering.camera import OBJECT, CameraCfg, Moment
 from pixel2catch.rendering.video import RecordedThrow
-from pixel2catch.robot.objects import select_objects
+from pixel2catch.scene.objects import select_objects
 
 RED = ColorRange(hue=(350.0, 16.0), saturation=(0.55, 1.0))
 """What a person finds who looks at the object's pixels."""

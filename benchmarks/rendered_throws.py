@@ -27,9 +27,9 @@ from pixel2catch.perception.timing import StageClock
 from pixel2catch.rendering.camera import ARM, OBJECT, ROBOT, CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.rendering.video import RecordedThrow
-from pixel2catch.robot.constants import CONTROL_DT
-from pixel2catch.robot.scene import SceneCfg
 from pixel2catch.robots.geometry import first_chain
+from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_EMPTY_AGAIN = 3

@@ -21,7 +21,7 @@ from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.stress.suite import HUMAN
 from pixel2catch.mdp.throws import ThrowCfg, random_directions, sample_throws
-from pixel2catch.robot.constants import GRAVITY, RGB_CAMERA
+from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
 
 STEP, FINE, GRID = 1 / 30, 1 / 60, 100  # the paths are integrated with FINE s, then interpolated
 NUM_IMAGES, NUM_BOXES = 34, 24

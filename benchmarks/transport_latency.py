@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock, Topic, make_transport
+from pixel2catch.scene.constants import JOINTS
 
 IMAGES = Topic(name="/benchmark/image", type=messages.IMAGE)
 STATES = Topic(name="/benchmark/joint_states", type=messages.JOINT_STATE)

@@ -11,8 +11,8 @@ import pytest
 
 from pixel2catch.evaluation.loading import DEFAULT_POLICY, load_policy, shipped_policies, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, evaluate
-from pixel2catch.robot.objects import OBJECTS, SEEN
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.objects import OBJECTS, SEEN
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 FOLDER = Path(__file__).parent / "frozen"
 MODELS, THROWS = FOLDER / "models.npz", FOLDER / "throws.json"

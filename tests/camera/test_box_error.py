@@ -6,7 +6,7 @@ from box_error import BoxErrors, compare, sample_frames
 
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.renderer import find_gl_backend
-from pixel2catch.robot.objects import OBJECTS
+from pixel2catch.scene.objects import OBJECTS
 
 NUM_POINTS = 64
 FRAMES_PER_OBJECT = 45

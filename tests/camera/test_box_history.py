@@ -11,7 +11,7 @@ from pixel2catch.camera.box_history import (
     TYPICAL_SIZE,
     box_fit,
 )
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 PATH = torch.tensor([[0.05, -0.1], [0.2, 0.6], [0.4, 2.0]])  # direction, speed, half of the acceleration
 GROWTH = 0.8

@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pixel2catch.camera.boxes import box_of_mask, box_of_points, clip_box, hold_box, perturb_box
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 
 def boxes(num: int, seed: int) -> torch.Tensor:

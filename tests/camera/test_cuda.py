@@ -7,7 +7,7 @@ from pixel2catch.camera.boxes import box_of_points, hold_box, perturb_box
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features, select_features
 from pixel2catch.camera.pinhole import project
 from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 
 def see(points: torch.Tensor, hit: torch.Tensor, previous: torch.Tensor) -> torch.Tensor:

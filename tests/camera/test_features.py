@@ -3,7 +3,7 @@ import torch
 
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features, select_features
 from pixel2catch.errors import UnknownNameError
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 BEFORE = torch.tensor([[300.0, 100.0, 320.0, 130.0]])  # centre (310, 115), size (20, 30)
 NOW = torch.tensor([[304.0, 108.0, 336.0, 132.0]])  # centre (320, 120), size (32, 24)

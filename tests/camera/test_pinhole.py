@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pixel2catch.camera.pinhole import camera_center, project
-from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 AT_ORIGIN = CameraSpec(
     width=640,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pixel2catch.camera.pinhole import Projection, back_project, nominal_projection, project
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 FORWARD = torch.tensor([0.8746197, 0.0, -0.4848096], dtype=torch.float64)
 RIGHT = torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64)

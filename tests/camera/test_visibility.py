@@ -2,7 +2,7 @@ import torch
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 
 def test_rays_end_at_the_points():

@@ -15,8 +15,8 @@ from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
+from pixel2catch.scene.scene import SceneCfg
 
 SIZE = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "32", "--hidden", "8")
 TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--physics-hz", "30")

@@ -24,7 +24,7 @@ from pixel2catch.learning.config import TrainCfg, preset
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import PROPOSED, find_method
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 needs_no_cuda = pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
 

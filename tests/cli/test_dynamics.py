@@ -13,8 +13,8 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.joint_dynamics import JointDynamics
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.scene import SceneCfg
 
 SIZE = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "32", "--hidden", "8")
 TRAIN = ("train", "only_center", "--device", "cpu", *SIZE, "--physics-hz", "30")

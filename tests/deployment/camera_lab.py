@@ -9,10 +9,10 @@ import numpy as np
 from loop_lab import BOX, picture
 from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
 
-from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.process import set_niceness
 

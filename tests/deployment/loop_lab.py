@@ -17,11 +17,11 @@ from pixel2catch.perception.extractor import PixelFeatureExtractor
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
+from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.link import ServoEnd, ServoStatus, link
 from pixel2catch.servo.state import Mode
 from pixel2catch.workcells import find_workcell

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixel2catch.robot.constants import CONTROL_DT, JOINTS
+from pixel2catch.scene.constants import CONTROL_DT, JOINTS
 from pixel2catch.servo.core import ServoCore
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.state import Output, ServoState

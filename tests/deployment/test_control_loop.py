@@ -29,8 +29,8 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.perception.extractor import Extraction
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.ros2 import messages
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.state import Mode
 from pixel2catch.servo.watchdogs import Fault
 from pixel2catch.workcells import find_workcell

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pixel2catch.deployment.timing import QUANTILE, SHIFT, STEP, DecisionDelay, DecisionTimer
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 
 def test_first_looks_wait_for_nothing_and_count_as_little_as_others():

@@ -9,8 +9,8 @@ from loop_lab import HOME, PROFILE, Surroundings, picture, surroundings
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.ros2 import messages
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 
 def images_in(around: Surroundings, *, assumes_age: bool = False) -> ImageSubscriber:

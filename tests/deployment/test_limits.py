@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robot.constants import JOINTS
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 
 NOMINAL = JointDynamics.nominal()

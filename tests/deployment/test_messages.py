@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.robot.constants import RGB_CAMERA
 from pixel2catch.ros2 import messages
+from pixel2catch.scene.constants import RGB_CAMERA
 
 LITTLE = b"\x00\x01\x00\x00"
 """The header of a message in little endian."""

@@ -20,7 +20,7 @@ from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt, Segmentation, Segmenter
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 PROMPT = BoxPrompt(box=BOX)
 TICK = 0.002

@@ -14,7 +14,7 @@ from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.workcells import find_workcell
 

@@ -8,10 +8,10 @@ import pytest
 import yaml
 
 from pixel2catch.errors import DeploymentError, UnknownNameError
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import decode
 from pixel2catch.ros2.profile import PROFILES, Profile
+from pixel2catch.scene.constants import JOINTS
 
 NAMES = [joint.name for joint in JOINTS]
 SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))

@@ -20,9 +20,9 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.prompt import Prompter
-from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
+from pixel2catch.scene.constants import JOINTS, RGB_CAMERA
 from pixel2catch.servo.link import link
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell

@@ -7,8 +7,8 @@ import pytest
 from mishaps import MISHAPS, all_at_once
 from servo_rows import HOME, LIMITS, Lab, given
 
-from pixel2catch.robot.constants import CONTROL_DT, JOINTS
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.constants import CONTROL_DT, JOINTS
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
 from pixel2catch.servo.state import Clamp, Mode
 from pixel2catch.servo.watchdogs import Fault, flag_names

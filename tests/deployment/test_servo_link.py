@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from pixel2catch.robot.constants import JOINTS
+from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link
 
 NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from servo_rows import HOME, LIMITS
 
-from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import decode
 from pixel2catch.ros2.profile import Profile, RobotPart
 from pixel2catch.ros2.transport import Clock, Topic, Transport
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoStatus
 
 

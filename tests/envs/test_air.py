@@ -12,9 +12,9 @@ from pixel2catch.envs.step import Step
 from pixel2catch.mdp.randomization import RandomizationCfg, by_joint
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS
-from pixel2catch.robot.objects import OBJECTS
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, JOINTS
+from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 AT_ONCE = ThrowCfg(hover_steps=(2, 2))

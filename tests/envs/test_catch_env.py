@@ -17,8 +17,8 @@ from pixel2catch.mdp.snapshot import History
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method
-from pixel2catch.robot.constants import JOINTS
-from pixel2catch.robot.objects import OBJECTS
+from pixel2catch.scene.constants import JOINTS
+from pixel2catch.scene.objects import OBJECTS
 
 PROPOSED = METHODS["proposed"]
 EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0)

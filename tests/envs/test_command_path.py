@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from pixel2catch.envs.command_path import CommandPath, filtered
-from pixel2catch.robot.joint_dynamics import JointDynamics, command_lag, filter_transition
+from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
 
 DT = 1.0 / 240.0
 NUM_STEPS, HOLD = 40, 8

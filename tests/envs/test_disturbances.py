@@ -18,10 +18,10 @@ from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method
-from pixel2catch.robot.constants import CONTROL_DT, GRAVITY, JOINTS, RGB_CAMERA
-from pixel2catch.robot.joint_dynamics import JointDynamics
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import TABLE
+from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, JOINTS, RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg
 
 PROPOSED = METHODS["proposed"]
 EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0, latency_steps=(0, 0))

@@ -16,9 +16,9 @@ from pixel2catch.mdp.randomization import EpisodeParameters, GainRanges, Randomi
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.methods import METHODS
-from pixel2catch.robot.constants import CONTROL_DT, JOINTS
-from pixel2catch.robot.joint_dynamics import JointDynamics
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.constants import CONTROL_DT, JOINTS
+from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.simulation import Simulation
 from pixel2catch.sim.warp import WarpSimulation

@@ -19,8 +19,8 @@ from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import find_method
-from pixel2catch.robot.constants import CONTROL_DT
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.scene import SceneCfg
 
 EXACT = SensingCfg(corner_noise=0.0, joint_noise=0.0, joint_bias=0.0)
 ANY = SensingCfg(latency_steps=(0.6, 4.3), latency_grid=0.0)

@@ -20,8 +20,8 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import Range, ThrowCfg
 from pixel2catch.methods import find_method
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 MANY = 20_000

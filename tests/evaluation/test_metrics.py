@@ -10,7 +10,7 @@ from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.metrics import metrics, wilson_interval
 from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.report import objects_table, quality_table, results_table
-from pixel2catch.robot.objects import SEEN, UNSEEN
+from pixel2catch.scene.objects import SEEN, UNSEEN
 
 NAMES = ("ball", "box")
 

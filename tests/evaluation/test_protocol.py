@@ -27,7 +27,7 @@ from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import PROPOSED
-from pixel2catch.robot.objects import SEEN
+from pixel2catch.scene.objects import SEEN
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PALM = (0.434, 0.133, 1.391)

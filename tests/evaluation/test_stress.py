@@ -28,7 +28,7 @@ from pixel2catch.evaluation.stress.measuring import (
 from pixel2catch.evaluation.stress.suite import AXES, Setting, select_settings
 from pixel2catch.methods import METHODS, PROPOSED, Method
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.robot.objects import SEEN
+from pixel2catch.scene.objects import SEEN
 
 SETTINGS = {setting.name: setting for setting in select_settings(())}
 TASK = CatchEnvCfg()

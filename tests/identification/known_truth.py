@@ -7,7 +7,7 @@ import numpy as np
 from pixel2catch.identification.excitation import RATE, Envelope, multisine, steps
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import SETTLING, RecordedMotion
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 NOISE = 2e-4
 

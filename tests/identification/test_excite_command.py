@@ -14,7 +14,7 @@ from pixel2catch.identification.importers import read_recording
 from pixel2catch.identification.robot import ROBOTS
 from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 QUICK = ("excite", "--robot", "ur5e", "--seconds", "20")
 ARM = ROBOTS["ur5e"]

@@ -7,7 +7,7 @@ from known_truth import NOISE, perturbed, record, tracking_error
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg, correlation_time, fit_dynamics
 from pixel2catch.identification.identify import half_widths, ratios
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 DT = 1.0 / 240.0
 JOINTS = ("elbow_joint", "index_joint_1")

@@ -22,7 +22,7 @@ from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.robot import ROBOTS
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import GainRanges
-from pixel2catch.robot.joint_dynamics import PARAMETERS, JointDynamics
+from pixel2catch.robots.joint_dynamics import PARAMETERS, JointDynamics
 
 HAND = ROBOTS["allegro"]
 

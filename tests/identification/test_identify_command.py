@@ -18,7 +18,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 PHYSICS_HZ = 60
 NOISE = 2e-4

@@ -7,7 +7,7 @@ from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit
 from pixel2catch.identification.identify import gain_ranges, half_widths, ratios
 from pixel2catch.identification.report_tables import weak_directions
 from pixel2catch.mdp.randomization import GainRanges
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")

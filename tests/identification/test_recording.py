@@ -12,7 +12,7 @@ from pixel2catch.errors import Pixel2CatchError, RecordingError, UnknownNameErro
 from pixel2catch.identification.importers import read_recording
 from pixel2catch.identification.recording import Place, Recording, require_motion
 from pixel2catch.identification.robot import ROBOTS
-from pixel2catch.robot.constants import JOINTS
+from pixel2catch.scene.constants import JOINTS
 
 
 def with_cell(values: np.ndarray, row: int, column: int, value: float) -> np.ndarray:

@@ -16,8 +16,8 @@ from pixel2catch.identification.simulation import (
     mean_commands,
     step_commands,
 )
-from pixel2catch.robot.joint_dynamics import JointDynamics
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 DT = 1.0 / 240.0
 ALL = ROBOTS["ur5e_allegro"]

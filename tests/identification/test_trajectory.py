@@ -8,7 +8,7 @@ import pytest
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.identification.robot import largest_step
 from pixel2catch.identification.trajectory import REST, Trajectory
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS
+from pixel2catch.scene.constants import ARM_JOINTS, HAND_JOINTS
 
 JOINTS = ("elbow_joint", "index_joint_1")
 HOME = (ARM_JOINTS[2].home, HAND_JOINTS[0].home)

@@ -24,7 +24,7 @@ from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
 from pixel2catch.identification.simulation import FIT_DT
 from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 HOME = np.array([spec.home for spec in JOINT_SPECS.values()])
 

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.snapshot import Measurement, Privileged, Transition
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.robots.geometry import WorkcellGeometry
+from pixel2catch.scene.constants import JOINTS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_JOINTS = len(JOINTS)

@@ -5,7 +5,7 @@ import torch
 
 from pixel2catch.mdp.drag import flight_time, velocity_through_air
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.robot.constants import GRAVITY
+from pixel2catch.scene.constants import GRAVITY
 
 
 def fly(pos: torch.Tensor, vel: torch.Tensor, drag: float, duration: torch.Tensor) -> torch.Tensor:

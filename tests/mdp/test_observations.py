@@ -16,7 +16,7 @@ from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.observations import Frame, observe, pixel_columns, privileged_state
 from pixel2catch.mdp.snapshot import History
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PROPOSED = METHODS["proposed"]

@@ -8,7 +8,7 @@ import torch
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import ASSUMED_AGE, Detection, SensingCfg, detect
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 
 def detection(mark: float, num_envs: int = 1, **changes: torch.Tensor) -> Detection:

@@ -6,7 +6,7 @@ import torch
 
 from pixel2catch.mdp.shaking import Shake, ShakeCfg, sample_shake
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 CFG = ShakeCfg(amplitude=0.005, frequency=3.0)
 

@@ -10,7 +10,7 @@ from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
 from pixel2catch.mdp.sight import Sight, is_sight_exact, sample_sight, scaled_box, tracked_position
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 NUM_ENVS = 2000
 ELSEWHERE = CameraFile(camera=replace(RGB_CAMERA, pos=(-0.5, 0.2, 2.0), fx=600.0, fy=601.0))

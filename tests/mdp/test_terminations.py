@@ -18,7 +18,7 @@ from pixel2catch.mdp.terminations import (
     is_success,
     palm_distance,
 )
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 
 def test_numbers_of_the_task():

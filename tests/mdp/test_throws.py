@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pixel2catch.mdp.throws import Throw, ThrowCfg, drawn, launch_velocity, sample_throws, uniform
-from pixel2catch.robot.constants import GRAVITY
+from pixel2catch.scene.constants import GRAVITY
 
 CFG = ThrowCfg()
 RELEASE_HEIGHT, AIM_HEIGHT = st.floats(0.75, 0.85), st.floats(0.9, 1.1)

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.rendering.video import VideoWriter
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES: dict[str, Any] = STORE.types

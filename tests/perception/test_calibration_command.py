@@ -12,7 +12,7 @@ from calibration_views import board_in_camera, poses, rendered
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main
 from pixel2catch.perception.calibration.target import SQUARE, CharucoBoard, read_image
-from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import ARM_JOINTS, RGB_CAMERA
 
 JOINTS = [joint.name for joint in ARM_JOINTS]
 NUM_IMAGES = 8

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, calibrate
 from pixel2catch.perception.calibration.target import View
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 NOISE = 0.3
 

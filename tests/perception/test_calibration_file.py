@@ -10,7 +10,7 @@ import torch
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 STDS = (0.01, 0.02, 0.03, 0.004, 0.005, 0.006)
 FILE = CameraFile(

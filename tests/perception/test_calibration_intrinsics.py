@@ -20,7 +20,7 @@ from pixel2catch.perception.calibration.intrinsics import (
     read_intrinsics,
 )
 from pixel2catch.perception.calibration.target import CharucoBoard, Chessboard, View, read_image
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 YAML = """image_width: 640
 image_height: 480

@@ -22,7 +22,7 @@ from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image, Mask, PointPrompt, Prompt, Segmentation, Segmenter
-from pixel2catch.robot.constants import CONTROL_DT, JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import CONTROL_DT, JOINTS, RGB_CAMERA
 
 RED = (220, 20, 20)
 REDS = ColorRange(hue=(350.0, 10.0))

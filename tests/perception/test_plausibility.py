@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, judge
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 Box = tuple[float, float, float, float]
 OBJECT: Box = (300.0, 200.0, 330.0, 230.0)

@@ -11,8 +11,8 @@ from pixel2catch.camera.pinhole import back_project
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.factory import JOINT_NAMES, make_robot_mask
 from pixel2catch.perception.robot_mask import MARGIN, RobotMask
-from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 STRIDE = 3
 ROBOT_GROUPS = (2, 3)

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.rosbag_images import bag_frames
-from pixel2catch.robot.constants import JOINTS
+from pixel2catch.scene.constants import JOINTS
 
 IMAGE = next(throw())
 NAMES = [joint.name for joint in JOINTS]

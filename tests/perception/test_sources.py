@@ -26,7 +26,7 @@ from pixel2catch.perception.sources import (
     ticks_of,
     video_frames,
 )
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 
 def test_video_keeps_pixels_and_stamps(tmp_path: Path):

@@ -21,7 +21,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO
 from pixel2catch.perception.annotate import HEADER, PLOT_HEIGHT, PLOT_ROWS
 from pixel2catch.perception.tracking import COLUMNS
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 AT = ["--at", f"{HELD * CONTROL_DT:.3f}"]
 RED = ["--segmenter", "color", "--color", "340", "20"]

@@ -15,7 +15,7 @@ from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.sources import Tick, on_control_clock
 from pixel2catch.perception.tracking import COLUMNS, Sighting, Tally, follow
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 RED = ColorRange(hue=(340, 20))
 

@@ -11,8 +11,8 @@ from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
 from pixel2catch.rendering.camera import OBJECT, CameraCfg, Exposure, Moment, RoomCamera, room_positions
 from pixel2catch.rendering.renderer import Renderer, find_gl_backend
 from pixel2catch.rendering.room import Bystanders, build_room
-from pixel2catch.robot.constants import JOINTS
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.constants import JOINTS
+from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.twin.simulated_lab import Thrower
 
 RELEASE = np.array((2.6, 0.1, 0.8))

@@ -17,7 +17,7 @@ from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.rendering.camera import OBJECT
 from pixel2catch.rendering.renderer import find_gl_backend
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 METHOD = METHODS["proposed"]
 FILM = FilmCfg(num_empty=2, num_held=2)

@@ -14,9 +14,9 @@ from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.camera import OBJECT, CameraCfg, Moment
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, FOLLOW_THROUGH, HAND_DROP, Bystanders, build_room
-from pixel2catch.robot import constants
-from pixel2catch.robot.constants import RGB_CAMERA
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene import constants
+from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 RELEASE = np.array((2.6, 0.1, 0.8))
 SCENE_MODEL = build_model(SceneCfg())

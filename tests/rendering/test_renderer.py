@@ -11,8 +11,8 @@ from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.rendering import renderer as module
 from pixel2catch.rendering.renderer import OUTSIDE_VIEW, Renderer, View, find_gl_backend
 from pixel2catch.rendering.video import VideoWriter
-from pixel2catch.robot.constants import RGB_CAMERA
-from pixel2catch.robot.scene import OBJECT_START, SceneCfg, build_model
+from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.scene import OBJECT_START, SceneCfg, build_model
 
 MODEL = build_model(SceneCfg(visuals=True))
 

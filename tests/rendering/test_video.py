@@ -13,8 +13,8 @@ from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.rendering.video import RecordedThrow, draw_box, write_video
-from pixel2catch.robot.constants import RGB_CAMERA
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import torch
 from copies import HOME, NUM_ENVS, NUM_JOINTS
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, NonFiniteError, UnknownNameError
-from pixel2catch.robot.constants import PHYSICS_DT
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.constants import PHYSICS_DT
+from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim import warp
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.devices import make_simulation

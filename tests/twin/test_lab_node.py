@@ -9,11 +9,11 @@ from twin_bench import PROFILE, START, Bench
 
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import DeploymentError
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.twin.camera import LATENCY
 from pixel2catch.twin.drivers import CYCLE
 from pixel2catch.twin.lab_node import LabNode

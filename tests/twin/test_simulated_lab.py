@@ -13,9 +13,9 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.evaluation.protocol import TRIAL_STEPS, EvaluationCfg
 from pixel2catch.mdp.randomization import RandomizationCfg
-from pixel2catch.robot.constants import CONTROL_DT
-from pixel2catch.robot.objects import SEEN
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.objects import SEEN
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.simulated_lab import EMPTY_TIME, Phase, SimulatedLab
 
 DECIMATION = 4

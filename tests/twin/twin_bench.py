@@ -9,11 +9,11 @@ import numpy as np
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.rendering.camera import Exposure, Image
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock
+from pixel2catch.scene.constants import JOINTS
 from pixel2catch.twin.camera import Camera
 from pixel2catch.twin.lab_node import COMMAND, STATE, LabNode
 from pixel2catch.twin.simulated_lab import SimulatedLab

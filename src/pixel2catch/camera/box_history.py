@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.robot.constants import CameraSpec
+from pixel2catch.scene.constants import CameraSpec
 
 NUM_BOXES = 16
 """Boxes that `box_fit` is made for. Source: ours, see there."""

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.robot.constants import CameraSpec
+from pixel2catch.scene.constants import CameraSpec
 
 
 def box_of_points(

@@ -15,7 +15,7 @@ from torch import Tensor
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
-from pixel2catch.robot.constants import CameraSpec, Vec3
+from pixel2catch.scene.constants import CameraSpec, Vec3
 
 FORMAT_VERSION = 1
 """Version of the files. Raised when an older one can no longer be read."""

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.errors import UnknownNameError
-from pixel2catch.robot.constants import CameraSpec
+from pixel2catch.scene.constants import CameraSpec
 
 PIXEL_FEATURES = ("cx", "cy", "w", "h", "dcx", "dcy", "dw", "dh")
 """Centre and size of the box as shares of the image, and their changes since the last control step [px]."""

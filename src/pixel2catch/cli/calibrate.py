@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import InvalidValueError, RecordingError
 from pixel2catch.files import require_free_file, write_atomically
-from pixel2catch.robot.constants import ARM_JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import ARM_JOINTS, RGB_CAMERA
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

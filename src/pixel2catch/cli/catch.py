@@ -37,7 +37,7 @@ class Catch:
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import quality_table, results_table
-        from pixel2catch.robot.objects import OBJECT_GROUPS
+        from pixel2catch.scene.objects import OBJECT_GROUPS
 
         prepare("cpu")
         policy, method = load_policy(None)

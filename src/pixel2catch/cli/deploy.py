@@ -15,9 +15,9 @@ from pixel2catch.perception.factory import PerceptionArgs
 if TYPE_CHECKING:
     from pixel2catch.deployment.control_loop import ControlLoop
     from pixel2catch.deployment.policy_pipeline import PolicyPipeline
-    from pixel2catch.robot.constants import CameraSpec
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.ros2.transport import Clock
+    from pixel2catch.scene.constants import CameraSpec
 
 
 @dataclass(frozen=True, kw_only=True)

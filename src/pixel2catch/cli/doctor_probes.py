@@ -248,7 +248,7 @@ def sam2(checkpoint: Path | None) -> str:
 
     from pixel2catch.perception.sam2 import Sam2Segmenter
     from pixel2catch.perception.segmenter import BoxPrompt
-    from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+    from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     segmenter = Sam2Segmenter(checkpoint, device)
@@ -271,7 +271,7 @@ def camera(source: str | None) -> str:
     if source is None:
         raise Absent("not asked for: name it with --camera")
     from pixel2catch.perception.sources import measure_camera, open_camera
-    from pixel2catch.robot.constants import RGB_CAMERA
+    from pixel2catch.scene.constants import RGB_CAMERA
 
     report = measure_camera(open_camera(source), CAMERA_SECONDS)
     found = (

@@ -51,7 +51,7 @@ class Evaluate:
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.files import write_atomically
-        from pixel2catch.robot.objects import select_objects
+        from pixel2catch.scene.objects import select_objects
 
         prepare(self.device)
         policy, method = load_policy(self.policy, self.device)

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
     from pixel2catch.identification.rehearsal import Assessment
     from pixel2catch.identification.trajectory import Trajectory
-    from pixel2catch.robot.joint_dynamics import JointDynamics
+    from pixel2catch.robots.joint_dynamics import JointDynamics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ class Excite:
         """The dynamics of the robot's joints; what a file does not have is nominal."""
         from pixel2catch.identification.robot import ROBOTS
         from pixel2catch.mdp.dynamics_file import DynamicsFile
-        from pixel2catch.robot.joint_dynamics import JointDynamics
+        from pixel2catch.robots.joint_dynamics import JointDynamics
 
         return DynamicsFile.load(path).dynamics.over(JointDynamics.nominal()).select(ROBOTS[self.robot])
 

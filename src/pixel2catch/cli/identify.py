@@ -80,7 +80,7 @@ class Identify:
     def _fit_cfg(self) -> "FitCfg":
         """How to fit; the rate is one that a training can have."""
         from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
-        from pixel2catch.robot.scene import SceneCfg
+        from pixel2catch.scene.scene import SceneCfg
 
         default = FILTER_PARAMETERS if self.filter else SERVO_PARAMETERS
         physics_dt = SceneCfg(physics_hz=self.physics_hz).physics_dt

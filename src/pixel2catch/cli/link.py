@@ -104,7 +104,7 @@ class Link(Network):
 
     def _setup(self, profile: "Profile") -> "ServoSetup":
         """What the servo is the servo of."""
-        from pixel2catch.robot.joint_dynamics import JointDynamics
+        from pixel2catch.robots.joint_dynamics import JointDynamics
         from pixel2catch.servo.limits import JointLimits, ServoLimits
         from pixel2catch.servo.process import ServoSetup
 

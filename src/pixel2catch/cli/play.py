@@ -41,7 +41,7 @@ class Play:
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.rendering.video import write_video
-        from pixel2catch.robot.objects import select_objects
+        from pixel2catch.scene.objects import select_objects
 
         prepare("cpu")
         find_gl_backend()

@@ -97,7 +97,7 @@ def whole_robot(trajectory: "Trajectory"):
     """The targets of all joints by time [rad]; joints that the trajectory leaves out hold the start pose."""
     import numpy as np
 
-    from pixel2catch.robot.constants import JOINTS
+    from pixel2catch.scene.constants import JOINTS
 
     names = [joint.name for joint in JOINTS]
     columns = [names.index(name) for name in trajectory.joints]

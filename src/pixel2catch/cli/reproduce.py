@@ -147,7 +147,7 @@ class Reproduce:
         from pixel2catch.cli.train import Train
         from pixel2catch.errors import UnknownNameError
         from pixel2catch.learning.config import TrainCfg
-        from pixel2catch.robot.scene import SceneCfg
+        from pixel2catch.scene.scene import SceneCfg
 
         free = {field.name for field in fields(TrainCfg)} - {"transitions", *OWN}
         given: dict[str, Any] = {"device": device} | {

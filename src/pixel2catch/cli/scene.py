@@ -22,7 +22,7 @@ class Scene:
 
     def run(self) -> None:
         """Write the file."""
-        from pixel2catch.robot.scene import SceneCfg, export
+        from pixel2catch.scene.scene import SceneCfg, export
 
         export(self.file, SceneCfg(workcell=self.workcell, visuals=True), self.object)
         print(f"wrote {self.file}")

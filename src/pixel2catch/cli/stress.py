@@ -49,7 +49,7 @@ class Stress:
         from pixel2catch.evaluation.stress.measuring import StressCfg, find_policies, measure, plan_results
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
-        from pixel2catch.robot.objects import select_objects
+        from pixel2catch.scene.objects import select_objects
 
         settings = select_settings(self.axes)
         cfg = StressCfg(

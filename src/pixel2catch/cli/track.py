@@ -21,7 +21,7 @@ from pixel2catch.perception.factory import JOINT_NAMES, PerceptionArgs, make_rob
 
 if TYPE_CHECKING:
     from pixel2catch.perception.tracking import Sighting, Tally
-    from pixel2catch.robot.constants import CameraSpec
+    from pixel2catch.scene.constants import CameraSpec
 
 VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"
 """Files in the folder that it writes."""

@@ -26,7 +26,7 @@ class TaskArgs:
     def make(self, policy: "Policy") -> "CatchEnvCfg":
         """The task in which a policy is to catch."""
         from pixel2catch.evaluation.loading import task_of
-        from pixel2catch.robot.objects import select_objects
+        from pixel2catch.scene.objects import select_objects
 
         return replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
 

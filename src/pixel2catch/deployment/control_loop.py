@@ -22,9 +22,9 @@ from pixel2catch.deployment.timing import DecisionDelay, DecisionTimer
 from pixel2catch.errors import DeploymentError, NonFiniteError
 from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.segmenter import BoxPrompt, Prompt
-from pixel2catch.robot.constants import CONTROL_DT, JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
+from pixel2catch.scene.constants import CONTROL_DT, JOINTS
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.state import Mode
 

@@ -8,11 +8,11 @@ import numpy as np
 from pixel2catch.errors import DeploymentError
 from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.perception.extractor import CameraFrame
-from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading
 from pixel2catch.ros2.profile import CameraProfile
 from pixel2catch.ros2.transport import Clock, Message, Transport
+from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.motion import Joints
 
 DEPTH = 4

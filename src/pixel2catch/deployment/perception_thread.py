@@ -10,8 +10,8 @@ from typing import Generic, TypeVar, final
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.segmenter import Prompt
-from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.ros2.transport import Clock
+from pixel2catch.scene.constants import CONTROL_DT
 
 ROUNDING = 1e-9
 """Difference of two times that is none [s]."""

@@ -24,9 +24,9 @@ from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.own_methods import method_of
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.motion import Joints
 

@@ -20,12 +20,12 @@ from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.perception.rosbag_images import opened_bag
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, JOINTS, CameraSpec
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import MessageQueue, MessageQueues
 from pixel2catch.ros2.messages import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, JOINT_STATE, SUFFIX, uncompress
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Message, Publisher, Subscription, Topic, Transport
+from pixel2catch.scene.constants import ARM_JOINTS, CONTROL_DT, JOINTS, CameraSpec
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.process import ServoSetup
 

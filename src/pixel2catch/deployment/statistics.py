@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.perception.extractor import Extraction
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.state import Clamp, Mode
 from pixel2catch.servo.watchdogs import Fault, flag_names

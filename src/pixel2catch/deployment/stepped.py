@@ -14,8 +14,8 @@ from pixel2catch.deployment.perception_thread import CallerWorker
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import Connection, DeploymentRecorder
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robot.constants import CameraSpec
 from pixel2catch.ros2.transport import Clock, Transport
+from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.servo.link import link
 from pixel2catch.servo.process import Servo, ServoSetup
 

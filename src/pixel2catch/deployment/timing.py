@@ -5,7 +5,7 @@ from math import floor, inf
 
 import numpy as np
 
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 QUANTILE = 0.9
 """Share of the images that are looked at in time. Source: ours."""

@@ -28,7 +28,7 @@ from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import History, Measurement, Transition
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.workcells import find_workcell
 
 

@@ -14,10 +14,10 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
-from pixel2catch.robot.joint_dynamics import JointDynamics
-from pixel2catch.robot.objects import SEEN
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.objects import SEEN
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
 
 COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera")

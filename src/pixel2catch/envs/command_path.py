@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.mdp.masks import select
-from pixel2catch.robot.joint_dynamics import JointDynamics, command_lag, filter_transition
+from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
 
 
 class CommandPath:

@@ -19,8 +19,8 @@ from pixel2catch.mdp.randomization import (
 from pixel2catch.mdp.shaking import Shake, sample_shake
 from pixel2catch.mdp.sight import Sight, is_sight_exact, sample_sight
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
-from pixel2catch.robot.objects import OBJECTS
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.scene.scene import SceneCfg
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from pixel2catch.envs.command_path import CommandPath
 from pixel2catch.envs.servo import Servos, ServoState
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.sim.simulation import Simulation
 
 

@@ -10,7 +10,7 @@ from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.mdp.columns import Columns, take
 from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 REST_STEPS = HOLD_STEPS // 2
 """Last control steps before a success in which robot and hold should have come to rest. Source: ours."""

@@ -12,7 +12,7 @@ from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
 from pixel2catch.mdp.sight import scaled_box, tracked_position
 from pixel2catch.mdp.snapshot import Privileged
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 
 class Eye(ABC):

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.mdp.masks import select
-from pixel2catch.robot.scene import contact_sensors
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.scene import contact_sensors
 
 
 class PhysicsLog(NamedTuple):

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.robot.constants import SPEED_MARGIN
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.constants import SPEED_MARGIN
 
 EFFORT_MARGIN = 0.999
 """Share of a joint's effort limit that a servo asks for; at the limit itself MuJoCo clamps."""

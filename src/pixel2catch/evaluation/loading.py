@@ -13,8 +13,8 @@ from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import Method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.own_methods import method_of
-from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
 
 PHYSICS_HZ = 600.0

@@ -16,7 +16,7 @@ from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
 from pixel2catch.methods import Method
-from pixel2catch.robot.objects import OBJECTS
+from pixel2catch.scene.objects import OBJECTS
 
 Metrics = dict[str, Any]
 

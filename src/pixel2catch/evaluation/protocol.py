@@ -29,8 +29,8 @@ from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method
 from pixel2catch.rendering.video import RecordedThrow
-from pixel2catch.robot.constants import CONTROL_DT
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.constants import CONTROL_DT
 
 TRIAL_STEPS = EpisodeCfg().max_steps
 """Control steps in which reaching and success count: those of a training episode."""

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.files import write_atomically
-from pixel2catch.robot.objects import SEEN, UNSEEN
+from pixel2catch.scene.objects import SEEN, UNSEEN
 
 if TYPE_CHECKING:  # it takes a second, and most results are no pictures
     from matplotlib.figure import Figure

@@ -21,7 +21,7 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.rehearsal import Assessment, assess
 from pixel2catch.identification.robot import ROBOT, Robot, largest_step
 from pixel2catch.identification.trajectory import REST, Trajectory
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 RATE = 125.0
 """Targets in a second [Hz].

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion
-from pixel2catch.robot.joint_dynamics import PARAMETERS, SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
+from pixel2catch.robots.joint_dynamics import PARAMETERS, SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
 
 SERVO_PARAMETERS = ("stiffness", "damping", "frictionloss", "armature", "latency")
 """What is fitted where commands reach the servo unfiltered."""

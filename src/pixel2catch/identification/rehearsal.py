@@ -20,7 +20,7 @@ from pixel2catch.identification.robot import ROBOT, Robot
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, friction_torque, is_settled
 from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 
 STALLED_TURN = 0.04
 """Length of a turn of a loop that stalls [s]. Source: a real UR5 recording, where 5 % of them did."""

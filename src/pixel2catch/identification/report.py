@@ -28,7 +28,7 @@ from pixel2catch.identification.report_tables import (
     whole_checks_grid,
 )
 from pixel2catch.identification.robot import short
-from pixel2catch.robot.joint_dynamics import PARAMETERS
+from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files
 

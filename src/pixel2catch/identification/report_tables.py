@@ -22,7 +22,7 @@ from pixel2catch.identification.identify import (
 from pixel2catch.identification.rehearsal import Assessment
 from pixel2catch.identification.robot import ROBOT, short
 from pixel2catch.mdp.randomization import GainRanges
-from pixel2catch.robot.joint_dynamics import PARAMETERS
+from pixel2catch.robots.joint_dynamics import PARAMETERS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 WELL_KNOWN = 0.1

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool
 
-from pixel2catch.robot.constants import ARM_JOINTS, HAND_JOINTS, SPEED_MARGIN, JointSpec
-from pixel2catch.robot.scene import SceneCfg, build_spec
+from pixel2catch.scene.constants import ARM_JOINTS, HAND_JOINTS, SPEED_MARGIN, JointSpec
+from pixel2catch.scene.scene import SceneCfg, build_spec
 
 
 @dataclass(frozen=True, kw_only=True)

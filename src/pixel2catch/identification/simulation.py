@@ -20,7 +20,7 @@ from pixel2catch.envs.command_path import filtered
 from pixel2catch.envs.servo import EFFORT_MARGIN, FRICTION_SPEED
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording, held
-from pixel2catch.robot.joint_dynamics import JointDynamics, command_lag, filter_transition
+from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
 from pixel2catch.sim.batch import BatchSimulation
 
 FIT_DT = 1.0 / 480.0

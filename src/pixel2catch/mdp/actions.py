@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.robot.constants import CONTROL_DT, JointSpec
+from pixel2catch.scene.constants import CONTROL_DT, JointSpec
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.robot.constants import GRAVITY
+from pixel2catch.scene.constants import GRAVITY
 
 NUM_STEPS = 16
 """Steps of the midpoint rule in a flight. Source: ours, a millimetre."""

@@ -11,7 +11,7 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.files import write_atomically
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

@@ -14,7 +14,7 @@ from pixel2catch.camera import box_history
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
 from pixel2catch.mdp.columns import Columns, take
 from pixel2catch.mdp.snapshot import History, Measurement, Privileged
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from pixel2catch.camera.visibility import is_in_view
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.throws import Amount, Range
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)
 """The camera of the release, known exactly."""

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.mdp.throws import Throw, random_directions
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 
 @dataclass(frozen=True, kw_only=True)

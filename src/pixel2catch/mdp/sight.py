@@ -13,7 +13,7 @@ from torch import Tensor
 from pixel2catch.camera.pinhole import Projection, back_project, nominal_projection
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
 from pixel2catch.mdp.throws import Amount, Throw, drawn, random_directions
-from pixel2catch.robot.constants import CONTROL_DT, CameraSpec
+from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 
 
 @dataclass(frozen=True, kw_only=True)

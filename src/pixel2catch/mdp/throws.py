@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pixel2catch.mdp.drag import flight_time, velocity_through_air
-from pixel2catch.robot.constants import GRAVITY
+from pixel2catch.scene.constants import GRAVITY
 
 Range = tuple[float, float]
 

@@ -11,7 +11,7 @@ from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.perception.tracking import Sighting
-from pixel2catch.robot.constants import RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 Color = tuple[int, int, int]
 Canvas = UInt8[np.ndarray, "rows columns 3"]

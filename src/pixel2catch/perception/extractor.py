@@ -20,7 +20,7 @@ from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Mask, Segmentation, Segmenter, check_image
 from pixel2catch.perception.timing import StageClock
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 LARGEST_AGE = 2.5 * CONTROL_DT
 """Age up to which a box is fresh [s]. Source: release; in training boxes are one or two steps old."""

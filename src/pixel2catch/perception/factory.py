@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robot.constants import JOINTS, RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import JOINTS, RGB_CAMERA, CameraSpec
 
 if TYPE_CHECKING:
     from pixel2catch.perception.color import ColorRange
@@ -126,7 +126,7 @@ class PerceptionArgs:
 def make_robot_mask(camera: CameraSpec = RGB_CAMERA, workcell: str = "ur5e_allegro") -> "RobotMask":
     """What tells the robot's pixels in a camera's images."""
     from pixel2catch.perception.robot_mask import RobotMask
-    from pixel2catch.robot.scene import SceneCfg, build_model
+    from pixel2catch.scene.scene import SceneCfg, build_model
 
     return RobotMask(build_model(SceneCfg(workcell=workcell, visuals=True)), JOINT_NAMES, camera)
 

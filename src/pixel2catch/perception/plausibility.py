@@ -6,7 +6,7 @@ from enum import StrEnum
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.robot.constants import CameraSpec
+from pixel2catch.scene.constants import CameraSpec
 
 
 class Verdict(StrEnum):

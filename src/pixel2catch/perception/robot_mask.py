@@ -11,8 +11,8 @@ from jaxtyping import Float
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.segmenter import Mask
-from pixel2catch.robot import shapes
-from pixel2catch.robot.constants import CameraSpec
+from pixel2catch.scene import shapes
+from pixel2catch.scene.constants import CameraSpec
 
 NEAREST = 0.05
 """Points nearer to the camera's plane are left out [m]."""

@@ -19,7 +19,7 @@ from av.error import FFmpegError
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.rosbag_images import bag_frames
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 BAG_SUFFIXES = (".mcap", ".db3")
 

@@ -12,7 +12,7 @@ from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.sources import Tick
 from pixel2catch.perception.timing import Percentiles, StageClock
-from pixel2catch.robot.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT
 
 STAGES = ("robot", "segment", "box", "features", "total")
 """Stages of the extractor, in the order in which they run."""

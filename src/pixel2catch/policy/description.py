@@ -10,8 +10,8 @@ from pixel2catch.mdp.observations import Frame, pixel_columns
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import Method
 from pixel2catch.policy.contract import AgentContract, PolicyContract
-from pixel2catch.robot.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 

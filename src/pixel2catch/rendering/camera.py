@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float, UInt8
 from pixel2catch.camera.pinhole import project
 from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer
 from pixel2catch.rendering.room import build_room
-from pixel2catch.robot.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
-from pixel2catch.robot.object_table import GEOM_FIELDS, object_indices, object_table
-from pixel2catch.robot.scene import SceneCfg
 from pixel2catch.robots.geometry import first_chain
+from pixel2catch.scene.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
+from pixel2catch.scene.object_table import GEOM_FIELDS, object_indices, object_table
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM, ROBOT = slice(len(ARM_JOINTS)), slice(len(JOINTS))

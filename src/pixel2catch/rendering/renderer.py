@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, UInt8
 from mujoco.rendering.classic import gl_context
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
-from pixel2catch.robot.constants import RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 GL_BACKENDS = ("egl", "osmesa")
 """MuJoCo's back ends that need no display, in the order of preference: EGL also draws on a GPU."""

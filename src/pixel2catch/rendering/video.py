@@ -14,8 +14,8 @@ from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.rendering.renderer import OUTSIDE_VIEW, RGB_VIEW, Renderer, View
-from pixel2catch.robot.constants import CONTROL_DT
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 VIEWS: dict[str, tuple[View, ...]] = {
     "rgb": (RGB_VIEW,),

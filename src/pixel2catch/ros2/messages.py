@@ -15,8 +15,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.robot.constants import PIXEL_CENTER, CameraSpec
 from pixel2catch.ros2.transport import Topic
+from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
 
 SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
 ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"

@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading, JointReading
 from pixel2catch.ros2.schema import TopicType, read_yaml
 from pixel2catch.ros2.transport import Topic
+from pixel2catch.scene.constants import JOINTS
 
 NAMES = tuple(joint.name for joint in JOINTS)
 """Our names of the joints, in joint order."""

@@ -6,8 +6,8 @@ from math import pi
 import numpy as np
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robot.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS, JOINTS, SPEED_MARGIN
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS, JOINTS, SPEED_MARGIN
 from pixel2catch.servo.motion import Joints, MotionLimits
 from pixel2catch.servo.workspace import Workspace
 

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar, final
 import numpy as np
 from jaxtyping import Float64
 
-from pixel2catch.robot.constants import JOINTS
+from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.motion import Joints
 
 BUFFER_SIZE = 1 << 20

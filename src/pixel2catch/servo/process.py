@@ -16,9 +16,9 @@ from time import perf_counter
 
 import numpy as np
 
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport
+from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.core import ServoCore
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link

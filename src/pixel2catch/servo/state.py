@@ -6,7 +6,7 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from jaxtyping import Int64
 
-from pixel2catch.robot.constants import ARM_JOINTS
+from pixel2catch.scene.constants import ARM_JOINTS
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.motion import Motion, Rows, TargetInterpolator
 from pixel2catch.servo.watchdogs import (

@@ -9,10 +9,10 @@ from typing import TypeVar
 import numpy as np
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.robot.constants import JOINTS
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics, Profile, RobotPart, StatusTopics
 from pixel2catch.ros2.transport import Subscription, Topic, Transport
+from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.watchdogs import ServoInputs
 

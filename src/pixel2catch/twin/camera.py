@@ -10,7 +10,7 @@ import torch
 
 from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
-from pixel2catch.robot.scene import SceneCfg
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.processes import SECOND, obey_parent
 
 LATENCY = 0.015

@@ -18,14 +18,14 @@ import viser
 
 from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
 from pixel2catch.deployment.operator import OperatorConsole, newest
-from pixel2catch.robot import shapes
-from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
-from pixel2catch.robot.objects import OBJECTS
-from pixel2catch.robot.scene import OBJECT_RGBA, SceneCfg, build_model
-from pixel2catch.robot.shapes import ConvexPart
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.scene import shapes
+from pixel2catch.scene.constants import JOINTS, RGB_CAMERA
+from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.scene.scene import OBJECT_RGBA, SceneCfg, build_model
+from pixel2catch.scene.shapes import ConvexPart
 from pixel2catch.twin.lab_node import COMMAND, STATE
 from pixel2catch.twin.processes import LAST, obey_parent
 from pixel2catch.twin.trials import RehearsalOperator, run_trial

@@ -8,9 +8,9 @@ from importlib.util import find_spec
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import DeploymentError
-from pixel2catch.robot.scene import SceneCfg
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, make_transport
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.process import set_niceness
 from pixel2catch.twin.camera import Camera, drawing_process
 from pixel2catch.twin.drivers import CYCLE

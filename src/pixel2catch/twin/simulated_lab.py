@@ -23,8 +23,8 @@ from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_near
 from pixel2catch.rendering.camera import OBJECT, ROBOT, Moment
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
-from pixel2catch.robot.constants import CameraSpec
-from pixel2catch.robot.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.twin.camera import Exposure
 from pixel2catch.twin.drivers import Motion
 from pixel2catch.workcells import find_workcell

@@ -18,9 +18,9 @@ from pixel2catch.evaluation.comparison.summary import Curves, Row
 from pixel2catch.evaluation.report import MAIN_RATES
 from pixel2catch.mdp.throws import Range, ThrowCfg, sample_throws
 from pixel2catch.methods import METHODS
-from pixel2catch.robot.constants import GRAVITY, JOINTS, RGB_CAMERA
-from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.robots.workcell import TABLE
+from pixel2catch.scene.constants import GRAVITY, JOINTS, RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours that people with any kind of colour vision tell apart. Source: Okabe and Ito 2008; grey: ours."""

@@ -14,7 +14,7 @@ from numpy import ndarray
 from pixel2catch.evaluation.comparison.plan import GROUPS, ComparisonFolder, Plan, Run
 from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interval
 from pixel2catch.evaluation.report import MAIN_RATES, PAPER, RATES, csv_text
-from pixel2catch.robot.objects import OBJECT_GROUPS
+from pixel2catch.scene.objects import OBJECT_GROUPS
 
 MAXIMA = ("max_joint_speed", "max_torque_share", "max_penetration")
 """Extremes that the tables show: the largest of all seeds."""

@@ -12,7 +12,7 @@ from typing import Any
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.randomization import GainRanges
-from pixel2catch.robot.constants import JOINTS
+from pixel2catch.scene.constants import JOINTS
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]
 """A task, changed; a change can be sent to another process."""

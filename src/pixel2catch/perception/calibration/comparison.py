@@ -15,7 +15,7 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.camera.visibility import is_in_view
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.perception.calibration.intrinsics import camera_matrix
-from pixel2catch.robot.constants import CameraSpec, Vec3
+from pixel2catch.scene.constants import CameraSpec, Vec3
 
 NUM_DRAWS = 100
 """Cameras that are drawn to see what the uncertainty does."""

@@ -22,7 +22,7 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
 from pixel2catch.perception.calibration.target import View
-from pixel2catch.robot.constants import CameraSpec
+from pixel2catch.scene.constants import CameraSpec
 
 Pose = Float[np.ndarray, "4 4"]
 """A homogeneous matrix [m]."""

@@ -15,7 +15,7 @@ from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.calibration.target import Board, View, read_image
 from pixel2catch.perception.rosbag_images import first_camera_info
-from pixel2catch.robot.constants import PIXEL_CENTER, CameraSpec
+from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
 """Lens models of ROS that are OpenCV's; no name stands for no distortion."""

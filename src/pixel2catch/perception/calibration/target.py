@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.perception.segmenter import Image
-from pixel2catch.robot.constants import PIXEL_CENTER
+from pixel2catch.scene.constants import PIXEL_CENTER
 
 MIN_CORNERS = 5
 """Corners of the printed board that tell its pose: four, no three of which are in a line, are among them."""

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robot.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
-from pixel2catch.robot.contact import SOLIMP
+from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
+from pixel2catch.scene.contact import SOLIMP
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 MAX_OBJECT_SCALE = 1.4

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot import shapes
-from pixel2catch.robot.shapes import ConvexPart, VolumeMoments, moments
+from pixel2catch.scene import shapes
+from pixel2catch.scene.shapes import ConvexPart, VolumeMoments, moments
 
 OBJECT_MASS = 0.03
 """Mass of every object [kg]. Source: release."""

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.robot.constants import JOINTS
-from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.robots.geometry import chain_of
+from pixel2catch.scene.constants import JOINTS
+from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_SAMPLES = 100

@@ -18,8 +18,12 @@ from jaxtyping import Float
 from scipy.linalg import expm
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot.constants import JOINTS
+from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.spec import JointSpec
+from pixel2catch.robots.ur5e import ARM
+
+JOINTS: tuple[JointSpec, ...] = (*ARM.joints, *HAND.joints)
+"""Joints that are taken where none are given: the paper's robot's."""
 
 SERVOJ_GAIN = 300.0
 """Gain of the UR5e's servoJ filter [1/s²]. Source: the controller's setting, confirmed on recorded motion."""

@@ -12,13 +12,13 @@ import mujoco
 import numpy as np
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot.constants import quat_multiply
-from pixel2catch.robot.contact import SOLIMP, contact_solref, table_solref
-from pixel2catch.robot.looks import add_looks
-from pixel2catch.robot.objects import MAX_PARTS, OBJECTS, ObjectSpec
-from pixel2catch.robot.scene_cfg import SceneCfg
 from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.workcell import TableSpec, WorkcellSpec, add_robots
+from pixel2catch.scene.cfg import SceneCfg
+from pixel2catch.scene.constants import quat_multiply
+from pixel2catch.scene.contact import SOLIMP, contact_solref, table_solref
+from pixel2catch.scene.objects import MAX_PARTS, OBJECTS, ObjectSpec
+from pixel2catch.scene.surroundings import add_looks
 from pixel2catch.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)

@@ -13,11 +13,11 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.columns import count, put, take
 from pixel2catch.methods import METHODS, find_method, methods_of
 from pixel2catch.policy import contract_of
-from pixel2catch.robot.scene import SceneCfg, build_model
 from pixel2catch.robots.geometry import WorkcellGeometry, chain_of
 from pixel2catch.robots.spec import Placed
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells import find_workcell, workcells
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot import shapes
-from pixel2catch.robot.object_table import object_indices, object_table
-from pixel2catch.robot.objects import OBJECTS, REAL, SEEN, UNSEEN, select_objects, surface_points
-from pixel2catch.robot.scene import SceneCfg, build_model
-from pixel2catch.robot.shapes import moments
+from pixel2catch.scene import shapes
+from pixel2catch.scene.object_table import object_indices, object_table
+from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN, select_objects, surface_points
+from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.scene.shapes import moments
 
 M = 0.03
 

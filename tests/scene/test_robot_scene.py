@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot.constants import JOINTS, RGB_CAMERA
-from pixel2catch.robot.scene import SceneCfg, build_model, export
+from pixel2catch.scene.constants import JOINTS, RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg, build_model, export
 
 FINGERS = ("index", "middle", "ring", "thumb")
 LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint in JOINTS]).T

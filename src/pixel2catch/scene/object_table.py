@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 from numpy import ndarray
 
-from pixel2catch.robot.objects import MAX_PARTS, OBJECTS
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.objects import MAX_PARTS, OBJECTS
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 GEOM_FIELDS = ("geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound")
 BODY_FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_invweight0")

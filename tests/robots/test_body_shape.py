@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from pixel2catch.robot.constants import JOINTS
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.constants import JOINTS
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 FINGERS = ("index", "middle", "ring", "thumb")
 HOME = np.array([joint.home for joint in JOINTS])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.robot.constants import ARM_JOINTS
-from pixel2catch.robot.joint_dynamics import (
+from pixel2catch.robots.joint_dynamics import (
     PARAMETERS,
     SERVOJ_GAIN,
     SERVOJ_LOOKAHEAD,
@@ -15,6 +14,7 @@ from pixel2catch.robot.joint_dynamics import (
     command_lag,
     filter_transition,
 )
+from pixel2catch.scene.constants import ARM_JOINTS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM = tuple(joint.name for joint in ARM_JOINTS)

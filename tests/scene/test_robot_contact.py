@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.robot.constants import JOINTS
-from pixel2catch.robot.contact import PUSH_OUT, contact_solref
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.constants import JOINTS
+from pixel2catch.scene.contact import PUSH_OUT, contact_solref
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 HOME = np.array([joint.home for joint in JOINTS])
 TABLE_SPOT = np.array((-0.25, 0.2, 0.81))

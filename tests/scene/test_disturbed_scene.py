@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robot.object_table import object_table
-from pixel2catch.robot.objects import OBJECTS
-from pixel2catch.robot.scene import SceneCfg, build_model
+from pixel2catch.scene.object_table import object_table
+from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.scene.scene import SceneCfg, build_model
 
 
 @pytest.mark.parametrize("name", ["cube_s", "l_block"])
