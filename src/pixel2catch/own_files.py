@@ -1,10 +1,11 @@
-"""Python files of one's own, which register methods: `pixel2catch --import FILE.py COMMAND ...`."""
+"""Python files of one's own, with methods or work cells: `pixel2catch --import FILE.py COMMAND ...`."""
 
 import importlib.util
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
 from pixel2catch.errors import InvalidValueError
 
@@ -29,21 +30,30 @@ def take_option(args: Sequence[str]) -> list[str]:
     return rest
 
 
-def import_files() -> None:
-    """Import the files that `VARIABLE` names, each once.
+def import_files() -> list[ModuleType]:
+    """Import the files that `VARIABLE` names, each once, and return them.
 
     Raises:
         InvalidValueError: If one cannot be imported by its name.
     """
-    for name in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
-        path = Path(name)
-        known = sys.modules.get(path.stem)
-        if getattr(known, "__file__", None) == str(path):
-            continue
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        if not path.is_file() or known is not None or spec is None or spec.loader is None:
-            raise InvalidValueError(
-                f"cannot import '{name}'; it must be a Python file, FILE.py, named like no module in use."
-            )
-        sys.modules[path.stem] = module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
+    return [import_file(name) for name in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep))]
+
+
+def import_file(name: str) -> ModuleType:
+    """Import a file, once.
+
+    Raises:
+        InvalidValueError: If it cannot be imported by its name.
+    """
+    path = Path(name).absolute()
+    known = sys.modules.get(path.stem)
+    if known is not None and getattr(known, "__file__", None) == str(path):
+        return known
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or known is not None or spec is None or spec.loader is None:
+        raise InvalidValueError(
+            f"cannot import '{name}'; it must be a Python file, FILE.py, named like no module in use."
+        )
+    sys.modules[path.stem] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

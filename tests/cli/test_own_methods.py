@@ -105,3 +105,25 @@ def test_child_processes_know_the_file(runs: Path):
     assert {name: each["method"] for name, each in policies.items()} == {
         name: name for name in ("size_alone", "with_height")
     }
+
+
+CELL = """
+from dataclasses import replace
+
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+(robot,) = UR5E_ALLEGRO.robots
+WORKCELLS = (replace(UR5E_ALLEGRO, name="nearer", robots=(replace(robot, pos=(0.1, 0.0, 0.821)),)),)
+"""
+
+
+def test_a_work_cell_of_ones_own_is_trained_and_evaluated(tmp_path: Path):
+    (tmp_path / "my_cell.py").write_text(CELL)
+    done = pixel2catch(tmp_path, "train", "proposed", "--workcell", "my_cell.py", *TRAINING, "--out", "run")
+    assert done.returncode == 0, done.stderr
+    command = ("evaluate", "run", *THROWS, "--json")
+    lost, found = (pixel2catch(tmp_path, *command, *more) for more in ((), ("--import", "my_cell.py")))
+    assert lost.returncode == 2
+    assert "unknown work cell 'nearer'" in lost.stderr
+    assert "--import FILE.py" in lost.stderr
+    assert json.loads(found.stdout)["method"] == "proposed", found.stderr

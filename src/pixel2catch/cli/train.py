@@ -32,6 +32,8 @@ class Train:
         method: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
             shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes
             or +fit.
+        workcell: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file
+            that defines WORKCELLS; other commands know those of a file by `--import FILE.py`.
         preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
         out: Folder of the run. Default: runs/METHOD-seedSEED.
         resume: Go on from the last checkpoint in that folder.

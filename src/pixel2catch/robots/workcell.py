@@ -56,7 +56,7 @@ class PlacedPalm:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkcellSpec:
-    """Robots, table.
+    """Robots with their places, and the table that they stand on.
 
     Attributes:
         name: Its name.
@@ -69,10 +69,13 @@ class WorkcellSpec:
     table: TableSpec = field(default_factory=lambda: TABLE)
 
     def __post_init__(self) -> None:
-        """Refuse a work cell in which nothing can be caught, or a name is taken twice."""
+        """Refuse a robot that can catch nothing, and a name that is taken twice."""
         names = [joint.name for joint in self.joints]
-        if not self.palms:
-            raise InvalidValueError(f"the work cell '{self.name}' has no palm; give a robot a hand to hold")
+        for placed in self.robots:
+            if not any(part.palms for part in placed.robot.parts):
+                raise InvalidValueError(
+                    f"'{placed.robot.name}' in the work cell '{self.name}' has no palm; give it a hand to hold"
+                )
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise InvalidValueError(

@@ -16,7 +16,7 @@ class SceneCfg:
     """What can be chosen about the scene.
 
     Attributes:
-        workcell: Name of the work cell, or a Python file that defines `WORKCELL`.
+        workcell: Name of the work cell, or a Python file that defines `WORKCELLS`.
         physics_hz: Physics steps in a second, a multiple of the control rate. Default: paper.
         visuals: Whether to add lights, textures and what is only seen.
         camera: What pictures are taken by.

@@ -1,8 +1,7 @@
-"""Numbers of the robot, the table and the camera, each with its source.
+"""Numbers of time, gravity and the camera, each with its source, and the joints of the paper's robot.
 
 Lengths in metres, angles in radians, quaternions (w, x, y, z). World frame: z up, x from the robot towards
-the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configuration, "UR" the DH parameters
-and masses that Universal Robots publishes for the UR5e.
+the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configuration.
 """
 
 from dataclasses import dataclass
@@ -31,10 +30,7 @@ SPEED_MARGIN = 0.9
 """Share of a joint's speed limit that is asked for; the rest is for the pull of the other joints (ours)."""
 
 JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
-"""All controlled joints: the joint order of every tensor."""
-
-FINGERS = ("index", "middle", "ring", "thumb")
-"""Names of the fingers; bodies, sites and sensors are named by them."""
+"""All joints of the paper's robot, in joint order; those of any robot are in its `WorkcellSpec`."""
 
 PIXEL_CENTER = 0.5
 """The middle of the first pixel in image coordinates, along u and v [px]; ROS and OpenCV call it 0."""

@@ -4,22 +4,24 @@ A new one is a new file that defines `WORKCELLS`; no other file changes.
 """
 
 import importlib
-import importlib.util
 import pkgutil
-from pathlib import Path
 from types import ModuleType
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.own_files import OPTION, import_file, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
 
 _FOUND: dict[str, WorkcellSpec] = {}
 
 
 def workcells() -> dict[str, WorkcellSpec]:
-    """All work cells that are known, by name: those of the package, and those of files that were read."""
+    """All work cells that are known, by name: those of the package, and of files that were imported."""
     if not _FOUND:
         for module in pkgutil.iter_modules(__path__):
             _add(importlib.import_module(f"{__name__}.{module.name}"))
+    for module in import_files():
+        if hasattr(module, "WORKCELLS"):
+            _add(module)
     return _FOUND
 
 
@@ -31,14 +33,14 @@ def find_workcell(name: str) -> WorkcellSpec:
 
     Raises:
         UnknownNameError: With the valid names.
-        InvalidValueError: If a file defines none, or cannot be run.
+        InvalidValueError: If a file defines none, or cannot be imported.
     """
     known = workcells()
     if name in known:
         return known[name]
     if name.endswith(".py"):
-        return _add(_module(Path(name)))
-    raise UnknownNameError("work cell", name, (*known, "or a file of your own, PATH.py"))
+        return _add(import_file(name))
+    raise UnknownNameError("work cell", name, (*known, f"or one of a file of your own, {OPTION} FILE.py"))
 
 
 def _add(module: ModuleType) -> WorkcellSpec:
@@ -48,15 +50,3 @@ def _add(module: ModuleType) -> WorkcellSpec:
         raise InvalidValueError(f"{module.__file__} defines no WORKCELLS, a tuple of WorkcellSpec")
     _FOUND.update({each.name: each for each in found})
     return found[0]
-
-
-def _module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None or not path.exists():
-        raise InvalidValueError(f"there is no file '{path}'")
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise InvalidValueError(f"cannot run '{path}': {type(error).__name__}: {error}") from error
-    return module
