@@ -20,10 +20,10 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from pixel2catch.robots.allegro import Handedness
+from pixel2catch.robots.allegro import PALM, Handedness
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.robots.workcell import robot_mjcf
-from pixel2catch.scene.constants import FINGERS, HAND_JOINTS
+from pixel2catch.scene.constants import HAND_JOINTS
 from pixel2catch.scene.scene import SceneCfg, build_model
 
 SAMPLES = 200
@@ -32,6 +32,8 @@ CHAIN = 4
 """Bodies of a finger."""
 
 Surface = Literal["collision", "visual"]
+
+FINGERS = tuple(finger.name for finger in PALM.fingers)
 
 
 def load(path: str, surface: Surface) -> mujoco.MjModel:

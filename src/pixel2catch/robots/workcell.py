@@ -74,7 +74,7 @@ class WorkcellSpec:
         for placed in self.robots:
             if not any(part.palms for part in placed.robot.parts):
                 raise InvalidValueError(
-                    f"'{placed.robot.name}' in the work cell '{self.name}' has no palm; give it a hand to hold"
+                    f"'{placed.robot.name}' in work cell '{self.name}' has no palm; give it a hand to hold"
                 )
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
