@@ -10,10 +10,12 @@ from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.episodes import FAILURES, EpisodeRecord, failure
 from pixel2catch.envs.physics_log import PhysicsLog
 from pixel2catch.envs.statistics import EpisodeStatistics
+from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.robots.geometry import WorkcellGeometry
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 OBJECTS = ("ball", "box")
@@ -33,6 +35,7 @@ def yes(*rows: int) -> torch.Tensor:
 
 
 ARMS = (slice(0, 6),)
+PALMS = (slice(0, 1),)
 
 
 def record() -> EpisodeRecord:
@@ -192,7 +195,7 @@ def test_a_record_of_three_steps_by_hand():
         now = state_of(height)
         itself = number != 2
         episode = episode.advanced(
-            step_of(now, now, held, number), log_of(touching, depth, itself=itself), ARMS
+            step_of(now, now, held, number), log_of(touching, depth, itself=itself), ARMS, PALMS
         )
     assert (episode.steps.item(), episode.held_steps.item(), episode.contact_steps.item()) == (3, 2, 2)
     assert episode.contact_height.item() == pytest.approx(1.04)
@@ -209,7 +212,7 @@ def held_for(
     """The record after these steps of a hold, all alike."""
     now = state_of(1.04, joint_speed=joint_speed)
     for held in range(first, last + 1):
-        episode = episode.advanced(step_of(now, now, held, held), log_of(True, torque=torque), ARMS)
+        episode = episode.advanced(step_of(now, now, held, held), log_of(True, torque=torque), ARMS, PALMS)
     return episode
 
 
@@ -237,6 +240,17 @@ def test_a_hold_that_fails_counts_nothing_and_what_follows_a_success_neither():
         assert episode.hold_torque_share.item() == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(("part", "is_palm"), [(0, True), (1, False), (5, True), (9, False)])
+def test_any_palm_counts_as_palm_contact(part: int, is_palm: bool):
+    """Two robots: a palm and four fingers each."""
+    world = CatchWorld(SceneCfg(workcell="two_ur5e_allegro"), None, num_envs=1, device="cpu")
+    assert world.palms == (slice(0, 1), slice(5, 6))
+    log = log_of(False)._replace(is_touching=torch.nn.functional.one_hot(torch.tensor([part]), 10).bool())
+    step = step_of(state_of(1.04), state_of(1.04), 0, 1)
+    episode = EpisodeRecord.start(torch.tensor([1]), torch.zeros(1, 3))
+    assert episode.advanced(step, log, ARMS, world.palms).is_palm_contact.item() == is_palm
+
+
 def test_deceleration_counts_from_the_first_contact_to_success():
     """A change of 4 m/s in 1/30 s is 120 m/s²; before the contact and after the success none counts."""
     episode = EpisodeRecord.start(torch.tensor([1]), torch.zeros(1, 3))
@@ -248,7 +262,7 @@ def test_deceleration_counts_from_the_first_contact_to_success():
         (9.0, 0.0, 21, True, 150.0),  # shaken afterwards
     ):
         step = step_of(state_of(1.04, before), state_of(1.04, after), held, 1)
-        episode = episode.advanced(step, log_of(touching), ARMS)
+        episode = episode.advanced(step, log_of(touching), ARMS, PALMS)
         assert episode.peak_deceleration.item() == pytest.approx(expected)
 
 

@@ -115,11 +115,11 @@ def test_cpu_is_the_batch_back_end():
 
 def test_lost_contacts_are_reported(monkeypatch):
     """With room for one contact in four environments, objects on the table overflow it."""
-    monkeypatch.setattr(warp, "CONTACTS_PER_ENV", 1)
+    monkeypatch.setattr(warp, "CONTACTS_PER_DOF", 0.04)
     simulation = copies.make("warp", NUM_ENVS)
     copies.restart(simulation)
     simulation.check()
     copies.place(simulation, (*copies.ON_TABLE[:2], copies.ON_TABLE[2] + 0.024))
     simulation.step()
-    with pytest.raises(NonFiniteError, match="raise CONTACTS_PER_ENV"):
+    with pytest.raises(NonFiniteError, match="raise CONTACTS_PER_DOF"):
         simulation.check()

@@ -138,7 +138,7 @@ class CatchEnv:
         transition = self._transition(command, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
-        record = self._episode.record.advanced(transition, log, self.world.arms)
+        record = self._episode.record.advanced(transition, log, self.world.arms, self.world.palms)
         self.statistics.add(terminated, record, terms)
         self._begin(terminated, record)
         assign(self._commands, select(terminated, self._waiting_commands(), commands))

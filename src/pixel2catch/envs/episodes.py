@@ -27,7 +27,7 @@ class EpisodeRecord:
         held_steps: Consecutive control steps with the object near the palm, up to now.
         is_tracked: Whether the palm reached the object (T.R.).
         is_success: Whether it was held long enough (S.R.).
-        is_palm_contact: Whether the palm itself touched it.
+        is_palm_contact: Whether a palm itself touched it.
         is_hand_contact: Whether any part of the hand did.
         is_dropped: Whether it fell or passed the robot.
         is_table_contact: Whether the robot touched the table.
@@ -103,13 +103,16 @@ class EpisodeRecord:
             peak_deceleration=zero,
         )
 
-    def advanced(self, transition: Transition, log: PhysicsLog, arms: Columns) -> "EpisodeRecord":
+    def advanced(
+        self, transition: Transition, log: PhysicsLog, arms: Columns, palms: Columns
+    ) -> "EpisodeRecord":
         """The records one control step later; `held_steps` and `steps` are those of the transition.
 
         Args:
             transition: The step.
             log: What happened within it.
             arms: Columns of the joints of arms.
+            palms: Columns of the palms among what may touch the object.
         """
         touched = log.is_touching.any(dim=-1)
         first = touched & ~self.is_hand_contact
@@ -121,7 +124,7 @@ class EpisodeRecord:
             held_steps=transition.held_steps,
             is_tracked=self.is_tracked | is_near(transition.now),
             is_success=self.is_success | is_success(transition),
-            is_palm_contact=self.is_palm_contact | log.is_touching[:, 0],
+            is_palm_contact=self.is_palm_contact | take(log.is_touching, palms).any(dim=-1),
             is_hand_contact=self.is_hand_contact | touched,
             is_dropped=self.is_dropped | is_dropped(transition.now),
             is_table_contact=self.is_table_contact | log.is_robot_on_table,

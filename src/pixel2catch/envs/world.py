@@ -12,7 +12,7 @@ from pixel2catch.camera.pinhole import camera_center
 from pixel2catch.camera.visibility import is_unoccluded, ray_directions
 from pixel2catch.envs.drives import Drives
 from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
-from pixel2catch.mdp.columns import merged, take
+from pixel2catch.mdp.columns import Columns, merged, take
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import Privileged
@@ -98,6 +98,7 @@ class CatchWorld:
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
         self._sensors = ContactColumns.of(model, workcell)
         self.arms, self._hands = merged(workcell.of_role("arm")), merged(workcell.of_role("hand"))
+        self.palms = _palm_columns(workcell)
         self._fields = _Fields(
             **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
         )
@@ -277,6 +278,12 @@ class CatchWorld:
             torque_share=torque_share.amax(dim=-1),
             hand_torque_share=take(torque_share, self._hands).mean(dim=-1),
         )
+
+
+def _palm_columns(workcell: WorkcellSpec) -> Columns:
+    """Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers."""
+    sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
+    return tuple(slice(start, start + 1) for start in np.cumsum([0, *sizes[:-1]]).tolist())
 
 
 @dataclass(frozen=True, kw_only=True)

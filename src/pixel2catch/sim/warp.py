@@ -22,11 +22,13 @@ from pixel2catch.errors import NonFiniteError
 from pixel2catch.sim.graphs import GraphedFunction
 from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
 
-CONTACTS_PER_ENV = 40
-"""Contacts to allocate per environment, shared by all (ours: 8,192 random robots used 3.4 each)."""
+CONTACTS_PER_DOF = 1.6
+"""Contacts to allocate per environment and degree of freedom, shared by all environments (ours: 8,192 random
+robots of one arm and one hand, 25 degrees of freedom with the object, used 3.4 an environment)."""
 
-CONSTRAINTS_PER_ENV = 160
-"""Constraint rows to allocate per environment (ours: 8,192 random robots used 45 at the most)."""
+CONSTRAINTS_PER_DOF = 6.4
+"""Constraint rows to allocate per environment and degree of freedom (ours: 8,192 random robots of one arm and
+one hand used 45 at the most; two arms and two hands that learn once needed more than 160)."""
 
 RAY_BLOCK = 32
 """Threads that share the geoms of a ray. Source: ours: the model has 25 geoms; with MuJoCo Warp's 64 the rays
@@ -51,7 +53,12 @@ class WarpSimulation(Simulation):
         with wp.ScopedDevice(self._device):
             self._model = mjw.put_model(_without_cpu_flags(model))
             self._model.block_dim.ray = RAY_BLOCK
-            self._data = mjw.make_data(model, num_envs, nconmax=CONTACTS_PER_ENV, njmax=CONSTRAINTS_PER_ENV)
+            self._data = mjw.make_data(
+                model,
+                num_envs,
+                nconmax=round(CONTACTS_PER_DOF * model.nv),
+                njmax=round(CONSTRAINTS_PER_DOF * model.nv),
+            )
         self._recorded_step = self._recorded(self._step)
         self._rays: _Rays | None = None
 
@@ -111,7 +118,7 @@ class WarpSimulation(Simulation):
         if flags:
             raise NonFiniteError(
                 f"MuJoCo Warp dropped contacts or constraints ({mjw.OverflowType(flags)!r}) in "
-                f"{int((overflow != 0).sum())} environments; raise CONTACTS_PER_ENV or CONSTRAINTS_PER_ENV"
+                f"{int((overflow != 0).sum())} environments; raise CONTACTS_PER_DOF or CONSTRAINTS_PER_DOF"
             )
 
     def close(self) -> None:  # noqa: D102

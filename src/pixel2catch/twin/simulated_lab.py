@@ -93,7 +93,7 @@ class ThrowScorer:
             episode_steps=self.record.steps + 1,
             geometry=self._world.geometry,
         )
-        self.record = self.record.advanced(transition, log, self._world.arms)
+        self.record = self.record.advanced(transition, log, self._world.arms, self._world.palms)
         self._before = now
         is_late = int(self.record.steps) >= TRIAL_STEPS
         self.is_over = is_late or bool(self.record.is_success) or bool(self.record.is_dropped)
