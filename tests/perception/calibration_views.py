@@ -12,10 +12,11 @@ from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
 from pixel2catch.perception.calibration.target import SQUARE, SQUARES, CharucoBoard, View
 from pixel2catch.robots.geometry import first_chain
-from pixel2catch.scene.constants import ARM_JOINTS, RGB_CAMERA, CameraSpec
+from pixel2catch.robots.ur5e import ARM
+from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-HOME = np.array([joint.home for joint in ARM_JOINTS])
+HOME = np.array([joint.home for joint in ARM.joints])
 REACH = np.array((0.4, 0.35, 0.35, 0.5, 0.6, 0.9))
 """How far the arm goes from its start pose [rad]: within the UR5e's range, wider than a policy's."""
 

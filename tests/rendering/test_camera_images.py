@@ -8,12 +8,20 @@ import pytest
 
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
-from pixel2catch.rendering.camera import OBJECT, CameraCfg, Exposure, Moment, RoomCamera, room_positions
+from pixel2catch.rendering.camera import (
+    OBJECT_POS,
+    OBJECT_VEL,
+    CameraCfg,
+    Exposure,
+    Moment,
+    RoomCamera,
+    room_positions,
+)
 from pixel2catch.rendering.renderer import Renderer, find_gl_backend
 from pixel2catch.rendering.room import Bystanders, build_room
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.twin.simulated_lab import Thrower
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RELEASE = np.array((2.6, 0.1, 0.8))
 MODEL = build_model(SceneCfg())
@@ -23,8 +31,8 @@ STILL = CameraCfg(read_noise=0.0, shot_noise=0.0)
 
 def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, speed: float = 0.0) -> Exposure:
     qpos, qvel = MODEL.qpos0.copy(), np.zeros(MODEL.nv)
-    qpos[: len(JOINTS)] = [joint.home for joint in JOINTS]
-    qpos[OBJECT], qvel[OBJECT] = pos, (0.0, speed, 0.0)
+    qpos[: len(UR5E_ALLEGRO.joints)] = [joint.home for joint in UR5E_ALLEGRO.joints]
+    qpos[OBJECT_POS], qvel[OBJECT_VEL] = pos, (0.0, speed, 0.0)
     moment = Moment(qpos=qpos, qvel=qvel, time=1.0)
     return Exposure(moment=moment, object_name=object_name, thrower=THROWER.joint_pos)
 

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import InvalidValueError, RecordingError
 from pixel2catch.files import require_free_file, write_atomically
-from pixel2catch.scene.constants import ARM_JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,6 +42,8 @@ class Calibrate:
 
     Attributes:
         views: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
+        workcell: The robots: a name, as for `train`, or a Python file that defines WORKCELLS; the board is in
+            the first hand.
         intrinsics: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, a camera.json
             of before, or a folder with 10 or more images of the printed board.
         out: Where to write the camera; nothing is overwritten.
@@ -56,6 +58,7 @@ class Calibrate:
     """
 
     views: Positional[Path | None] = None
+    workcell: str = "ur5e_allegro"
     intrinsics: Path | None = None
     out: Path = Path("camera.json")
     print_marker: Path | None = None
@@ -134,17 +137,18 @@ class Calibrate:
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
         from pixel2catch.robots.geometry import first_chain
-        from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+        from pixel2catch.workcells import find_workcell
 
         table = read_table(path)
         if IMAGE_COLUMN not in table.names:
             raise RecordingError(f"{path}: no column {IMAGE_COLUMN}; it has {', '.join(table.names)}.")
-        joints = tuple(joint.name for joint in ARM_JOINTS)
+        workcell = find_workcell(self.workcell)
+        joints = workcell.joint_names[workcell.palms[0].carriers]
         joint_pos = table.columns(joints)
         require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
         names = [row[table.names.index(IMAGE_COLUMN)] for row in table.rows]
         board, views, blank = CharucoBoard(self.square), [], []
-        pos, quat = (each.tolist() for each in first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joint_pos)))
+        pos, quat = (each.tolist() for each in first_chain(workcell).pose(torch.from_numpy(joint_pos)))
         for name, *palm in zip(names, pos, quat, strict=True):
             image = read_image(path.parent / name)
             check_image(image, *intrinsics.size)

@@ -17,7 +17,7 @@ from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import PerceptionError
 from pixel2catch.files import plain, require_free_folder, write_atomically
 from pixel2catch.interruption import StopRequest
-from pixel2catch.perception.factory import JOINT_NAMES, PerceptionArgs, make_robot_mask
+from pixel2catch.perception.factory import PerceptionArgs
 
 if TYPE_CHECKING:
     from pixel2catch.perception.tracking import Sighting, Tally
@@ -45,6 +45,8 @@ class Track:
         topic: Topic of the images in a rosbag. Default: the only one.
         joint_states: Topic of the joint states in a rosbag, for --mask-robot.
         mask_robot: Ignore motion where the robot is; the rosbag must have the states of all joints.
+        workcell: The robots, for --mask-robot: a name, as for `train`, or a Python file that defines
+            WORKCELLS.
         perception: What looks for the object.
         json: Print the summary as one JSON object.
     """
@@ -56,6 +58,7 @@ class Track:
     topic: str | None = None
     joint_states: str = "/joint_states"
     mask_robot: bool = False
+    workcell: str = "ur5e_allegro"
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)
     json: bool = False
 
@@ -87,19 +90,25 @@ class Track:
         from contextlib import closing
 
         from pixel2catch.perception.extractor import PixelFeatureExtractor
+        from pixel2catch.perception.robot_mask import RobotMask
         from pixel2catch.perception.sources import SourceCfg, ticks_of
         from pixel2catch.perception.tracking import follow
+        from pixel2catch.workcells import find_workcell
 
+        workcell = find_workcell(self.workcell)
         camera = self.perception.camera_spec(notes)
         extractor = PixelFeatureExtractor(
             self.perception.make_segmenter(),
             self.perception.make_prompter(camera),
-            robot=make_robot_mask(camera) if self.mask_robot else None,
+            robot=RobotMask(workcell, camera) if self.mask_robot else None,
             camera=camera,
             waits=True,
         )
         source = SourceCfg(
-            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=JOINT_NAMES
+            name=self.source,
+            topic=self.topic,
+            joint_states=self.joint_states,
+            joints=workcell.joint_names,
         )
         with closing(ticks_of(source, notes)) as ticks:
             sightings = follow(ticks, extractor, self.at)

@@ -13,15 +13,13 @@ from jaxtyping import Bool, Float, UInt8
 from pixel2catch.camera.pinhole import project
 from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer
 from pixel2catch.rendering.room import build_room
-from pixel2catch.robots.geometry import first_chain
-from pixel2catch.scene.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
+from pixel2catch.robots.geometry import chain_of
 from pixel2catch.scene.object_table import GEOM_FIELDS, object_indices, object_table
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from pixel2catch.workcells import find_workcell
 
-ARM, ROBOT = slice(len(ARM_JOINTS)), slice(len(JOINTS))
-OBJECT = slice(len(JOINTS), len(JOINTS) + 3)
-"""Where the arm, the robot and the object's position or linear velocity are in `qpos` and `qvel`."""
+OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)
+"""Where the object's position is in `qpos`, and its linear velocity in `qvel`: it comes after the robots."""
 
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
 
@@ -123,7 +121,11 @@ class RoomCamera:
         Raises:
             DeviceUnavailableError: If no OpenGL back end works.
         """
-        self._cfg, self._objects = cfg, object_table(scene)
+        self._cfg, self._camera, self._objects = cfg, scene.camera, object_table(scene)
+        workcell = find_workcell(scene.workcell)
+        self._chains = [
+            (palm.carriers, chain_of(workcell, palm, dtype=torch.float64)) for palm in workcell.palms
+        ]
         self._rng = np.random.default_rng(seed)
         self._noise = self._rng.standard_normal(NOISE_LENGTH, dtype=np.float32)
         self._room = build_room(scene, self._objects.names[0], seed if room is None else room)
@@ -143,7 +145,7 @@ class RoomCamera:
     def image(self, exposure: Exposure) -> Image:
         """The image, with motion blur and noise."""
         moment = self._shown(exposure)
-        times = part_times(moment, self._cfg).tolist()
+        times = self._part_times(moment).tolist()
         positions = [room_positions(self._room, moment, time, exposure.thrower) for time in times]
         pictures = (self._renderer.image(qpos) for qpos in positions)
         if self._background is None:
@@ -154,7 +156,7 @@ class RoomCamera:
                 shown = np.flatnonzero(picture[..., 0] | picture[..., 1] | picture[..., 2])
                 change = picture.reshape(-1, 3)[shown] - self._background[shown].astype(np.float32)
                 light[shown] += change / len(times)
-        return self._sensed(light).reshape(RGB_CAMERA.height, RGB_CAMERA.width, 3)
+        return self._sensed(light).reshape(self._camera.height, self._camera.width, 3)
 
     def object_mask(self, exposure: Exposure) -> Bool[np.ndarray, "height width"]:
         """Which pixels show the object in the middle of the exposure."""
@@ -182,18 +184,28 @@ class RoomCamera:
             getattr(model, name)[self._geoms] = self._objects.fields[name][row]
         return exposure.moment
 
+    def _part_times(self, moment: Moment) -> Float[np.ndarray, " num_parts"]:
+        """When the pictures are taken that are averaged over an exposure, from its middle [s]."""
+        num_parts = max(ceil(self._smear(moment) / self._cfg.part_length), 1)
+        return self._cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
+
+    def _smear(self, moment: Moment) -> float:
+        """How far object and palms move in the image during an exposure, the farthest of them [px]."""
+        times = self._cfg.exposure * np.array(((-0.5,), (0.5,)))
+        ways = [
+            chain.pose(torch.from_numpy(moment.qpos[carriers] + times * moment.qvel[carriers]))[0]
+            for carriers, chain in self._chains
+        ]
+        ways.append(torch.from_numpy(moment.qpos[OBJECT_POS] + times * moment.qvel[OBJECT_VEL]))
+        pixels, _ = project(self._camera, torch.stack(ways, dim=1))
+        return float((pixels[1] - pixels[0]).norm(dim=-1).max())
+
     def _sensed(self, light: Float[np.ndarray, "num_pixels 3"]) -> UInt8[np.ndarray, "num_pixels 3"]:
         start = self._rng.integers(NOISE_LENGTH - light.size)
         deviation = np.sqrt(self._cfg.read_noise**2 + self._cfg.shot_noise * light)
         deviation *= self._noise[start : start + light.size].reshape(light.shape)
         light += deviation
         return np.clip(np.rint(light, out=light), 0.0, 255.0, out=light).astype(np.uint8)
-
-
-def part_times(moment: Moment, cfg: CameraCfg) -> Float[np.ndarray, " num_parts"]:
-    """When the pictures are taken that are averaged over an exposure, from its middle [s]."""
-    num_parts = max(ceil(_smear(moment, cfg.exposure) / cfg.part_length), 1)
-    return cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
 
 
 def room_positions(
@@ -217,20 +229,9 @@ def room_positions(
     return qpos
 
 
-def _smear(moment: Moment, exposure: float) -> float:
-    """How far object and palm move in the image during an exposure, the farther of the two [px]."""
-    times = exposure * np.array(((-0.5,), (0.5,)))
-    palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(
-        torch.from_numpy(moment.qpos[ARM] + times * moment.qvel[ARM])
-    )
-    object_pos = torch.from_numpy(moment.qpos[OBJECT] + times * moment.qvel[OBJECT])
-    pixels, _ = project(RGB_CAMERA, torch.stack((palm_pos, object_pos), dim=1))
-    return float((pixels[1] - pixels[0]).norm(dim=-1).max())
-
-
 def _without_object(moment: Moment) -> Moment:
     qpos, qvel = moment.qpos.copy(), moment.qvel.copy()
-    qpos[OBJECT], qvel[OBJECT] = AWAY, 0.0
+    qpos[OBJECT_POS], qvel[OBJECT_VEL] = AWAY, 0.0
     return replace(moment, qpos=qpos, qvel=qvel)
 
 

@@ -29,10 +29,10 @@ COLLISION_GROUP = 3
 
 
 @cache
-def bare_model(workcell: WorkcellSpec) -> mujoco.MjModel:
-    """The robots of a work cell alone."""
+def bare_model(workcell: WorkcellSpec, *, visuals: bool = False) -> mujoco.MjModel:
+    """The robots of a work cell alone, with or without what is only seen of them."""
     spec = mujoco.MjSpec()
-    add_robots(spec, workcell, visuals=False)
+    add_robots(spec, workcell, visuals)
     return spec.compile()
 
 

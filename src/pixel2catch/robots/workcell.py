@@ -70,7 +70,7 @@ class WorkcellSpec:
 
     def __post_init__(self) -> None:
         """Refuse a robot that can catch nothing, and a name that is taken twice."""
-        names = [joint.name for joint in self.joints]
+        names = self.joint_names
         for placed in self.robots:
             if not any(part.palms for part in placed.robot.parts):
                 raise InvalidValueError(
@@ -100,6 +100,11 @@ class WorkcellSpec:
     def joints(self) -> tuple[JointSpec, ...]:
         """All joints: the order of every tensor."""
         return tuple(joint for group in self.groups for joint in group.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints, in joint order."""
+        return tuple(joint.name for joint in self.joints)
 
     def columns(self, group: str) -> slice:
         """Where the joints of a group are in joint order.
