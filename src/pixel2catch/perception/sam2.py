@@ -58,7 +58,7 @@ WARM_UP_FRAMES = 24
 Source: ours: timings are steady after 20."""
 
 WARM_UP_RUNS = 2
-"""Runs before a recording: in the first, kernels choose algorithms and take memory. Source: ours: one spare."""
+"""Runs before a recording: in the first, kernels choose algorithms and take memory. Source: ours."""
 
 OBJECT = 0
 """Index of the only object of a session."""
