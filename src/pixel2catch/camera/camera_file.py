@@ -29,20 +29,17 @@ NO_POSE_ERROR = ((0.0,) * 6,) * 6
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFile:
-    """A calibrated camera, and how well it is known.
+    """A calibrated camera, and how well it is known."""
 
-    Attributes:
-        camera: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is
-            (0.5, 0.5).
-        distortion: Its lens, (k1, k2, p1, p2[, k3[, k4, k5, k6]]) as in OpenCV; none for rectified images.
-        pose_covariance: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad],
-            both along the axes of the world.
-        focal_std: Standard deviation of the focal length, relative to it; None if unknown.
-    """
-
+    #: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is (0.5,
+    #: 0.5).
     camera: CameraSpec
+    #: Its lens, (k1, k2, p1, p2[, k3[, k4, k5, k6]]) as in OpenCV; none for rectified images.
     distortion: tuple[float, ...] = ()
+    #: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad], both along the axes
+    #: of the world.
     pose_covariance: tuple[tuple[float, ...], ...] = NO_POSE_ERROR
+    #: Standard deviation of the focal length, relative to it; None if unknown.
     focal_std: float | None = None
 
     def __post_init__(self) -> None:

@@ -12,15 +12,11 @@ from pixel2catch.scene.constants import CameraSpec
 
 @dataclass(frozen=True, kw_only=True)
 class Projection:
-    """A camera as numbers: the nominal one, or one of its own in every environment.
+    """A camera as numbers: the nominal one, or one of its own in every environment."""
 
-    Attributes:
-        matrix: K Rᵀ, so that matrix (p - center) = (u z, v z, z) of a world point p at depth z.
-        center: Centre of projection, world frame [m].
-    """
-
+    #: K Rᵀ, so that matrix (p - center) = (u z, v z, z) of a world point p at depth z.
     matrix: Float[Tensor, "*turns 3 3"]
-    center: Float[Tensor, "*places 3"]
+    center: Float[Tensor, "*places 3"]  #: Centre of projection, world frame [m].
 
     def pixels(
         self, points: Float[Tensor, "num_envs num_points 3"]

@@ -54,17 +54,11 @@ class Broken(Exception):  # noqa: N818
 
 @dataclass(frozen=True, kw_only=True)
 class Optional:
-    """A package that is needed for a part only.
+    """A package that is needed for a part only."""
 
-    Attributes:
-        module: Its name in Python.
-        distribution: Its name for pip.
-        extra: The extra of this package that brings it.
-    """
-
-    module: str
-    distribution: str
-    extra: str
+    module: str  #: Its name in Python.
+    distribution: str  #: Its name for pip.
+    extra: str  #: The extra of this package that brings it.
 
     def probe(self) -> str:
         """Return its version, if it can be imported and is in range."""

@@ -41,15 +41,10 @@ Prompt = BoxPrompt | PointPrompt
 
 @dataclass(frozen=True, kw_only=True)
 class Segmentation:
-    """What a segmenter makes of one image.
+    """What a segmenter makes of one image."""
 
-    Attributes:
-        mask: The object's pixels, not empty; None where the object is not found.
-        score: How sure the segmenter is, larger is surer; the scale is its own.
-    """
-
-    mask: Mask | None
-    score: float
+    mask: Mask | None  #: The object's pixels, not empty; None where the object is not found.
+    score: float  #: How sure the segmenter is, larger is surer; the scale is its own.
 
 
 NOT_FOUND = Segmentation(mask=None, score=0.0)

@@ -40,21 +40,16 @@ Image = UInt8[np.ndarray, "height width 3"]
 
 @dataclass(frozen=True, kw_only=True)
 class CameraCfg:
-    """What the camera does to an image.
+    """What the camera does to an image."""
 
-    Attributes:
-        exposure: Time in which an image gathers light [s]. Source: ours, short for a room, as one sets it to
-            film throws; the fastest objects pass 15 px in it.
-        part_length: Furthest that object and palm move between two of the pictures that are averaged over the
-            exposure [px]. Source: ours, less than half an object.
-        read_noise: Standard deviation of the noise in the dark [levels]. Source: ours.
-        shot_noise: Variance that light adds [levels²] per level. Source: ours; with the other 3 levels at
-            mid grey.
-    """
-
+    #: Time in which an image gathers light [s]. Source: ours, short for a room, as one sets it to film
+    #: throws; the fastest objects pass 15 px in it.
     exposure: float = 0.008
+    #: Furthest that object and palm move between two of the pictures that are averaged over the exposure
+    #: [px]. Source: ours, less than half an object.
     part_length: float = 4.0
-    read_noise: float = 1.5
+    read_noise: float = 1.5  #: Standard deviation of the noise in the dark [levels]. Source: ours.
+    #: Variance that light adds [levels²] per level. Source: ours; with the other 3 levels at mid grey.
     shot_noise: float = 0.05
 
 
@@ -64,32 +59,20 @@ FAST_CAMERA = CameraCfg(part_length=8.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """What the camera looks at, in the middle of the exposure.
+    """What the camera looks at, in the middle of the exposure."""
 
-    Attributes:
-        qpos: Positions of the simulation: robot, then object.
-        qvel: Its velocities, taken as constant during the exposure.
-        time: Time [s], of the clock by which the bystanders move.
-    """
-
-    qpos: Float[np.ndarray, " nq"]
-    qvel: Float[np.ndarray, " nv"]
-    time: float
+    qpos: Float[np.ndarray, " nq"]  #: Positions of the simulation: robot, then object.
+    qvel: Float[np.ndarray, " nv"]  #: Its velocities, taken as constant during the exposure.
+    time: float  #: Time [s], of the clock by which the bystanders move.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """What there is to see.
+    """What there is to see."""
 
-    Attributes:
-        moment: The middle of the exposure.
-        object_name: What the thrower has, or has thrown; none in an empty room.
-        thrower: Positions of the bystanders' joints at a time [s].
-    """
-
-    moment: Moment
-    object_name: str | None
-    thrower: Callable[[float], Float[np.ndarray, "6"]]
+    moment: Moment  #: The middle of the exposure.
+    object_name: str | None  #: What the thrower has, or has thrown; none in an empty room.
+    thrower: Callable[[float], Float[np.ndarray, "6"]]  #: Positions of the bystanders' joints at a time [s].
 
 
 class RoomCamera:

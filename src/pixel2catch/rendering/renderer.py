@@ -41,25 +41,17 @@ context.free()
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """From where to draw.
+    """From where to draw."""
 
-    Attributes:
-        camera: Name of a camera of the model, or None for a free camera, which the next four place.
-        lookat: Point in the middle of the picture, world frame [m].
-        distance: From the camera to that point [m].
-        azimuth: Direction of sight about the vertical, 0 along +x, 90 along +y [degrees].
-        elevation: Direction of sight above the horizontal [degrees].
-        width: Of the picture [px], even.
-        height: Of the picture [px], even.
-    """
-
+    #: Name of a camera of the model, or None for a free camera, which the next four place.
     camera: str | None = None
+    #: Point in the middle of the picture, world frame [m].
     lookat: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    distance: float = 1.0
-    azimuth: float = 0.0
-    elevation: float = 0.0
-    width: int = RGB_CAMERA.width
-    height: int = RGB_CAMERA.height
+    distance: float = 1.0  #: From the camera to that point [m].
+    azimuth: float = 0.0  #: Direction of sight about the vertical, 0 along +x, 90 along +y [degrees].
+    elevation: float = 0.0  #: Direction of sight above the horizontal [degrees].
+    width: int = RGB_CAMERA.width  #: Of the picture [px], even.
+    height: int = RGB_CAMERA.height  #: Of the picture [px], even.
 
 
 RGB_VIEW = View(camera="rgb")

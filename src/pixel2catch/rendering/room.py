@@ -58,15 +58,10 @@ BYSTANDER_JOINTS = ("thrower_x", "thrower_y", "thrower_z", "thrower_sway", "thro
 
 @dataclass(frozen=True, kw_only=True)
 class Bystanders:
-    """How they move during one throw.
+    """How they move during one throw."""
 
-    Attributes:
-        release_pos: Where the object is held before the throw [m].
-        phase: Which part of their swing they are in at the release [rad].
-    """
-
-    release_pos: Float[np.ndarray, "3"]
-    phase: float
+    release_pos: Float[np.ndarray, "3"]  #: Where the object is held before the throw [m].
+    phase: float  #: Which part of their swing they are in at the release [rad].
 
     def joint_pos(self, time: float) -> Float[np.ndarray, "6"]:
         """Positions of `BYSTANDER_JOINTS` [m, rad] so long after the release [s], before it if negative."""

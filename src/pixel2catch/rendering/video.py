@@ -31,21 +31,13 @@ BOX_WIDTH = 2
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedThrow:
-    """One throw, from its start to the decision of the trial.
+    """One throw, from its start to the decision of the trial."""
 
-    Attributes:
-        object_name: What was thrown.
-        qpos: Positions of the simulation at every control step.
-        qvel: Its velocities.
-        box: The box that the policy got [px].
-        num_untested: Control steps before the test of the hold; all if there was no success.
-    """
-
-    object_name: str
-    qpos: Float[ndarray, "num_steps nq"]
-    qvel: Float[ndarray, "num_steps nv"]
-    box: Float[ndarray, "num_steps 4"]
-    num_untested: int
+    object_name: str  #: What was thrown.
+    qpos: Float[ndarray, "num_steps nq"]  #: Positions of the simulation at every control step.
+    qvel: Float[ndarray, "num_steps nv"]  #: Its velocities.
+    box: Float[ndarray, "num_steps 4"]  #: The box that the policy got [px].
+    num_untested: int  #: Control steps before the test of the hold; all if there was no success.
 
 
 def write_video(

@@ -38,21 +38,15 @@ def bare_model(workcell: WorkcellSpec, *, visuals: bool = False) -> mujoco.MjMod
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmShape:
-    """What carries a palm, as far as it is watched: its links between the first and the last, and the hand.
+    """What carries a palm, as far as it is watched: its links but the first and the last, and the hand."""
 
-    Attributes:
-        links: Of each capsule the link, as a row of `Chain.link_poses`.
-        ends: Centres of both ends of each in the frame at the far end of its link, homogeneous [m].
-        radii: Their radii [m].
-        hand_center: Middle of the box about the hand, from the palm, in the axes of the palm's site [m].
-        hand_half: Half of its extents [m].
-    """
-
-    links: Int[np.ndarray, " capsules"]
+    links: Int[np.ndarray, " capsules"]  #: Of each capsule the link, as a row of `Chain.link_poses`.
+    #: Centres of both ends of each in the frame at the far end of its link, homogeneous [m].
     ends: Float[np.ndarray, "capsules 4 2"]
-    radii: Float[np.ndarray, " capsules"]
+    radii: Float[np.ndarray, " capsules"]  #: Their radii [m].
+    #: Middle of the box about the hand, from the palm, in the axes of the palm's site [m].
     hand_center: Float[np.ndarray, " 3"]
-    hand_half: Float[np.ndarray, " 3"]
+    hand_half: Float[np.ndarray, " 3"]  #: Half of its extents [m].
 
 
 def chain_of(

@@ -36,27 +36,16 @@ Parameter = Float[np.ndarray, " num_joints"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointDynamics:
-    """The dynamics of some joints, one entry per joint.
+    """The dynamics of some joints, one entry per joint."""
 
-    Attributes:
-        joints: Their names, in joint order.
-        stiffness: Gain on the position error [N·m/rad].
-        damping: Gain on the velocity [N·m·s/rad].
-        frictionloss: Dry friction [N·m].
-        armature: Reflected inertia of the drive [kg·m²].
-        latency: Time from sending a command to its arrival [s].
-        filter_gain: Gain of the command filter [1/s²]; infinite where there is no filter.
-        filter_lookahead: Look-ahead time of the command filter [s]; 0 where there is no filter.
-    """
-
-    joints: tuple[str, ...]
-    stiffness: Parameter
-    damping: Parameter
-    frictionloss: Parameter
-    armature: Parameter
-    latency: Parameter
-    filter_gain: Parameter
-    filter_lookahead: Parameter
+    joints: tuple[str, ...]  #: Their names, in joint order.
+    stiffness: Parameter  #: Gain on the position error [N·m/rad].
+    damping: Parameter  #: Gain on the velocity [N·m·s/rad].
+    frictionloss: Parameter  #: Dry friction [N·m].
+    armature: Parameter  #: Reflected inertia of the drive [kg·m²].
+    latency: Parameter  #: Time from sending a command to its arrival [s].
+    filter_gain: Parameter  #: Gain of the command filter [1/s²]; infinite where there is no filter.
+    filter_lookahead: Parameter  #: Look-ahead time of the command filter [s]; 0 where there is no filter.
 
     def __post_init__(self) -> None:
         """Refuse joints that are named twice, and values out of range."""

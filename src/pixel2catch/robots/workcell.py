@@ -15,17 +15,11 @@ VISUAL_GROUP = 2
 
 @dataclass(frozen=True, kw_only=True)
 class TableSpec:
-    """A solid box that robots stand on.
+    """A solid box that robots stand on."""
 
-    Attributes:
-        center: Centre of the top surface, world frame [m].
-        size: Extent along x and y [m].
-        thickness: Extent along z [m].
-    """
-
-    center: Vec3
-    size: tuple[float, float]
-    thickness: float
+    center: Vec3  #: Centre of the top surface, world frame [m].
+    size: tuple[float, float]  #: Extent along x and y [m].
+    thickness: float  #: Extent along z [m].
 
 
 TABLE = TableSpec(center=(-0.05, 0.0, 0.81), size=(0.75, 0.75), thickness=0.04)
@@ -34,19 +28,12 @@ TABLE = TableSpec(center=(-0.05, 0.0, 0.81), size=(0.75, 0.75), thickness=0.04)
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedPalm:
-    """A palm in a work cell.
+    """A palm in a work cell."""
 
-    Attributes:
-        spec: The palm, by the names of the work cell.
-        first: Column in joint order of the first joint on the way from the world to it.
-        stop: Column after the last.
-        groups: Names of the groups of the robot that it belongs to.
-    """
-
-    spec: PalmSpec
-    first: int
-    stop: int
-    groups: tuple[str, ...]
+    spec: PalmSpec  #: The palm, by the names of the work cell.
+    first: int  #: Column in joint order of the first joint on the way from the world to it.
+    stop: int  #: Column after the last.
+    groups: tuple[str, ...]  #: Names of the groups of the robot that it belongs to.
 
     @property
     def carriers(self) -> slice:
@@ -56,17 +43,11 @@ class PlacedPalm:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkcellSpec:
-    """Robots with their places, and the table that they stand on.
-
-    Attributes:
-        name: Its name.
-        robots: The robots; joint order is theirs, one after the other.
-        table: What they stand on.
-    """
+    """Robots with their places, and the table that they stand on."""
 
     name: str
-    robots: tuple[Placed, ...]
-    table: TableSpec = field(default_factory=lambda: TABLE)
+    robots: tuple[Placed, ...]  #: The robots; joint order is theirs, one after the other.
+    table: TableSpec = field(default_factory=lambda: TABLE)  #: What they stand on.
 
     def __post_init__(self) -> None:
         """Refuse a robot that can catch nothing, and a name that is taken twice."""

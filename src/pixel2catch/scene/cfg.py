@@ -13,27 +13,19 @@ MAX_OBJECT_SCALE = 1.4
 
 @dataclass(frozen=True, kw_only=True)
 class SceneCfg:
-    """What can be chosen about the scene.
+    """What can be chosen about the scene."""
 
-    Attributes:
-        workcell: Name of the work cell, or a Python file that defines `WORKCELLS`.
-        physics_hz: Physics steps in a second, a multiple of the control rate. Default: paper.
-        visuals: Whether to add lights, textures and what is only seen.
-        camera: What pictures are taken by.
-        object_friction: Sliding friction of the object; randomised per environment by the release.
-        object_restitution: Speed after over speed before an impact; randomised per environment.
-        object_solimp: Impedance of a contact with the object.
-        object_scale: Factor on every object's size; its mass stays.
-    """
-
-    workcell: str = UR5E_ALLEGRO.name
+    workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
+    #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: float = 1.0 / PHYSICS_DT
-    visuals: bool = False
-    camera: CameraSpec = RGB_CAMERA
+    visuals: bool = False  #: Whether to add lights, textures and what is only seen.
+    camera: CameraSpec = RGB_CAMERA  #: What pictures are taken by.
+    #: Sliding friction of the object; randomised per environment by the release.
     object_friction: float = 1.0
-    object_restitution: float = 0.25
+    object_restitution: float = 0.25  #: Speed after over speed before an impact; randomised per environment.
+    #: Impedance of a contact with the object.
     object_solimp: tuple[float, float, float, float, float] = SOLIMP
-    object_scale: float = 1.0
+    object_scale: float = 1.0  #: Factor on every object's size; its mass stays.
 
     def __post_init__(self) -> None:
         """Refuse a size without room, and a rate that does not divide a control step into physics steps."""

@@ -38,26 +38,16 @@ PIXEL_CENTER = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSpec:
-    """A pinhole camera.
+    """A pinhole camera."""
 
-    Attributes:
-        width: Image width [px].
-        height: Image height [px].
-        fx: Focal length along x [px].
-        fy: Focal length along y [px].
-        cx: Column of the optical axis [px].
-        cy: Row of the optical axis [px].
-        pos: Position of the optical centre, world frame [m].
-        quat: Orientation of the optical frame in the world: z along the optical axis, x to the right, y down.
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    pos: Vec3
+    width: int  #: Image width [px].
+    height: int  #: Image height [px].
+    fx: float  #: Focal length along x [px].
+    fy: float  #: Focal length along y [px].
+    cx: float  #: Column of the optical axis [px].
+    cy: float  #: Row of the optical axis [px].
+    pos: Vec3  #: Position of the optical centre, world frame [m].
+    #: Orientation of the optical frame in the world: z along the optical axis, x to the right, y down.
     quat: Quat
 
 

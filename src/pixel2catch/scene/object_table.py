@@ -17,19 +17,12 @@ DOF_FIELDS = ("dof_M0", "dof_length", "dof_invweight0")
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectIndices:
-    """Where the object is in the arrays of the model.
-
-    Attributes:
-        body: Its body.
-        geoms: Its geoms, one after the other.
-        qpos: Its position and quaternion in `qpos`.
-        dofs: Its linear and angular velocity in `qvel`.
-    """
+    """Where the object is in the arrays of the model."""
 
     body: int
-    geoms: slice
-    qpos: slice
-    dofs: slice
+    geoms: slice  #: Its geoms, one after the other.
+    qpos: slice  #: Its position and quaternion in `qpos`.
+    dofs: slice  #: Its linear and angular velocity in `qvel`.
 
     def rows(self, field: str) -> slice:
         """Rows of a model field that belong to the object."""
@@ -40,17 +33,11 @@ class ObjectIndices:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectTable:
-    """The object's rows of every model field that depends on the object.
+    """The object's rows of every model field that depends on the object."""
 
-    Attributes:
-        names: The objects, in the order of the first axis of each array.
-        indices: Where those rows belong.
-        fields: Field name to array (num_objects, rows, ...).
-    """
-
-    names: tuple[str, ...]
-    indices: ObjectIndices
-    fields: dict[str, ndarray]
+    names: tuple[str, ...]  #: The objects, in the order of the first axis of each array.
+    indices: ObjectIndices  #: Where those rows belong.
+    fields: dict[str, ndarray]  #: Field name to array (num_objects, rows, ...).
 
 
 def object_indices(model: mujoco.MjModel) -> ObjectIndices:

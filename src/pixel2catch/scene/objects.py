@@ -25,19 +25,12 @@ MAX_PARTS = 2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObjectSpec:
-    """A thrown object.
+    """A thrown object."""
 
-    Attributes:
-        name: Its name in the catalogue.
-        parts: Convex parts in the body frame; they may overlap.
-        mass: Mass [kg].
-        inertia: Principal moments of inertia about the axes of the body frame [kg·m²].
-    """
-
-    name: str
-    parts: tuple[ConvexPart, ...]
-    mass: float
-    inertia: Float[ndarray, "3"]
+    name: str  #: Its name in the catalogue.
+    parts: tuple[ConvexPart, ...]  #: Convex parts in the body frame; they may overlap.
+    mass: float  #: Mass [kg].
+    inertia: Float[ndarray, "3"]  #: Principal moments of inertia about the axes of the body frame [kg·m²].
 
     @property
     def drag_area(self) -> float:

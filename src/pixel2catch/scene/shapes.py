@@ -23,13 +23,9 @@ SPHERE_POINTS = 64
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConvexPart:
-    """A convex body of uniform density, given by the corners of its hull.
+    """A convex body of uniform density, given by the corners of its hull."""
 
-    Attributes:
-        vertices: Corners [m].
-    """
-
-    vertices: Float[ndarray, "num_vertices 3"]
+    vertices: Float[ndarray, "num_vertices 3"]  #: Corners [m].
 
     @cached_property
     def faces(self) -> Float[ndarray, "num_faces 3 3"]:
@@ -56,17 +52,11 @@ class ConvexPart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VolumeMoments:
-    """Moments of a solid of density 1; they add up over disjoint solids and subtract over overlaps.
+    """Moments of a solid of density 1; they add up over disjoint solids and subtract over overlaps."""
 
-    Attributes:
-        volume: Integral of 1 [m³].
-        first: Integral of x [m⁴].
-        second: Integral of x xᵀ [m⁵].
-    """
-
-    volume: float
-    first: Float[ndarray, "3"]
-    second: Float[ndarray, "3 3"]
+    volume: float  #: Integral of 1 [m³].
+    first: Float[ndarray, "3"]  #: Integral of x [m⁴].
+    second: Float[ndarray, "3 3"]  #: Integral of x xᵀ [m⁵].
 
     def __add__(self, other: "VolumeMoments") -> "VolumeMoments":
         """Moments of two disjoint solids."""

@@ -30,25 +30,15 @@ LARGEST_UNSEEN = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Where points that the policy's camera sees are in the calibrated camera's image.
+    """Where points that the policy's camera sees are in the calibrated camera's image."""
 
-    Attributes:
-        mean: Mean distance between the two places [px].
-        largest: Largest distance [px].
-        unseen: Share of the points that are out of the calibrated camera's image.
-        lens: Largest distance that is the lens's distortion alone [px].
-        uncertainty: Root mean square distance that the calibration leaves open [px].
-        move: What would bring the camera to the policy's place, world frame [m].
-        turn: What would then bring it to the policy's orientation, about its own axes: right, down, forward
-            [rad].
-    """
-
-    mean: float
-    largest: float
-    unseen: float
-    lens: float
-    uncertainty: float
-    move: Vec3
+    mean: float  #: Mean distance between the two places [px].
+    largest: float  #: Largest distance [px].
+    unseen: float  #: Share of the points that are out of the calibrated camera's image.
+    lens: float  #: Largest distance that is the lens's distortion alone [px].
+    uncertainty: float  #: Root mean square distance that the calibration leaves open [px].
+    move: Vec3  #: What would bring the camera to the policy's place, world frame [m].
+    #: What would then bring it to the policy's orientation, about its own axes: right, down, forward [rad].
     turn: Vec3
 
 

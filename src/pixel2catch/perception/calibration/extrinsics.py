@@ -59,17 +59,11 @@ workspace give 50.
 
 @dataclass(frozen=True, kw_only=True)
 class HandView:
-    """One image of the board in the hand.
+    """One image of the board in the hand."""
 
-    Attributes:
-        name: Name of the image, for messages.
-        view: The corners in it.
-        palm: Pose of the hand's frame at the palm in the world, by the robot's joints.
-    """
-
-    name: str
-    view: View
-    palm: Pose
+    name: str  #: Name of the image, for messages.
+    view: View  #: The corners in it.
+    palm: Pose  #: Pose of the hand's frame at the palm in the world, by the robot's joints.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,38 +77,23 @@ class ViewError:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A camera and the evidence for it.
+    """A camera and the evidence for it."""
 
-    Attributes:
-        file: The camera, and how well it is known.
-        board: Pose of the board in the hand's frame at the palm.
-        views: The error of each image.
-        rms: Root mean square distance of seen and computed corners in the images used [px].
-    """
-
-    file: CameraFile
-    board: Pose
-    views: tuple[ViewError, ...]
-    rms: float
+    file: CameraFile  #: The camera, and how well it is known.
+    board: Pose  #: Pose of the board in the hand's frame at the palm.
+    views: tuple[ViewError, ...]  #: The error of each image.
+    rms: float  #: Root mean square distance of seen and computed corners in the images used [px].
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Corners:
-    """The corners of some images in one array.
+    """The corners of some images in one array."""
 
-    Attributes:
-        points: In the frame of the board [m].
-        pixels: Where a pinhole would see them [px].
-        owner: Number of each corner's image.
-        palms: Pose of the palm in the world in every image.
-        matrix: Focal lengths and optical axis [px].
-    """
-
-    points: Float[np.ndarray, "num_points 3"]
-    pixels: Float[np.ndarray, "num_points 2"]
-    owner: Int[np.ndarray, " num_points"]
-    palms: Float[np.ndarray, "num_views 4 4"]
-    matrix: Float[np.ndarray, "3 3"]
+    points: Float[np.ndarray, "num_points 3"]  #: In the frame of the board [m].
+    pixels: Float[np.ndarray, "num_points 2"]  #: Where a pinhole would see them [px].
+    owner: Int[np.ndarray, " num_points"]  #: Number of each corner's image.
+    palms: Float[np.ndarray, "num_views 4 4"]  #: Pose of the palm in the world in every image.
+    matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
 
     def of(self, is_meant: np.ndarray) -> "_Corners":
         """The corners of some of the images."""

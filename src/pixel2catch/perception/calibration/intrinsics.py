@@ -28,20 +28,14 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 @dataclass(frozen=True, kw_only=True)
 class Intrinsics:
-    """A lens: a pinhole and its distortion.
+    """A lens: a pinhole and its distortion."""
 
-    Attributes:
-        size: Width and height of the image [px].
-        matrix: Focal lengths and optical axis [px].
-        distortion: As in OpenCV; none if the images are rectified.
-        focal_std: Standard deviation of the focal length, relative to it; None if unknown.
-        rms: Root mean square distance of seen and computed corners [px]; None if it was not measured here.
-    """
-
-    size: tuple[int, int]
-    matrix: Float[np.ndarray, "3 3"]
-    distortion: tuple[float, ...] = ()
+    size: tuple[int, int]  #: Width and height of the image [px].
+    matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
+    distortion: tuple[float, ...] = ()  #: As in OpenCV; none if the images are rectified.
+    #: Standard deviation of the focal length, relative to it; None if unknown.
     focal_std: float | None = None
+    #: Root mean square distance of seen and computed corners [px]; None if it was not measured here.
     rms: float | None = None
 
     def undistorted(self, pixels: Float[np.ndarray, "num_points 2"]) -> Float[np.ndarray, "num_points 2"]:

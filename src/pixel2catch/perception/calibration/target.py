@@ -34,15 +34,11 @@ SQUARE_PIXELS = 480
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What one image shows of a board.
+    """What one image shows of a board."""
 
-    Attributes:
-        points: Corners in the frame of the board [m], or [squares] where its size is not known.
-        pixels: Where they are in the image [px].
-    """
-
+    #: Corners in the frame of the board [m], or [squares] where its size is not known.
     points: Float[np.ndarray, "num_points 3"]
-    pixels: Float[np.ndarray, "num_points 2"]
+    pixels: Float[np.ndarray, "num_points 2"]  #: Where they are in the image [px].
 
 
 class Board(ABC):
