@@ -20,7 +20,6 @@ def box_of_points(
     Args:
         pixels: Projected points [px], on or off the image.
         is_visible: Which of them are in front of the camera and not hidden.
-        camera: The camera, for the size of the image.
 
     Returns:
         Boxes [px]; (0, 0, 0, 0) where no visible point is on the image.

@@ -68,12 +68,7 @@ class CameraFile:
         return x, y, z
 
     def sample(self, num_envs: int, generator: torch.Generator) -> Projection:
-        """Draw cameras as this one may be, on the generator's device; one without lens errors.
-
-        Args:
-            num_envs: How many.
-            generator: Where they are drawn from.
-        """
+        """Draw cameras as this one may be, on the generator's device; one without lens errors."""
         draws = torch.randn(num_envs, 7, generator=generator, device=generator.device)
         spread = _spread(self.pose_covariance, draws.dtype, draws.device)
         pose: Float[Tensor, "num_envs 6"] = draws[:, :6] @ spread.T

@@ -16,14 +16,9 @@ PIXEL_FEATURES = ("cx", "cy", "w", "h", "dcx", "dcy", "dw", "dh")
 def pixel_features(
     before: Float[Tensor, "num_envs 4"], now: Float[Tensor, "num_envs 4"], camera: CameraSpec
 ) -> Float[Tensor, "num_envs 8"]:
-    """Return every pixel feature of two successive boxes, in the order of `PIXEL_FEATURES`.
+    """Return every pixel feature of two successive boxes [px], in the order of `PIXEL_FEATURES`.
 
     z = {cx, cy, w, h, Δcx, Δcy, Δw, Δh}; the paper's method reads all but w and h (`select_features`).
-
-    Args:
-        before: Boxes at the previous control step [px].
-        now: Boxes at this control step [px].
-        camera: The camera, for the size of the image.
 
     Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
     h / height.

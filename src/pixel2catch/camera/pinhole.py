@@ -54,13 +54,9 @@ class Projection:
 def project(
     camera: CameraSpec, points: Float[Tensor, "num_envs num_points 3"]
 ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
-    """Project world points into the image.
+    """Project world points [m] into the image.
 
     u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame.
-
-    Args:
-        camera: The camera.
-        points: Positions in the world frame [m].
 
     Returns:
         Pixels (u, v) [px], not clipped to the image, and depths z along the optical axis [m]. Where the depth

@@ -101,13 +101,7 @@ class Doctor:
 
 
 def check(name: str, probe: Callable[[], str], *, is_needed: bool = False) -> Check:
-    """Run a probe; whatever it raises becomes the result.
-
-    Args:
-        name: What is looked at.
-        probe: Returns what it found.
-        is_needed: Whether it must work.
-    """
+    """Run a probe; whatever it raises becomes the result."""
     from pixel2catch.cli.doctor_probes import Absent, Broken
     from pixel2catch.errors import Pixel2CatchError
 

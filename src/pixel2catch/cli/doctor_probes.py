@@ -230,11 +230,7 @@ def dds() -> str:
 
 
 def sam2(checkpoint: Path | None) -> str:
-    """A checkpoint that loads, and how long it takes for an image.
-
-    Args:
-        checkpoint: Its folder.
-    """
+    """A checkpoint that loads, and how long it takes for an image."""
     if checkpoint is None:
         raise Absent("not asked for: name its folder with --checkpoint")
     import numpy as np
@@ -257,11 +253,7 @@ def sam2(checkpoint: Path | None) -> str:
 
 
 def camera(source: str | None) -> str:
-    """A camera that delivers what the policies need.
-
-    Args:
-        source: Its number or device.
-    """
+    """A camera that delivers what the policies need."""
     if source is None:
         raise Absent("not asked for: name it with --camera")
     from pixel2catch.perception.sources import measure_camera, open_camera

@@ -95,11 +95,8 @@ class RoomCamera:
         """Furnish the room and draw what stays.
 
         Args:
-            scene: The scene of the simulation.
             seed: Of the sensor's noise.
-            cfg: Exposure and noise of the camera.
             room: Seed of the room's looks; that of the noise if absent.
-            shadows: Whether there are shadows.
 
         Raises:
             DeviceUnavailableError: If no OpenGL back end works.
@@ -197,14 +194,7 @@ def room_positions(
     offset: float,
     bystanders: Callable[[float], Float[np.ndarray, " num_bystanders"]],
 ) -> Float[np.ndarray, " num_positions"]:
-    """All positions of the room so long after the middle of an exposure.
-
-    Args:
-        room: From `build_room`.
-        moment: The middle of the exposure.
-        offset: Time from there [s].
-        bystanders: Positions of their joints at a time.
-    """
+    """All positions of the room of `build_room` at an offset from the middle of an exposure [s]."""
     qpos, qvel = room.qpos0.copy(), np.zeros(room.nv)
     qpos[: len(moment.qpos)], qvel[: len(moment.qvel)] = moment.qpos, moment.qvel
     mujoco.mj_integratePos(room, qpos, qvel, offset)

@@ -109,7 +109,6 @@ class Renderer:
 
         Args:
             model: The model; it is copied, its drawing settings are not touched.
-            view: From where to draw.
             shadows: Whether to draw shadows, about three times slower without a GPU.
             sky: Whether to draw the sky; without it a pixel that shows nothing is black.
 

@@ -75,8 +75,6 @@ def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
     """Compile the scene in a room; `qpos` is that of the scene, followed by that of `bystanders`.
 
     Args:
-        scene: The scene of the simulation.
-        object_name: What is thrown.
         seed: Of textures and posters; rooms of one seed look alike.
     """
     spec = build_spec(replace(scene, visuals=True), object_name)

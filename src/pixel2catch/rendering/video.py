@@ -46,9 +46,6 @@ def write_video(
     """Draw throws one after the other and return the number of pictures.
 
     Args:
-        path: The file, such as catch.mp4.
-        throws: The throws.
-        scene: The scene that they were thrown in.
         view: A name out of `VIEWS`.
         shadows: Whether to draw shadows, about 2.5 times slower without a GPU.
 
@@ -102,7 +99,6 @@ class VideoWriter:
 
         Args:
             path: The file; its ending names the container, such as .mp4.
-            fps: Pictures per second.
             crf: Constant rate factor, lower is better and larger.
 
         Raises:

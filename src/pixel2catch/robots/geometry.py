@@ -55,14 +55,7 @@ def chain_of(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> Chain:
-    """The joints that carry a palm.
-
-    Args:
-        workcell: The work cell.
-        palm: One of its palms.
-        device: Where poses are computed.
-        dtype: In what precision.
-    """
+    """The joints that carry a palm."""
     home = [joint.home for joint in workcell.joints[palm.carriers]]
     return Chain(bare_model(workcell), palm.spec.site, home, device=device, dtype=dtype)
 
@@ -134,11 +127,7 @@ class WorkcellGeometry:
     def palm_poses(
         self, joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> tuple[Float[Tensor, "num_envs num_palms 3"], Float[Tensor, "num_envs num_palms 4"]]:
-        """Position [m] and orientation (w, x, y, z) of all palms in the world.
-
-        Args:
-            joint_pos: Positions of all joints [rad].
-        """
+        """Position [m] and orientation (w, x, y, z) of all palms in the world, from all joints [rad]."""
         poses = [
             chain.pose(joint_pos[:, palm.carriers])
             for chain, palm in zip(self._chains, self._palms, strict=True)
@@ -153,9 +142,6 @@ class WorkcellGeometry:
 
         Looks at points of the capsules' axes and at the corners of the box, so that an edge across the
         table's edge may pass; the servo looks at all of them.
-
-        Args:
-            joint_pos: Positions of all joints [rad].
         """
         depths = [
             points.depth(chain.link_poses(joint_pos[:, palm.carriers]))

@@ -96,12 +96,7 @@ class JointDynamics:
     def nominal(
         cls, joints: Sequence[str] | None = None, specs: Sequence[JointSpec] = JOINTS
     ) -> "JointDynamics":
-        """What the simulator has without an identification: neither latency nor filter.
-
-        Args:
-            joints: Names, in joint order; all joints if not given.
-            specs: The joints of the robot.
-        """
+        """What the simulator has of the named joints, or of all, without an identification: no latency, no filter."""
         specs = [joint for joint in specs if joints is None or joint.name in joints]
         fields = ("stiffness", "damping", "frictionloss", "armature")
         return cls(
@@ -174,14 +169,10 @@ PARAMETERS = tuple(field.name for field in dataclasses.fields(JointDynamics) if 
 
 
 def command_lag(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, " num_joints"]:
-    """How much earlier than the middle of a physics step its command was sent [s].
+    """How much earlier than the middle of a physics step, of a length [s], its command was sent [s].
 
     A servo that aims in a step at the command of the step's middle leads by half a step, and so does a filter
     that answers at the end of its step: both are taken back, so that motion hardly depends on the time step.
-
-    Args:
-        dynamics: The joints.
-        dt: Length of the step [s].
     """
     return dynamics.latency + dt / 2 * (1.0 + dynamics.has_filter)
 
@@ -190,7 +181,6 @@ def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "
     """Exact step of every joint's filter, for position minus command and speed; 0 where there is no filter.
 
     Args:
-        dynamics: The joints.
         dt: Length of the step [s], in which the command is constant.
     """
     step = np.zeros((len(dynamics.joints), 2, 2))

@@ -141,13 +141,7 @@ def _prefixed(palm: PalmSpec, prefix: str) -> PalmSpec:
 
 
 def add_robots(spec: mujoco.MjSpec, workcell: WorkcellSpec, visuals: bool) -> None:
-    """Add the robots of a work cell to a scene.
-
-    Args:
-        spec: The scene.
-        workcell: The work cell.
-        visuals: Whether to keep what is only seen.
-    """
+    """Add the robots of a work cell to a scene, with or without what is only seen."""
     for placed in workcell.robots:
         frame = spec.worldbody.add_frame(pos=placed.pos, quat=placed.quat)
         _attach(spec, robot_mjcf(placed.robot, visuals), placed.prefix, frame)

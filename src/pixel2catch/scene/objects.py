@@ -167,9 +167,7 @@ def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[nd
     the outer surface, equally per area. Points of one part inside the other are left out.
 
     Args:
-        spec: The object.
         num_points: At least the number of vertices.
-        seed: Seed of the spread points.
 
     Raises:
         InvalidValueError: If there are more vertices than points.

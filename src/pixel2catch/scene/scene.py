@@ -73,8 +73,6 @@ def build_model(
     """Compile the scene with one object; the layout is the same for all, so that fields can be exchanged.
 
     Args:
-        cfg: What can be chosen.
-        object_name: The object.
         armature: Reflected inertias by joint that differ from the nominal ones [kg·m²].
     """
     spec = build_spec(cfg, object_name)

@@ -48,8 +48,6 @@ def compare(
     """Compare the camera of a laboratory with the one of a policy, whose images have the same size.
 
     Args:
-        calibrated: The camera of the laboratory.
-        policy: The camera that the policy was trained with.
         points: Where objects fly, world frame [m].
     """
     wanted, in_view = _pixels(policy, points)

@@ -132,8 +132,6 @@ def calibrate(views: Sequence[HandView], intrinsics: Intrinsics, board: Pose | N
     """Find the camera.
 
     Args:
-        views: Images of the board in the hand.
-        intrinsics: The lens.
         board: Pose of the board in the hand's frame at the palm, if it is known.
 
     Raises:
