@@ -15,11 +15,8 @@ def box_of_points(
     """Return the smallest box around the part of the visible points that is on the image.
 
     A point below the image moves the lower edge of the box to the image's, but bounds neither left nor right:
-    the object may be narrower where the image ends. The same holds for the other sides.
-
-    Args:
-        pixels: Projected points [px], on or off the image.
-        is_visible: Which of them are in front of the camera and not hidden.
+    the object may be narrower where the image ends. The same holds for the other sides. A point that is not
+    visible is behind the camera or hidden.
 
     Returns:
         Boxes [px]; (0, 0, 0, 0) where no visible point is on the image.

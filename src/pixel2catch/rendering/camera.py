@@ -92,11 +92,7 @@ class RoomCamera:
         room: int | None = None,
         shadows: bool = False,
     ) -> None:
-        """Furnish the room and draw what stays.
-
-        Args:
-            seed: Of the sensor's noise.
-            room: Seed of the room's looks; that of the noise if absent.
+        """Furnish the room and draw what stays; `room` is the seed of its looks, if not that of the noise.
 
         Raises:
             DeviceUnavailableError: If no OpenGL back end works.

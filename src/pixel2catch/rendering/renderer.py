@@ -105,12 +105,7 @@ class Renderer:
     def __init__(
         self, model: mujoco.MjModel, view: View = RGB_VIEW, *, shadows: bool = True, sky: bool = True
     ) -> None:
-        """Open the drawing context.
-
-        Args:
-            model: The model; it is copied, its drawing settings are not touched.
-            shadows: Whether to draw shadows, about three times slower without a GPU.
-            sky: Whether to draw the sky; without it a pixel that shows nothing is black.
+        """Open the drawing context; without the sky, a pixel that shows nothing is black.
 
         Raises:
             DeviceUnavailableError: If no OpenGL back end works.

@@ -74,8 +74,7 @@ class Bystanders:
 def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
     """Compile the scene in a room; `qpos` is that of the scene, followed by that of `bystanders`.
 
-    Args:
-        seed: Of textures and posters; rooms of one seed look alike.
+    The seed is of textures and posters: rooms of one seed look alike.
     """
     spec = build_spec(replace(scene, visuals=True), object_name)
     rng = np.random.default_rng(seed)

@@ -43,11 +43,7 @@ class RecordedThrow:
 def write_video(
     path: Path, throws: Iterable[RecordedThrow], scene: SceneCfg, view: str = "both", *, shadows: bool = True
 ) -> int:
-    """Draw throws one after the other and return the number of pictures.
-
-    Args:
-        view: A name out of `VIEWS`.
-        shadows: Whether to draw shadows, about 2.5 times slower without a GPU.
+    """Draw throws one after the other, in a view out of `VIEWS`, and return the number of pictures.
 
     Raises:
         UnknownNameError: If there is no such view.
@@ -95,11 +91,9 @@ class VideoWriter:
     """Writes pictures of one size to an H.264 file; close it, or use it as a context manager."""
 
     def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
-        """Open the file.
+        """Open the file; its ending names the container, such as .mp4.
 
-        Args:
-            path: The file; its ending names the container, such as .mp4.
-            crf: Constant rate factor, lower is better and larger.
+        `crf` is the constant rate factor: lower is better and larger.
 
         Raises:
             InvalidValueError: If the folder does not exist, or the ending names no format.

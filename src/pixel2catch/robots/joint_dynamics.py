@@ -96,7 +96,7 @@ class JointDynamics:
     def nominal(
         cls, joints: Sequence[str] | None = None, specs: Sequence[JointSpec] = JOINTS
     ) -> "JointDynamics":
-        """What the simulator has of the named joints, or of all, without an identification: no latency, no filter."""
+        """What the simulator has of the named joints, or of all: neither latency nor filter."""
         specs = [joint for joint in specs if joints is None or joint.name in joints]
         fields = ("stiffness", "damping", "frictionloss", "armature")
         return cls(
@@ -180,8 +180,7 @@ def command_lag(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, " num_j
 def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "num_joints 2 2"]:
     """Exact step of every joint's filter, for position minus command and speed; 0 where there is no filter.
 
-    Args:
-        dt: Length of the step [s], in which the command is constant.
+    The command is constant in the step, which takes dt [s].
     """
     step = np.zeros((len(dynamics.joints), 2, 2))
     gain, lookahead = dynamics.filter_gain, dynamics.filter_lookahead

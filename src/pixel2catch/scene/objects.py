@@ -166,9 +166,6 @@ def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[nd
     The first points are all vertices, whose projections bound the outline exactly; the others are spread over
     the outer surface, equally per area. Points of one part inside the other are left out.
 
-    Args:
-        num_points: At least the number of vertices.
-
     Raises:
         InvalidValueError: If there are more vertices than points.
     """

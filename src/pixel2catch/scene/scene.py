@@ -72,8 +72,7 @@ def build_model(
 ) -> mujoco.MjModel:
     """Compile the scene with one object; the layout is the same for all, so that fields can be exchanged.
 
-    Args:
-        armature: Reflected inertias by joint that differ from the nominal ones [kg·m²].
+    `armature` are reflected inertias by joint that differ from the nominal ones [kg·m²].
     """
     spec = build_spec(cfg, object_name)
     for name, value in (armature or {}).items():

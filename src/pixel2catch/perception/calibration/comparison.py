@@ -45,11 +45,7 @@ class Comparison:
 def compare(
     calibrated: CameraFile, policy: CameraSpec, points: Float[np.ndarray, "num_points 3"]
 ) -> Comparison:
-    """Compare the camera of a laboratory with the one of a policy, whose images have the same size.
-
-    Args:
-        points: Where objects fly, world frame [m].
-    """
+    """Compare a laboratory's camera with a policy's of the same image size, where objects fly [m]."""
     wanted, in_view = _pixels(policy, points)
     points, wanted = points[in_view], wanted[in_view]
     straight, is_seen = _pixels(calibrated.camera, points)

@@ -129,10 +129,7 @@ class _Fit:
 
 
 def calibrate(views: Sequence[HandView], intrinsics: Intrinsics, board: Pose | None = None) -> Calibration:
-    """Find the camera.
-
-    Args:
-        board: Pose of the board in the hand's frame at the palm, if it is known.
+    """Find the camera; the pose of the board in the hand's frame at the palm is found, too, or given.
 
     Raises:
         PerceptionError: If images are too few, contradict each other, or do not tell the pose.
