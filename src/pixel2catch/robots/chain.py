@@ -63,7 +63,7 @@ class Chain:
     def pose(
         self, joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
-        """Position [m] and orientation (w, x, y, z) of the site, world frame, from positions of the joints [rad]."""
+        """Position [m] and orientation (w, x, y, z) of the site in the world, from the joints' [rad]."""
         transforms = [*self._transforms(joint_pos).unbind(dim=1)]
         while len(transforms) > 3:  # pairs first: fewer steps one after the other
             whole, rest = len(transforms) // 2 * 2, transforms[len(transforms) // 2 * 2 :]
