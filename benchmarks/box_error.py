@@ -17,8 +17,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_mask
-from pixel2catch.camera.pinhole import camera_center, project
-from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions
+from pixel2catch.camera.pinhole import camera_center, is_in_view, is_unoccluded, project, ray_directions
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View

@@ -1,10 +1,10 @@
-"""The pinhole camera: world points to continuous image coordinates, and back."""
+"""The pinhole camera: world points to continuous image coordinates and back, and which points it sees."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.scene.constants import CameraSpec
@@ -82,6 +82,35 @@ def nominal_projection(camera: CameraSpec, like: Tensor) -> Projection:
 def camera_center(camera: CameraSpec, like: Tensor) -> Float[Tensor, "3"]:
     """Return the camera's centre of projection in the world frame [m], with dtype and device of `like`."""
     return nominal_projection(camera, like).center
+
+
+def ray_directions(
+    camera: CameraSpec, points: Float[Tensor, "num_envs num_points 3"]
+) -> Float[Tensor, "num_envs num_points 3"]:
+    """Return the rays from the camera's centre to the points, world frame [m]; not normalised."""
+    return points - camera_center(camera, points)
+
+
+def is_unoccluded(hit_distance: Float[Tensor, "num_envs num_points"]) -> Bool[Tensor, "num_envs num_points"]:
+    """Return whether nothing stands between the camera and each point.
+
+    The object itself is not cast against: its far side projects into its own outline.
+
+    Args:
+        hit_distance: Where the ray of `ray_directions` first hits robot or table (`Simulation.ray`), in units
+            of the ray: 1 is at the point, negative is a miss.
+    """
+    return (hit_distance < 0.0) | (hit_distance >= 1.0)
+
+
+def is_in_view(
+    camera: CameraSpec,
+    pixels: Float[Tensor, "num_envs num_points 2"],
+    depth: Float[Tensor, "num_envs num_points"],
+) -> Bool[Tensor, "num_envs num_points"]:
+    """Return whether each projected point lies in front of the camera and on the image."""
+    u, v = pixels.unbind(-1)
+    return (depth > 0.0) & (u >= 0.0) & (u <= camera.width) & (v >= 0.0) & (v <= camera.height)
 
 
 @lru_cache(maxsize=16)

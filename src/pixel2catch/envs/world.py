@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.camera.pinhole import camera_center
-from pixel2catch.camera.visibility import is_unoccluded, ray_directions
+from pixel2catch.camera.pinhole import camera_center, is_unoccluded, ray_directions
 from pixel2catch.envs.drives import Drives
 from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
 from pixel2catch.mdp.columns import merged, take

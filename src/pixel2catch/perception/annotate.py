@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from pixel2catch.camera.features import PIXEL_FEATURES
+from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import Image

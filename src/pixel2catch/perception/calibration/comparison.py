@@ -11,8 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import project
-from pixel2catch.camera.visibility import is_in_view
+from pixel2catch.camera.pinhole import is_in_view, project
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.perception.calibration.intrinsics import camera_matrix
 from pixel2catch.scene.constants import CameraSpec, Vec3
