@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.scene.contact import PUSH_OUT, contact_solref
+from pixel2catch.scene.cfg import PUSH_OUT, contact_solref
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

@@ -14,8 +14,7 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer
 from pixel2catch.rendering.room import build_room
 from pixel2catch.robots.geometry import chain_of
-from pixel2catch.scene.object_table import GEOM_FIELDS, object_indices, object_table
-from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
 from pixel2catch.workcells import find_workcell
 
 OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)

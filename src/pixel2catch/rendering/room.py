@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy import ndimage
 
+from pixel2catch.robots.workcell import VISUAL_GROUP
 from pixel2catch.scene.scene import SceneCfg, build_spec
-from pixel2catch.scene.surroundings import VISUAL_GROUP
 
 WALL_X = 4.6
 """Where the wall behind the thrower is [m]; its foot is in the upper half of the image."""

@@ -120,11 +120,6 @@ class WorkcellSpec:
                 first += sum(len(group.joints) for group in part.groups)
         return tuple(found)
 
-    @cached_property
-    def roots(self) -> tuple[str, ...]:
-        """The first body of each robot."""
-        return tuple(placed.prefix + placed.robot.root for placed in self.robots)
-
     def of_role(self, role: Literal["arm", "hand"]) -> tuple[slice, ...]:
         """Columns of the groups of a role."""
         return tuple(self.columns(group.name) for group in self.groups if group.role == role)

@@ -1,14 +1,29 @@
-"""What can be chosen about the scene."""
+"""What can be chosen about the scene, and the contacts that follow from it."""
 
 from dataclasses import dataclass
+from math import sqrt
+from typing import TypeVar
+
+from numpy import ndarray
+from torch import Tensor
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
-from pixel2catch.scene.contact import SOLIMP
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 MAX_OBJECT_SCALE = 1.4
 """Of the largest object's 6.75 cm, that stays within `scene.OBJECT_BOUND`."""
+
+PUSH_OUT = 0.2
+"""Share of a penetration that is removed in one physics step: it decays with a time constant of 5 steps.
+
+Source: ours, `benchmarks/contact_quality.py`. More decays faster, but an object that is found deep in the
+surface is then thrown out: a restitution is met up to half of this share, by where in a step the impact
+falls.
+"""
+
+SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+"""Impedance of a contact with the object. Source: ours; MuJoCo's default lets an object creep in the hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,3 +64,34 @@ class SceneCfg:
     def physics_dt(self) -> float:
         """Physics time step [s]."""
         return CONTROL_DT / self.decimation
+
+
+Value = TypeVar("Value", float, ndarray, Tensor)
+
+
+def contact_solref(restitution: Value, physics_dt: float) -> tuple[Value, Value]:
+    """Stiffness and damping of a contact, as the two negative numbers of a direct `solref`.
+
+    A step changes the normal velocity v at depth p by dt (b |v| + k p). With b = (1 + e - PUSH_OUT / 2) / dt
+    and k = PUSH_OUT / dt², and depths spread evenly over the way of one step, the mean velocity after the
+    impact is e |v|.
+
+    Args:
+        restitution: e, speed after over speed before the impact; a number, or an array or tensor of them.
+        physics_dt: Length of the step, dt [s].
+
+    Returns:
+        (-k, -b), each like `restitution`.
+    """
+    stiffness = PUSH_OUT / physics_dt**2 + 0.0 * restitution
+    damping = (1.0 - 0.5 * PUSH_OUT + restitution) / physics_dt
+    return -stiffness, -damping
+
+
+def table_solref(physics_dt: float) -> tuple[float, float]:
+    """Time constant and damping ratio of the table, as stiff as a step allows: the arm is strong.
+
+    Of a speed and a depth, a step removes all of the one and 80 % of the other. Not the direct form: of two
+    direct ones MuJoCo Warp takes the smaller numbers, whatever the priorities, and the object has one.
+    """
+    return 2.0 * physics_dt, 1.0 / sqrt(4.0 * 0.8)
