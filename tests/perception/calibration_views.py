@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
+from pixel2catch.perception.calibration.extrinsics import HandView
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
 from pixel2catch.perception.calibration.target import SQUARE, SQUARES, CharucoBoard, View
+from pixel2catch.robots.chain import pose_matrix
 from pixel2catch.robots.geometry import first_chain
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
@@ -45,8 +46,7 @@ def lens(camera: CameraSpec = RGB_CAMERA) -> Intrinsics:
 
 def palm(joint_pos: np.ndarray) -> np.ndarray:
     """Pose of the palm in the world at joint positions [rad]."""
-    pos, quat = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joint_pos)[None])
-    return pose_matrix(pos[0].tolist(), quat[0].tolist())
+    return first_chain(UR5E_ALLEGRO).link_poses(torch.from_numpy(joint_pos)[None])[0, -1].numpy()
 
 
 def board_in_camera(joint_pos: np.ndarray, camera: CameraSpec = RGB_CAMERA) -> np.ndarray:

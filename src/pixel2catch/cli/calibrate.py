@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pixel2catch.perception.calibration.comparison import Comparison
-    from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
+    from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, Pose
     from pixel2catch.perception.calibration.intrinsics import Intrinsics
 
 IMAGE_COLUMN = "image"
@@ -81,10 +81,9 @@ class Calibrate:
     def _calibrate(self) -> None:
         from pixel2catch.cli.console import say
         from pixel2catch.evaluation.comparison.figures import sample_paths
-        from pixel2catch.files import require_free_file
         from pixel2catch.mdp.throws import ThrowCfg
         from pixel2catch.perception.calibration.comparison import compare
-        from pixel2catch.perception.calibration.extrinsics import calibrate, pose_matrix
+        from pixel2catch.perception.calibration.extrinsics import calibrate
 
         require_free_file(self.out)
         if self.intrinsics is None or self.views is None:
@@ -93,14 +92,29 @@ class Calibrate:
                 "to begin with."
             )
         intrinsics = self._lens(self.intrinsics)
-        pose = self.board_pose
-        board = None if pose is None else pose_matrix(pose[:3], pose[3:])
-        result = calibrate(self._hand_views(self.views, intrinsics), intrinsics, board)
+        result = calibrate(self._hand_views(self.views, intrinsics), intrinsics, self._board())
         paths = sample_paths(ThrowCfg(), NUM_THROWS, seed=0).reshape(-1, 3)
         comparison = compare(result.file, RGB_CAMERA, paths)
         result.file.save(self.out)
         _print_result(result, intrinsics, comparison, as_json=self.json)
         say(f"wrote {self.out}")
+
+    def _board(self) -> "Pose | None":
+        """The pose of the board in the hand, if it is known.
+
+        Raises:
+            InvalidValueError: If its orientation is none.
+        """
+        from math import hypot
+
+        from pixel2catch.robots.chain import pose_matrix
+
+        if self.board_pose is None:
+            return None
+        pos, quat = self.board_pose[:3], self.board_pose[3:]
+        if abs(hypot(*quat) - 1.0) > 1e-3:
+            raise InvalidValueError(f"{quat} is no unit quaternion (w, x, y, z); divide it by its norm.")
+        return pose_matrix(pos, quat)
 
     def _lens(self, path: Path) -> "Intrinsics":
         """The lens.
@@ -133,7 +147,7 @@ class Calibrate:
 
         from pixel2catch.cli.console import say
         from pixel2catch.identification.recording import read_table, require_motion
-        from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
+        from pixel2catch.perception.calibration.extrinsics import HandView
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
         from pixel2catch.robots.geometry import first_chain
@@ -148,12 +162,12 @@ class Calibrate:
         require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
         names = [row[table.names.index(IMAGE_COLUMN)] for row in table.rows]
         board, views, blank = CharucoBoard(self.square), [], []
-        pos, quat = (each.tolist() for each in first_chain(workcell).pose(torch.from_numpy(joint_pos)))
-        for name, *palm in zip(names, pos, quat, strict=True):
+        palms = first_chain(workcell).link_poses(torch.from_numpy(joint_pos))[:, -1].numpy()
+        for name, palm in zip(names, palms, strict=True):
             image = read_image(path.parent / name)
             check_image(image, *intrinsics.size)
             if view := board.find(image):
-                views.append(HandView(name=name, view=view, palm=pose_matrix(*palm)))
+                views.append(HandView(name=name, view=view, palm=palm))
             else:
                 blank.append(name)
         if blank:

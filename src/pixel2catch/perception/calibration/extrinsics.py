@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
 from pixel2catch.perception.calibration.target import View
 from pixel2catch.scene.constants import CameraSpec
@@ -159,17 +159,6 @@ def calibrate(views: Sequence[HandView], intrinsics: Intrinsics, board: Pose | N
     )
 
 
-def pose_matrix(pos: Sequence[float], quat: Sequence[float]) -> Pose:
-    """Homogeneous matrix of a position [m] and an orientation (w, x, y, z), a unit quaternion.
-
-    Raises:
-        InvalidValueError: If it is none.
-    """
-    if abs(np.linalg.norm(quat) - 1.0) > 1e-3:
-        raise InvalidValueError(f"{tuple(quat)} is no unit quaternion (w, x, y, z); divide it by its norm.")
-    return _pose(Rotation.from_quat(quat, scalar_first=True).as_matrix(), np.array(pos))
-
-
 def _pose(rotation: np.ndarray, pos: np.ndarray) -> Pose:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, pos
@@ -192,10 +181,11 @@ def _first_guess(corners: _Corners, board: Pose | None) -> tuple[Pose, Pose]:
     """
     boards: dict[int, Pose] = {}
     for i in range(len(corners.palms)):
-        rows = corners.owner == i
-        pose = _board_in_camera(corners.points[rows], corners.pixels[rows], corners.matrix)
-        if pose is not None:
-            boards[i] = pose
+        points, pixels = (each[corners.owner == i] for each in (corners.points, corners.pixels))
+        lens = (corners.matrix, np.zeros(4))
+        is_found, turn, pos = cv2.solvePnP(points, pixels[:, None], *lens, flags=cv2.SOLVEPNP_IPPE)
+        if is_found:
+            boards[i] = _pose(cv2.Rodrigues(turn)[0], pos.ravel())
     num_drawn = 3 if board is None else 1
     if len(boards) < num_drawn:
         raise PerceptionError("no image tells where the board is: take images nearer and sharper.")
@@ -206,12 +196,6 @@ def _first_guess(corners: _Corners, board: Pose | None) -> tuple[Pose, Pose]:
         guess = _solve([corners.palms[i] for i in few], [boards[i] for i in few], board)
         guesses.append((float(np.median(corners.rms(*guess))), guess))
     return min(guesses, key=lambda guess: guess[0])[1]
-
-
-def _board_in_camera(points: np.ndarray, pixels: np.ndarray, matrix: np.ndarray) -> Pose | None:
-    """Pose of a plane from its corners, None if they do not tell it."""
-    is_found, turn, pos = cv2.solvePnP(points, pixels[:, None], matrix, np.zeros(4), flags=cv2.SOLVEPNP_IPPE)
-    return _pose(cv2.Rodrigues(turn)[0], pos.ravel()) if is_found else None
 
 
 def _solve(palms: Sequence[Pose], boards: Sequence[Pose], board: Pose | None) -> tuple[Pose, Pose]:
