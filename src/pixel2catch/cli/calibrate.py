@@ -1,20 +1,23 @@
 """`pixel2catch calibrate`: where the camera stands, how well that is known, what it means for a policy."""
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.table import Table
+from rich.text import Text
 from tyro.conf import Positional
 
+from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import InvalidValueError, RecordingError
 from pixel2catch.files import require_free_file, write_atomically
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from pixel2catch.perception.calibration.comparison import Comparison
     from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, Pose
     from pixel2catch.perception.calibration.intrinsics import Intrinsics
@@ -79,7 +82,6 @@ class Calibrate:
             self._calibrate()
 
     def _calibrate(self) -> None:
-        from pixel2catch.cli.console import say
         from pixel2catch.evaluation.comparison.figures import sample_paths
         from pixel2catch.mdp.throws import ThrowCfg
         from pixel2catch.perception.calibration.comparison import compare
@@ -145,7 +147,6 @@ class Calibrate:
         import numpy as np
         import torch
 
-        from pixel2catch.cli.console import say
         from pixel2catch.identification.recording import read_table, require_motion
         from pixel2catch.perception.calibration.extrinsics import HandView
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
@@ -178,7 +179,6 @@ class Calibrate:
 def _print_board(path: Path) -> None:
     import io
 
-    from pixel2catch.cli.console import say
     from pixel2catch.perception.calibration.target import sheet
 
     kind = path.suffix.lower().lstrip(".")
@@ -195,13 +195,6 @@ def _print_result(
     result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison", *, as_json: bool
 ) -> None:
     """Print the errors of the images, the camera, and what to do."""
-    from dataclasses import asdict
-
-    from rich.table import Table
-    from rich.text import Text
-
-    from pixel2catch.cli.console import results_console
-
     if as_json:
         content: dict[str, Any] = {
             "rms": result.rms,
@@ -222,10 +215,8 @@ def _print_result(
         console.print(Text(line))
 
 
-def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> "Iterator[str]":
+def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> Iterator[str]:
     """The result in words."""
-    from math import degrees
-
     from pixel2catch.perception.calibration.comparison import advice
 
     x, y, z = result.file.camera.pos

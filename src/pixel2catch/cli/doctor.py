@@ -20,7 +20,10 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from rich.table import Table
+from rich.text import Text
 
+from pixel2catch.cli.console import results_console
 from pixel2catch.errors import Pixel2CatchError
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
@@ -350,11 +353,6 @@ class Doctor:
 
     def _print(self, checks: list[Check]) -> None:
         """Print a table, and what it means."""
-        from rich.table import Table
-        from rich.text import Text
-
-        from pixel2catch.cli.console import results_console
-
         table = Table("check", "", "found")
         for each in checks:
             style = STYLES[each.state]

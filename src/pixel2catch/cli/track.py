@@ -4,15 +4,19 @@ import csv
 import json
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import chain, takewhile
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.table import Table
+from rich.text import Text
 from tyro.conf import Positional
 
 from pixel2catch.circumstances import circumstances
+from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import PerceptionError
 from pixel2catch.files import plain, require_free_folder, write_atomically
@@ -64,8 +68,6 @@ class Track:
 
     def run(self) -> None:
         """Follow the object, write what is seen, and print how long it took."""
-        from pixel2catch.cli.console import say
-
         with needs_extra("perception"):
             from pixel2catch.perception.tracking import Tally
         require_free_folder(self.out)
@@ -87,8 +89,6 @@ class Track:
 
     def _record(self, tally: "Tally", notes: list[str]) -> None:
         """Follow the object and write video and table until the end, or until Ctrl-C."""
-        from contextlib import closing
-
         from pixel2catch.perception.extractor import PixelFeatureExtractor
         from pixel2catch.perception.robot_mask import RobotMask
         from pixel2catch.perception.sources import SourceCfg, ticks_of
@@ -124,7 +124,6 @@ class Track:
 
     def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
         """Write a picture and a row for every sighting."""
-        from pixel2catch.cli.console import say
         from pixel2catch.perception.annotate import Annotator
         from pixel2catch.perception.tracking import COLUMNS
         from pixel2catch.rendering.video import VideoWriter
@@ -152,10 +151,6 @@ def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> 
     if as_json:
         print(json.dumps(summary, indent=2))
         return
-    from rich.table import Table
-    from rich.text import Text
-
-    from pixel2catch.cli.console import results_console
 
     table = Table(title="time of each stage [ms]")
     table.add_column("stage")
