@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.linalg import polar
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -202,7 +203,8 @@ def _solve(palms: Sequence[Pose], boards: Sequence[Pose], board: Pose | None) ->
     """Camera X and board Y from some images: A Y = X B, first the rotations, then the positions.
 
     The rotations are the singular vector of the smallest singular value of (1 ⊗ A) vec Y - (Bᵀ ⊗ 1) vec X,
-    which is zero for exact ones. OpenCV 5.0 has no binding of its `calibrateRobotWorldHandEye`.
+    which is zero for exact ones; they are brought to the nearest rotations. OpenCV 5.0 has no binding of its
+    `calibrateRobotWorldHandEye`.
     """
     if board is not None:
         return palms[0] @ board @ np.linalg.inv(boards[0]), board
@@ -212,17 +214,12 @@ def _solve(palms: Sequence[Pose], boards: Sequence[Pose], board: Pose | None) ->
         for palm, seen in zip(palms, boards, strict=True)
     ]
     vector = np.linalg.svd(np.vstack(rows))[2][-1]
-    in_hand, camera = (_rotation(half.reshape(3, 3, order="F")) for half in np.split(vector, 2))
+    halves = [half.reshape(3, 3, order="F") for half in np.split(vector, 2)]
+    in_hand, camera = (polar(np.sign(np.linalg.det(half)) * half)[0] for half in halves)
     sides = [np.hstack((one, -palm[:3, :3])) for palm in palms]
     values = [palm[:3, 3] - camera @ seen[:3, 3] for palm, seen in zip(palms, boards, strict=True)]
     places = np.linalg.lstsq(np.vstack(sides), np.concatenate(values))[0]
     return _pose(camera, places[:3]), _pose(in_hand, places[3:])
-
-
-def _rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a multiple of a matrix."""
-    left, _, right = np.linalg.svd(np.sign(np.linalg.det(matrix)) * matrix)
-    return left @ right
 
 
 def _fit(corners: _Corners, camera: Pose, board: Pose, *, is_board_free: bool, loss: str) -> _Fit:
