@@ -120,14 +120,12 @@ class JointDynamics:
 
     def over(self, below: "JointDynamics") -> "JointDynamics":
         """The joints of both, those of `below` first; what both have is as in here."""
-        joints = tuple(dict.fromkeys((*below.joints, *self.joints)))
-        owners = [self if name in self.joints else below for name in joints]
-        columns = [owner.joints.index(name) for owner, name in zip(owners, joints, strict=True)]
+        last = {name: i for i, name in enumerate((*below.joints, *self.joints))}
+        rows = [*last.values()]
         values = {
-            name: np.array([getattr(owner, name)[i] for owner, i in zip(owners, columns, strict=True)])
-            for name in PARAMETERS
+            name: np.concatenate((getattr(below, name), getattr(self, name)))[rows] for name in PARAMETERS
         }
-        return JointDynamics(joints=joints, **values)
+        return JointDynamics(joints=tuple(last), **values)
 
     def to_dict(self) -> dict[str, Any]:
         """Lists and numbers, ready for JSON; an infinite gain is null there."""
