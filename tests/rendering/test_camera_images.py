@@ -21,6 +21,7 @@ from pixel2catch.rendering.renderer import Renderer, find_gl_backend
 from pixel2catch.rendering.room import Bystanders, build_room
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.twin.simulated_lab import Thrower
+from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RELEASE = np.array((2.6, 0.1, 0.8))
@@ -38,11 +39,15 @@ def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, spee
 
 
 @pytest.fixture
-def view(request: pytest.FixtureRequest) -> Iterator[RoomCamera]:
+def opengl() -> None:
     try:
         find_gl_backend()
     except DeviceUnavailableError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def view(opengl: None, request: pytest.FixtureRequest) -> Iterator[RoomCamera]:
     with RoomCamera(SceneCfg(), 0, request.param) as view:
         yield view
 
@@ -106,3 +111,20 @@ def test_with_shadows_the_sensor_has_the_same_noise(view: RoomCamera):
         band = (light > 110) & (light < 140)
         variances.append((first - second)[band].var())
     assert variances[0] == pytest.approx(variances[1], rel=0.1)
+
+
+def test_the_robots_of_any_work_cell_are_drawn(opengl: None):
+    """Two arms, of which the second moves: it is smeared."""
+    scene = SceneCfg(workcell="two_ur5e_allegro")
+    model, workcell = build_model(scene), find_workcell(scene.workcell)
+    qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
+    qpos[: len(workcell.joints)] = [joint.home for joint in workcell.joints]
+    images = []
+    with RoomCamera(scene, 0, replace(STILL, part_length=1.0)) as camera:
+        for speed in (0.0, 3.0):
+            qvel[workcell.palms[1].carriers] = speed
+            moment = Moment(qpos=qpos, qvel=qvel, time=0.0)
+            shown = Exposure(moment=moment, object_name="cube_s", thrower=THROWER.joint_pos)
+            images.append(camera.image(shown).astype(int))
+    changed = (np.abs(images[1] - images[0]) > 15).any(axis=-1)
+    assert 200 < changed.sum() < 20_000
