@@ -17,14 +17,12 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
-FORMAT_VERSION = 1
-"""Version of the files. Raised when an older one can no longer be read."""
+FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
 LENS_SIZES = (0, 4, 5, 8)
 """How many numbers the lens models have that are read: none, and OpenCV's with 4, 5 or 8."""
 
-NO_POSE_ERROR = ((0.0,) * 6,) * 6
-"""Covariance of a pose that is known exactly."""
+NO_POSE_ERROR = ((0.0,) * 6,) * 6  #: Covariance of a pose that is known exactly.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,11 +22,8 @@ if TYPE_CHECKING:
     from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, Pose
     from pixel2catch.perception.calibration.intrinsics import Intrinsics
 
-IMAGE_COLUMN = "image"
-"""Column with the names of the images, relative to the folder of the table."""
-
-NUM_THROWS = 200
-"""Throws whose paths are compared."""
+IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
+NUM_THROWS = 200  #: Throws whose paths are compared.
 
 LARGEST_RMS = 1.5
 """Errors above this have a cause that can be found [px].

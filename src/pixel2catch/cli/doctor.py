@@ -29,28 +29,19 @@ from pixel2catch.errors import Pixel2CatchError
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
 """Colour of each state; the word tells without colour, too."""
 
-EXIT_BAD = 1
-"""Exit status where something that is needed does not work."""
+EXIT_BAD = 1  #: Exit status where something that is needed does not work.
 
 PACKAGE = "pixel2catch"
 
-NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")
-"""Where Linux says which driver is loaded."""
+NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Where Linux says which driver is loaded.
 
 LEAST_FREE = 1e9
 """Free space that a run may need [bytes]. Source: ours; a run folder has some megabytes, a study 200."""
 
-CAMERA_SECONDS = 3.0
-"""How long a camera is watched [s]."""
-
-LEAST_RATE = 29.0
-"""Images a second that the policies need; they act 30 times."""
-
-DDS_SECONDS = 5.0
-"""How long two nodes may take to find each other [s]."""
-
-SAM2_IMAGES = 3
-"""Images that SAM 2 tracks to be timed; it warms up before, where that matters."""
+CAMERA_SECONDS = 3.0  #: How long a camera is watched [s].
+LEAST_RATE = 29.0  #: Images a second that the policies need; they act 30 times.
+DDS_SECONDS = 5.0  #: How long two nodes may take to find each other [s].
+SAM2_IMAGES = 3  #: Images that SAM 2 tracks to be timed; it warms up before, where that matters.
 
 _WARP_PROBE = """
 import mujoco_warp, warp

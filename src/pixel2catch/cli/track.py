@@ -27,11 +27,8 @@ if TYPE_CHECKING:
     from pixel2catch.perception.tracking import Sighting, Tally
     from pixel2catch.scene.constants import CameraSpec
 
-VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"
-"""Files in the folder that it writes."""
-
-REPORT_SECONDS = 5.0
-"""Time between two lines of progress [s]."""
+VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"  #: Files in the folder that it writes.
+REPORT_SECONDS = 5.0  #: Time between two lines of progress [s].
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,7 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene import shapes
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
-NEAREST = 0.05
-"""Points nearer to the camera's plane are left out [m]."""
+NEAREST = 0.05  #: Points nearer to the camera's plane are left out [m].
 
 MARGIN = 4
 """Pixels about the robot that are taken for it, too. Source: ours, for errors of camera and clocks."""

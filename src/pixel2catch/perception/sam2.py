@@ -60,8 +60,7 @@ Source: ours: timings are steady after 20."""
 WARM_UP_RUNS = 2
 """Runs before a recording: in the first, kernels choose algorithms and take memory. Source: ours."""
 
-OBJECT = 0
-"""Index of the only object of a session."""
+OBJECT = 0  #: Index of the only object of a session.
 
 BOX_LABELS, POINT_LABELS = (2, 3), (1,)
 """What the points of a prompt are: two corners; a point on the object. Source: the model's prompt encoder."""

@@ -8,11 +8,8 @@ from jaxtyping import Bool, UInt8
 
 from pixel2catch.errors import PerceptionError
 
-Image = UInt8[np.ndarray, "height width 3"]
-"""Red, green, blue; upper row first."""
-
-Mask = Bool[np.ndarray, "height width"]
-"""Which pixels of an image are meant."""
+Image = UInt8[np.ndarray, "height width 3"]  #: Red, green, blue; upper row first.
+Mask = Bool[np.ndarray, "height width"]  #: Which pixels of an image are meant.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +32,7 @@ class PointPrompt:
     center: tuple[float, float]
 
 
-Prompt = BoxPrompt | PointPrompt
-"""Which of all the things in an image is the object."""
+Prompt = BoxPrompt | PointPrompt  #: Which of all the things in an image is the object.
 
 
 @dataclass(frozen=True, kw_only=True)

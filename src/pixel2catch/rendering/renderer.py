@@ -26,8 +26,7 @@ GL_BACKENDS = ("egl", "osmesa")
 
 OBJECT_BODY = "object"
 
-DRAWN_GROUPS = (0, 1, 2, 3)
-"""Geom groups in a picture: table and floor, object, what is only seen, robot."""
+DRAWN_GROUPS = (0, 1, 2, 3)  #: Geom groups in a picture: table and floor, object, what is only seen, robot.
 
 _PROBE = """
 import importlib, sys, mujoco
@@ -54,8 +53,7 @@ class View:
     height: int = RGB_CAMERA.height  #: Of the picture [px], even.
 
 
-RGB_VIEW = View(camera="rgb")
-"""What the robot's camera sees."""
+RGB_VIEW = View(camera="rgb")  #: What the robot's camera sees.
 
 OUTSIDE_VIEW = View(lookat=(1.3, 0.0, 1.05), distance=3.6, azimuth=105.0, elevation=-12.0)
 """Robot, table and the whole throw, from the side."""

@@ -11,18 +11,14 @@ from scipy import ndimage
 from pixel2catch.robots.workcell import VISUAL_GROUP
 from pixel2catch.scene.scene import SceneCfg, build_spec
 
-WALL_X = 4.6
-"""Where the wall behind the thrower is [m]; its foot is in the upper half of the image."""
-
-TEXTURE_SIZE = 512
-"""Side of a texture [px]."""
+WALL_X = 4.6  #: Where the wall behind the thrower is [m]; its foot is in the upper half of the image.
+TEXTURE_SIZE = 512  #: Side of a texture [px].
 
 GRAINS = ((3.0, 9.0), (24.0, 16.0))
 """Size [px] and standard deviation [levels] of the patterns that a texture is made of."""
 
 FLOOR_LEVEL = (128.0, 124.0, 116.0)
-WALL_LEVEL = (172.0, 168.0, 158.0)
-"""Mean red, green and blue of the textures."""
+WALL_LEVEL = (172.0, 168.0, 158.0)  #: Mean red, green and blue of the textures.
 
 NUM_POSTERS = 6
 
@@ -31,11 +27,8 @@ TROUSERS_RGBA = (0.30, 0.27, 0.22, 1.0)
 SKIN_RGBA = (0.80, 0.58, 0.46, 1.0)
 BALL_RGBA = (0.85, 0.28, 0.15, 1.0)
 
-SHOULDER = (0.42, 0.12, 0.56)
-"""The shoulder, from the held object [m]: behind it, beside it and above it."""
-
-HAND_DROP = 0.085
-"""From the middle of the hand up to the held object [m]: the object lies on it."""
+SHOULDER = (0.42, 0.12, 0.56)  #: The shoulder, from the held object [m]: behind it, beside it and above it.
+HAND_DROP = 0.085  #: From the middle of the hand up to the held object [m]: the object lies on it.
 
 HAND_RADIUS = 0.045
 
@@ -49,8 +42,7 @@ begins with 4 m/s, as fast as the object."""
 BALL_PIVOT, BALL_LENGTH, BALL_RADIUS = (3.4, -0.75, 2.3), 1.2, 0.05
 """Where the ball hangs from, how deep, and its radius [m]: as large as the objects, and red."""
 
-BALL_SWING, BALL_PERIOD = 0.4, 2.2
-"""Amplitude [rad] and period [s] of the ball."""
+BALL_SWING, BALL_PERIOD = 0.4, 2.2  #: Amplitude [rad] and period [s] of the ball.
 
 BYSTANDER_JOINTS = ("thrower_x", "thrower_y", "thrower_z", "thrower_sway", "thrower_arm", "ball_swing")
 """Their joints, in the order of their positions in `qpos`, where they are the last."""

@@ -25,8 +25,7 @@ VIEWS: dict[str, tuple[View, ...]] = {
 """What a picture shows, from left to right."""
 
 BOX_COLOR = (80, 255, 80)
-BOX_WIDTH = 2
-"""Width of a drawn box's edge [px]."""
+BOX_WIDTH = 2  #: Width of a drawn box's edge [px].
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,8 +28,7 @@ JOINTS: tuple[JointSpec, ...] = (*ARM.joints, *HAND.joints)
 SERVOJ_GAIN = 300.0
 """Gain of the UR5e's servoJ filter [1/s²]. Source: the controller's setting, confirmed on recorded motion."""
 
-SERVOJ_LOOKAHEAD = 0.1
-"""Look-ahead time of the UR5e's servoJ filter [s]. Source: as of the gain."""
+SERVOJ_LOOKAHEAD = 0.1  #: Look-ahead time of the UR5e's servoJ filter [s]. Source: as of the gain.
 
 Parameter = Float[np.ndarray, " num_joints"]
 

@@ -9,8 +9,7 @@ import mujoco
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robots.spec import JointGroup, JointSpec, PalmSpec, Placed, RobotSpec, Vec3
 
-VISUAL_GROUP = 2
-"""Geom group of what is only seen."""
+VISUAL_GROUP = 2  #: Geom group of what is only seen.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,17 +10,10 @@ from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.spec import JointSpec, Quat, Vec3
 from pixel2catch.robots.ur5e import ARM
 
-GRAVITY = 9.81
-"""Standard value, as MuJoCo's default [m/s²]."""
-
-PHYSICS_DT = 1.0 / 120.0
-"""Physics time step [s]. Source: paper, 120 Hz."""
-
-DECIMATION = 4
-"""Physics steps in a control step. Source: paper."""
-
-CONTROL_DT = DECIMATION * PHYSICS_DT
-"""Control time step [s]: the policy runs at 30 Hz. Source: paper."""
+GRAVITY = 9.81  #: Standard value, as MuJoCo's default [m/s²].
+PHYSICS_DT = 1.0 / 120.0  #: Physics time step [s]. Source: paper, 120 Hz.
+DECIMATION = 4  #: Physics steps in a control step. Source: paper.
+CONTROL_DT = DECIMATION * PHYSICS_DT  #: Control time step [s]: the policy runs at 30 Hz. Source: paper.
 
 
 ARM_JOINTS: tuple[JointSpec, ...] = ARM.joints

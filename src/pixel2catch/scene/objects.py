@@ -16,8 +16,7 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.scene import shapes
 from pixel2catch.scene.shapes import ConvexPart, moments
 
-OBJECT_MASS = 0.03
-"""Mass of every object [kg]. Source: release."""
+OBJECT_MASS = 0.03  #: Mass of every object [kg]. Source: release.
 
 MAX_PARTS = 2
 """Convex parts of an object's body in the model; one that is not needed hides inside the first."""
@@ -118,14 +117,12 @@ _REAL = _by_name(
     _object("real_triangle", shapes.prism(3, 0.08, 0.06)),
 )
 
-SEEN: tuple[str, ...] = tuple(_SEEN)
-"""Training objects: five shapes in two scales. Source: release."""
+SEEN: tuple[str, ...] = tuple(_SEEN)  #: Training objects: five shapes in two scales. Source: release.
 
 UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
 """Validation objects. Source: shapes: ours (paper, Fig. 3, shows but does not list them); sizes: ours."""
 
-REAL: tuple[str, ...] = tuple(_REAL)
-"""Objects of the real experiment. Source: shapes: paper; sizes: ours."""
+REAL: tuple[str, ...] = tuple(_REAL)  #: Objects of the real experiment. Source: shapes: paper; sizes: ours.
 
 OBJECTS: dict[str, ObjectSpec] = _SEEN | _UNSEEN | _REAL
 """All objects by name; the order is the order of the object table."""

@@ -29,11 +29,8 @@ NO_PART = "no_part"
 OBJECT_START = (2.65, 0.0, 0.8)
 """Position of the object in `qpos0` [m]: the middle of the throw's release points."""
 
-FLOOR_BIT = 2
-"""Contact bit of the floor: only the object falls on it. Robot, table and object share bit 1."""
-
-OBJECT_BOUND = 0.1
-"""Half an edge of a cube about the body origin that holds every object [m]."""
+FLOOR_BIT = 2  #: Contact bit of the floor: only the object falls on it. Robot, table and object share bit 1.
+OBJECT_BOUND = 0.1  #: Half an edge of a cube about the body origin that holds every object [m].
 
 CONTACT_DATA = sum(
     1 << int(field)
@@ -42,13 +39,11 @@ CONTACT_DATA = sum(
 Contact = tuple[mujoco.mjtObj, str]
 """One side of a contact: a body, a body with all that hangs on it, or a geom, by name."""
 
-REDUCE_MINDIST = 1
-"""Of several contacts a sensor reports the deepest."""
+REDUCE_MINDIST = 1  #: Of several contacts a sensor reports the deepest.
 
 GEOM_FIELDS = ("geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound")
 BODY_FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_invweight0")
-DOF_FIELDS = ("dof_M0", "dof_length", "dof_invweight0")
-"""Model fields that depend on the object."""
+DOF_FIELDS = ("dof_M0", "dof_length", "dof_invweight0")  #: Model fields that depend on the object.
 
 
 def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:

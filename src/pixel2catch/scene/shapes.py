@@ -14,11 +14,8 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import ConvexHull
 
-RING_POINTS = 32
-"""Vertices of a circle. Source: ours."""
-
-SPHERE_POINTS = 64
-"""Vertices of a sphere or an ellipsoid. Source: ours."""
+RING_POINTS = 32  #: Vertices of a circle. Source: ours.
+SPHERE_POINTS = 64  #: Vertices of a sphere or an ellipsoid. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,15 +16,13 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.perception.calibration.intrinsics import camera_matrix
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
-NUM_DRAWS = 100
-"""Cameras that are drawn to see what the uncertainty does."""
+NUM_DRAWS = 100  #: Cameras that are drawn to see what the uncertainty does.
 
 LARGEST_LENS_ERROR = 1.0
 """What a lens may move a pixel until its images are better rectified [px]. Source: ours, a fifth of the noise
 that a policy is trained with."""
 
-LARGEST_UNSEEN = 0.02
-"""Share of the paths that may be out of the image. Source: ours."""
+LARGEST_UNSEEN = 0.02  #: Share of the paths that may be out of the image. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,17 +25,13 @@ from pixel2catch.perception.calibration.intrinsics import Intrinsics
 from pixel2catch.perception.calibration.target import View
 from pixel2catch.scene.constants import CameraSpec
 
-Pose = Float[np.ndarray, "4 4"]
-"""A homogeneous matrix [m]."""
+Pose = Float[np.ndarray, "4 4"]  #: A homogeneous matrix [m].
 
 NUM_DRAWS = 40
 """First guesses from a few images each: where a third of the images is wrong, 12 are from right ones only."""
 
-LEAST_DEPTH = 1e-3
-"""A point nearer to the camera's plane, or behind it, is taken to be there [m]."""
-
-MIN_VIEWS = 6
-"""Images that a pose takes. Source: ours; three would do without errors."""
+LEAST_DEPTH = 1e-3  #: A point nearer to the camera's plane, or behind it, is taken to be there [m].
+MIN_VIEWS = 6  #: Images that a pose takes. Source: ours; three would do without errors.
 
 OUTLIER_FACTOR = 3.0
 """An image is left out if its error is more than so many times the median of all. Source: ours."""
@@ -47,8 +43,7 @@ Source: ours; the corners of a sharp image are found within a few tenths of a pi
 each of the arm's joints make 1 px.
 """
 
-ROBUST_SCALE = 1.0
-"""Residuals far above this count less in the first fit [px]."""
+ROBUST_SCALE = 1.0  #: Residuals far above this count less in the first fit [px].
 
 LARGEST_CONDITION = 1e3
 """Condition of the Jacobian above which a direction of the camera is not told.

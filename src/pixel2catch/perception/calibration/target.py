@@ -20,14 +20,9 @@ SQUARES = (3, 4)
 """Columns and rows of the printed board. Source: ours; of the boards tried that fit on A4 (3 x 4, 4 x 5 and
 5 x 7 squares, rendered at 640 x 480), the one that is found from the farthest, 1.5 m."""
 
-SQUARE = 0.06
-"""Edge of a printed square [m]."""
-
-MARKER_SHARE = 0.75
-"""Edge of a marker over that of its square."""
-
-PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4
-"""A4 [mm]."""
+SQUARE = 0.06  #: Edge of a printed square [m].
+MARKER_SHARE = 0.75  #: Edge of a marker over that of its square.
+PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4  #: A4 [mm].
 
 SQUARE_PIXELS = 480
 
