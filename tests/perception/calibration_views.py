@@ -40,8 +40,7 @@ def camera_pose(camera: CameraSpec) -> np.ndarray:
 
 
 def lens(camera: CameraSpec = RGB_CAMERA) -> Intrinsics:
-    matrix = np.array(((camera.fx, 0, camera.cx), (0, camera.fy, camera.cy), (0, 0, 1.0)))
-    return Intrinsics(size=(camera.width, camera.height), matrix=matrix)
+    return Intrinsics(size=(camera.width, camera.height), matrix=np.array(camera.matrix))
 
 
 def palm(joint_pos: np.ndarray) -> np.ndarray:

@@ -138,5 +138,4 @@ def _matrix(camera: CameraSpec) -> Float[Tensor, "3 3"]:
         [2 * (x * y - w * z) / norm, 1 - 2 * (x * x + z * z) / norm, 2 * (y * z + w * x) / norm],
         [2 * (x * z + w * y) / norm, 2 * (y * z - w * x) / norm, 1 - 2 * (x * x + y * y) / norm],
     ]
-    intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
-    return torch.tensor(intrinsics, dtype=torch.float64) @ torch.tensor(axes, dtype=torch.float64)
+    return torch.tensor(camera.matrix, dtype=torch.float64) @ torch.tensor(axes, dtype=torch.float64)

@@ -43,6 +43,11 @@ class CameraSpec:
     #: Orientation of the optical frame in the world: z along the optical axis, x to the right, y down.
     quat: Quat
 
+    @property
+    def matrix(self) -> tuple[Vec3, Vec3, Vec3]:
+        """Focal lengths and optical axis, row by row [px]."""
+        return (self.fx, 0.0, self.cx), (0.0, self.fy, self.cy), (0.0, 0.0, 1.0)
+
 
 def quat_multiply(a: Quat, b: Quat) -> Quat:
     """Compose two rotations: first `b`, then `a`."""

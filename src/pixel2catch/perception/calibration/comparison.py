@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import is_in_view, project
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.perception.calibration.intrinsics import camera_matrix
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
 NUM_DRAWS = 100  #: Cameras that are drawn to see what the uncertainty does.
@@ -101,7 +100,7 @@ def _lens_shift(calibrated: CameraFile, points: np.ndarray) -> np.ndarray:
     camera = calibrated.camera
     inverse = _rotation(camera).inv()
     turn, move = inverse.as_rotvec(), -inverse.apply(camera.pos)
-    matrix, lenses = camera_matrix(camera), (np.array(calibrated.distortion), np.zeros(4))
+    matrix, lenses = np.array(camera.matrix), (np.array(calibrated.distortion), np.zeros(4))
     bent, straight = (cv2.projectPoints(points, turn, move, matrix, lens)[0][:, 0] for lens in lenses)
     return bent - straight
 

@@ -17,7 +17,7 @@ from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.calibration.target import Board, View, read_image
 from pixel2catch.perception.rosbag_images import first_camera_info
-from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
+from pixel2catch.scene.constants import PIXEL_CENTER
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
 """Lens models of ROS that are OpenCV's; no name stands for no distortion."""
@@ -69,7 +69,7 @@ def read_intrinsics(
         camera = known.camera
         return Intrinsics(
             size=(camera.width, camera.height),
-            matrix=camera_matrix(camera),
+            matrix=np.array(camera.matrix),
             distortion=known.distortion,
             focal_std=known.focal_std,
         )
@@ -83,11 +83,6 @@ def read_intrinsics(
         f"{path}: not there, or of no known kind; give a .yaml of camera_calibration, a rosbag2, a camera "
         "file (.json), or a folder with images of the board."
     )
-
-
-def camera_matrix(camera: CameraSpec) -> Float[np.ndarray, "3 3"]:
-    """Focal lengths and optical axis of a pinhole [px], as OpenCV takes them."""
-    return np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
 
 
 def intrinsics_of_images(folder: Path, board: Board) -> Intrinsics:
