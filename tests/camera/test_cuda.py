@@ -5,6 +5,7 @@ import torch
 
 from pixel2catch.camera.boxes import box_of_points, perturb_box, pixel_features
 from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, project, ray_directions
+from pixel2catch.device_constants import keeping
 from pixel2catch.scene.constants import RGB_CAMERA
 
 
@@ -30,15 +31,16 @@ def inputs(device: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 @pytest.mark.filterwarnings("ignore:Synchronization debug mode:UserWarning")
 def test_a_cuda_graph_computes_the_same_as_the_cpu():
-    arguments = inputs("cuda")
-    see(*arguments)  # makes the constants
-    torch.cuda.set_sync_debug_mode("error")
-    try:
-        see(*arguments)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
-    graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):
-        captured = see(*arguments)
-    graph.replay()
-    torch.testing.assert_close(captured.cpu(), see(*inputs("cpu")), atol=1e-3, rtol=1e-5)
+    arguments, graph = inputs("cuda"), torch.cuda.CUDAGraph()
+    with keeping({}):
+        see(*arguments)  # makes the constants
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            see(*arguments)
+        finally:
+            torch.cuda.set_sync_debug_mode("default")
+        with torch.cuda.graph(graph):
+            captured = see(*arguments)
+        graph.replay()
+        captured = captured.cpu()
+    torch.testing.assert_close(captured, see(*inputs("cpu")), atol=1e-3, rtol=1e-5)

@@ -21,7 +21,7 @@ from pixel2catch.policy import Policy
 @pytest.fixture
 def mappo() -> Mappo:
     torch.manual_seed(0)
-    return Mappo(SMALL, ReachingEnv(SMALL))
+    return Mappo(SMALL, ReachingEnv(SMALL), CONTRACT)
 
 
 def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
@@ -33,7 +33,7 @@ def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
     cfg = dataclasses.replace(
         SMALL, num_envs=3, rollout_steps=3, discount=0.5, gae_lambda=1.0, mini_batches=1, epochs=1
     )
-    mappo = Mappo(cfg, ReachingEnv(cfg))
+    mappo = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
     for networks in mappo.networks.values():
         for parameter in list(networks.value.parameters())[-2:]:
             nn.init.zeros_(parameter)
@@ -101,7 +101,7 @@ def plain_update(mappo: Mappo, agent: str) -> list[torch.Tensor]:
 def test_an_update_is_that_of_plain_ppo() -> None:
     torch.manual_seed(0)
     cfg = dataclasses.replace(SMALL, mini_batches=1, epochs=3, entropy_scale=0.01, gradient_clip=0.5)
-    mappo = Mappo(cfg, ReachingEnv(cfg))
+    mappo = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
     roll_out(mappo, ReachingEnv(cfg))
     expected = {agent: plain_update(mappo, agent) for agent in mappo.agents}
     mappo.update(0.0)
@@ -136,12 +136,12 @@ def test_training_gives_the_numbers_of_skrl(name: str, tmp_path: Path) -> None:
     }[name]
     torch.manual_seed(0)
     env = TaughtEnv(cfg)
-    mappo, metrics = Mappo(cfg, env), {}
+    mappo, metrics = Mappo(cfg, env, CONTRACT), {}
     for progress in (0.0, 0.25, 0.5, 0.75):
         roll_out(mappo, env)
         metrics = mappo.update(progress)
     assert tuple(metrics.values())[:9] == pytest.approx(FROZEN[name], rel=1e-3, abs=1e-5)
-    weights = torch.cat([tensor.flatten() for tensor in mappo.export(CONTRACT).parameters()])
+    weights = torch.cat([tensor.flatten() for tensor in mappo.export().parameters()])
     assert weights.square().sum().item() == pytest.approx(SQUARES[name], rel=1e-5)
 
 
@@ -154,11 +154,11 @@ def test_captured_steps_equal_eager_ones(recurrent: int, monkeypatch: pytest.Mon
     for num_eager_steps in (3, 10**9):
         monkeypatch.setattr(gradient_step, "NUM_EAGER_STEPS", num_eager_steps)
         torch.manual_seed(0)
-        mappo, env = Mappo(cfg, ReachingEnv(cfg)), ReachingEnv(cfg)
+        mappo, env = Mappo(cfg, ReachingEnv(cfg), CONTRACT), ReachingEnv(cfg)
         for progress in (0.0, 0.5):
             roll_out(mappo, env)
             metrics = mappo.update(progress)
-        outcomes.append((metrics, mappo.export(CONTRACT).state_dict()))
+        outcomes.append((metrics, mappo.export().state_dict()))
     assert outcomes[0][0] == pytest.approx(outcomes[1][0], rel=1e-4)
     for name, tensor in outcomes[0][1].items():
         torch.testing.assert_close(tensor, outcomes[1][1][name])
@@ -177,7 +177,7 @@ def test_exploration_is_recorded_unclipped(mappo: Mappo) -> None:
 def test_exported_policy_is_the_mean_of_the_learner(mappo: Mappo) -> None:
     roll_out(mappo, ReachingEnv(SMALL))
     mappo.update(0.0)
-    policy = mappo.export(CONTRACT)
+    policy = mappo.export()
     generator = torch.Generator().manual_seed(1)
     for agent, num_inputs in ReachingEnv.observation_sizes.items():
         observations = 300 * torch.randn(100, num_inputs, generator=generator)
@@ -204,7 +204,7 @@ def test_adaptive_learning_rate(target: float, changes: float) -> None:
     cfg = dataclasses.replace(
         SMALL, schedule="kl", kl_target=target, learning_rate=1e-3, final_learning_rate=1e-5
     )
-    mappo = Mappo(cfg, ReachingEnv(cfg))
+    mappo = Mappo(cfg, ReachingEnv(cfg), CONTRACT)
     roll_out(mappo, ReachingEnv(cfg))
     assert mappo.update(0.0)["learning_rate/hand"] == pytest.approx(1e-3 * changes)
     if target < 1.0:
@@ -217,14 +217,14 @@ def test_adaptive_learning_rate(target: float, changes: float) -> None:
 def test_state_round_trip_is_exact(mappo: Mappo) -> None:
     roll_out(mappo, ReachingEnv(SMALL))
     mappo.update(0.0)
-    other = Mappo(SMALL, ReachingEnv(SMALL))
+    other = Mappo(SMALL, ReachingEnv(SMALL), CONTRACT)
     other.load_state_dict(copy.deepcopy(mappo.state_dict()))
     outcomes = []
     for each in (mappo, other):
         torch.manual_seed(7)
         roll_out(each, ReachingEnv(SMALL))
         each.update(0.5)
-        outcomes.append(each.export(CONTRACT).state_dict())
+        outcomes.append(each.export().state_dict())
     assert all(torch.equal(outcomes[0][name], outcomes[1][name]) for name in outcomes[0])
 
 

@@ -62,7 +62,7 @@ def test_gradients_of_a_sequence_are_those_of_a_loop_by_hand() -> None:
 def test_learning_sees_what_acting_saw() -> None:
     """The probabilities of a whole rollout are those of its actions, over episodes and over updates."""
     torch.manual_seed(0)
-    mappo, env = Mappo(RECURRENT, ReachingEnv(RECURRENT)), ReachingEnv(RECURRENT)
+    mappo, env = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT), ReachingEnv(RECURRENT)
     observation = env.reset()
     mappo.begin()
     for number in range(3):
@@ -167,11 +167,11 @@ def test_resumed_training_equals_an_uninterrupted_one(tmp_path: Path) -> None:
 
 
 def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
-    mappo = Mappo(RECURRENT, ReachingEnv(RECURRENT))
+    mappo = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT)
     roll_out(mappo, ReachingEnv(RECURRENT))
     mappo.update(0.0)
     roll_out(mappo, ReachingEnv(RECURRENT))
-    policy, networks, rollout = mappo.export(CONTRACT), mappo.networks["arm"], mappo.rollout["arm"]
+    policy, networks, rollout = mappo.export(), mappo.networks["arm"], mappo.rollout["arm"]
     inputs = networks.observation_scale(rollout.observations)
     is_first = torch.cat((torch.zeros_like(mappo.is_done[:1]), mappo.is_done[:-1]))
     features = recall_all(networks.policy_gru, inputs, torch.zeros(1, SMALL.num_envs, 16), is_first)
@@ -179,19 +179,19 @@ def test_the_exported_policy_acts_like_the_learner_and_is_adopted() -> None:
         policy.reset(is_first[t])
         observations = {agent: batch.observations[t] for agent, batch in mappo.rollout.items()}
         torch.testing.assert_close(policy.act(observations)["arm"], expected.clamp(-1.0, 1.0))
-    other = Mappo(RECURRENT, ReachingEnv(RECURRENT))
+    other = Mappo(RECURRENT, ReachingEnv(RECURRENT), CONTRACT)
     other.adopt(policy)
-    for name, tensor in other.export(CONTRACT).state_dict().items():
+    for name, tensor in other.export().state_dict().items():
         torch.testing.assert_close(tensor, policy.state_dict()[name])
     with pytest.raises(InvalidValueError, match="--recurrent 16"):
-        Mappo(SMALL, ReachingEnv(SMALL)).adopt(policy)
+        Mappo(SMALL, ReachingEnv(SMALL), CONTRACT).adopt(policy)
 
 
 def test_a_teacher_may_be_recurrent(tmp_path: Path) -> None:
     """Its advice is that of its policy, acted by itself."""
     Policy(CONTRACT, SMALL.hidden, recurrent=8).save(tmp_path)
     cfg = dataclasses.replace(SMALL, teacher=tmp_path)
-    mappo = Mappo(cfg, TaughtEnv(cfg))
+    mappo = Mappo(cfg, TaughtEnv(cfg), CONTRACT)
     roll_out(mappo, TaughtEnv(cfg))
     teacher = Policy.load(tmp_path)
     for t in range(cfg.rollout_steps):

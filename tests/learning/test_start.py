@@ -41,10 +41,10 @@ def policy(tmp_path: Path) -> Path:
 
 
 def test_a_learner_gives_back_the_policy_that_it_adopted(policy: Path) -> None:
-    mappo = Mappo(SMALL, ReachingEnv(SMALL))
+    mappo = Mappo(SMALL, ReachingEnv(SMALL), CONTRACT)
     adopted = Policy.load(policy / "policy")
     mappo.adopt(adopted)
-    for name, tensor in mappo.export(CONTRACT).state_dict().items():
+    for name, tensor in mappo.export().state_dict().items():
         torch.testing.assert_close(tensor, adopted.state_dict()[name])
 
 
@@ -60,7 +60,7 @@ def test_the_policy_rests_and_begins_gently(policy: Path) -> None:
     """
     cfg = starting(policy)
     env = ReachingEnv(cfg)
-    mappo = Mappo(cfg, env)
+    mappo = Mappo(cfg, env, CONTRACT)
     mappo.adopt(Policy.load(policy / "policy"))
     moved = []
     for number in range(5):
@@ -87,7 +87,7 @@ def test_a_training_goes_on_from_a_run_and_is_resumed(policy: Path, tmp_path: Pa
 
 def test_what_does_not_fit_is_refused(policy: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match=r"--hidden"):
-        Mappo(dataclasses.replace(SMALL, hidden=(8,)), ReachingEnv(SMALL)).adopt(
+        Mappo(dataclasses.replace(SMALL, hidden=(8,)), ReachingEnv(SMALL), CONTRACT).adopt(
             Policy.load(policy / "policy")
         )
     other = dataclasses.replace(CONTRACT, method="other")

@@ -7,10 +7,10 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, Observation, TaughtEnv, roll_out
 
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
-from pixel2catch.policy import Policy
+from pixel2catch.policy import AgentContract, Policy
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def after_updates(cfg: TrainCfg, progress: list[float]) -> tuple[Mappo, Observat
     """A mappo after one update at each of these shares of the training, and what it sees last."""
     torch.manual_seed(2)
     env = TaughtEnv(cfg)
-    mappo = Mappo(cfg, env)
+    mappo = Mappo(cfg, env, CONTRACT)
     torch.manual_seed(3)
     for share in progress:
         roll_out(mappo, env)
@@ -37,7 +37,7 @@ def after_updates(cfg: TrainCfg, progress: list[float]) -> tuple[Mappo, Observat
 
 def distance(teacher: Path, mappo: Mappo, observation: Observation) -> float:
     """Root mean square of the difference of their actions."""
-    pupil, expert = mappo.export(CONTRACT), Policy.load(teacher)
+    pupil, expert = mappo.export(), Policy.load(teacher)
     actions, advice = pupil.act(observation.policy), expert.act(observation.teacher)
     return torch.cat([actions[name] - advice[name] for name in advice], -1).square().mean().sqrt().item()
 
@@ -52,13 +52,13 @@ def test_rewards_alone_count_after_its_share(teacher: Path):
     """A teacher that is not asked any more changes nothing, to the last bit."""
     taught, _ = after_updates(dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.5), [0.5, 0.7])
     alone, _ = after_updates(SMALL, [0.5, 0.7])
-    for name, tensor in alone.export(CONTRACT).state_dict().items():
-        assert torch.equal(tensor, taught.export(CONTRACT).state_dict()[name]), name
+    for name, tensor in alone.export().state_dict().items():
+        assert torch.equal(tensor, taught.export().state_dict()[name]), name
 
 
 def test_its_weight_falls_evenly(teacher: Path):
     cfg = dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.4)
-    mappo, env = Mappo(cfg, TaughtEnv(cfg)), TaughtEnv(cfg)
+    mappo, env = Mappo(cfg, TaughtEnv(cfg), CONTRACT), TaughtEnv(cfg)
     weights = []
     for progress in (0.0, 0.1, 0.2, 0.4, 0.9):
         roll_out(mappo, env)
@@ -70,3 +70,30 @@ def test_its_weight_falls_evenly(teacher: Path):
 def test_a_share_out_of_range_is_refused():
     with pytest.raises(InvalidValueError, match=r"teacher_share is 1\.5; it must be between 0 and 1"):
         dataclasses.replace(SMALL, teacher_share=1.5)
+
+
+def test_a_teacher_may_have_other_agents(tmp_path: Path):
+    """One agent that moves all joints in another order teaches two."""
+    robot = AgentContract(observation=CONTRACT.agents["arm"].observation, joints=("finger", "idle", "pan"))
+    policy = Policy(dataclasses.replace(CONTRACT, agents={"robot": robot}), SMALL.hidden)
+    layer = policy.network("robot").network[-1]
+    torch.nn.init.zeros_(layer.weight)  # pyright: ignore[reportArgumentType]
+    layer.bias.data = torch.tensor([0.1, 0.2, 0.3])  # pyright: ignore[reportAttributeAccessIssue]
+    policy.save(tmp_path)
+    env = TaughtEnv(SMALL)
+    mappo = Mappo(dataclasses.replace(SMALL, teacher=tmp_path), env, CONTRACT)
+    observation = env.reset()
+    mappo.act(dataclasses.replace(observation, teacher={"robot": observation.policy["arm"]}))
+    advice = {agent: batch.advice[0] for agent, batch in mappo.rollout.items()}
+    assert torch.equal(advice["arm"], torch.tensor([0.3, 0.2]).expand(env.num_envs, 2))
+    assert torch.equal(advice["hand"], torch.tensor([0.1]).expand(env.num_envs, 1))
+
+
+def test_a_teacher_of_another_robot_is_refused(tmp_path: Path):
+    hand = AgentContract(observation=(("pixel", 1),), joints=("thumb",))
+    Policy(
+        dataclasses.replace(CONTRACT, agents=CONTRACT.agents | {"hand": hand}, workcell="other"), SMALL.hidden
+    ).save(tmp_path)
+    cfg = dataclasses.replace(SMALL, teacher=tmp_path)
+    with pytest.raises(PolicyMismatchError, match="'other'; not both move finger, thumb"):
+        Mappo(cfg, TaughtEnv(cfg), CONTRACT)

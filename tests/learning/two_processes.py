@@ -40,7 +40,7 @@ def ordered(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Bat
 
 def make_mappo(cfg: TrainCfg, workers: Workers | None = None) -> Mappo:
     torch.manual_seed(0)
-    return Mappo(cfg, ReachingEnv(cfg), workers)
+    return Mappo(cfg, ReachingEnv(cfg), CONTRACT, workers)
 
 
 def give_half(whole: Mappo, half: Mappo, rank: int) -> None:

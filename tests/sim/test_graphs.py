@@ -22,7 +22,10 @@ def test_replays_compute_what_the_function_does(is_aside: bool) -> None:
         state.add_(values * scale)
         return 2.0 * state
 
-    graphed, expected = GraphedFunction(add_up, num_eager_calls=2, is_aside=is_aside), torch.zeros(3)
+    graphed, expected = (
+        GraphedFunction(add_up, device=torch.device("cuda"), num_eager_calls=2, is_aside=is_aside),
+        torch.zeros(3),
+    )
     for number in range(6):
         values = torch.arange(3.0) + number
         expected += 0.5 * values
@@ -37,6 +40,6 @@ def test_a_recording_draws_anew_from_its_generator() -> None:
     def draw(values: Tensor) -> Tensor:
         return values + torch.rand(4, device="cuda", generator=generator)
 
-    graphed = GraphedFunction(draw, num_eager_calls=1, generator=generator)
+    graphed = GraphedFunction(draw, device=torch.device("cuda"), num_eager_calls=1, generator=generator)
     draws = torch.stack([graphed(torch.zeros(4, device="cuda")).clone() for _ in range(4)])
     assert len(draws.unique(dim=0)) == 4

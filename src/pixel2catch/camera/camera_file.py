@@ -8,11 +8,13 @@ from math import isfinite, sqrt
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.camera.pinhole import Projection, nominal_projection
+from pixel2catch.device_constants import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
 from pixel2catch.scene.constants import CameraSpec, Vec3
@@ -66,7 +68,7 @@ class CameraFile:
     def sample(self, num_envs: int, generator: torch.Generator) -> Projection:
         """Draw cameras as this one may be, on the generator's device; one without lens errors."""
         draws = torch.randn(num_envs, 7, generator=generator, device=generator.device)
-        spread = _spread(self.pose_covariance, draws.dtype, draws.device)
+        spread = constant(_spread(self.pose_covariance), draws.device)
         pose: Float[Tensor, "num_envs 6"] = draws[:, :6] @ spread.T
         factor = 1.0 + (self.focal_std or 0.0) * draws[:, 6]
         nominal = nominal_projection(self.camera, draws)
@@ -102,12 +104,10 @@ class CameraFile:
 
 
 @lru_cache(maxsize=16)
-def _spread(
-    covariance: tuple[tuple[float, ...], ...], dtype: torch.dtype, device: torch.device
-) -> Float[Tensor, "6 6"]:
-    """A factor L of a covariance L Lᵀ, copied to a device once: a recorded step may not wait for a copy."""
-    shares, axes = torch.linalg.eigh(torch.tensor(covariance, dtype=torch.float64))
-    return (axes * shares.clamp(min=0.0).sqrt()).to(device, dtype)
+def _spread(covariance: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    """A factor L of a covariance L Lᵀ, 6 x 6."""
+    shares, axes = np.linalg.eigh(np.asarray(covariance))
+    return tuple(map(tuple, (axes * np.sqrt(shares.clip(min=0.0))).tolist()))
 
 
 def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:

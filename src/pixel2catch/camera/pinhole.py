@@ -3,11 +3,15 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from pixel2catch.device_constants import constant
 from pixel2catch.scene.constants import CameraSpec
+
+Matrix = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,19 +73,21 @@ def back_project(
     camera: CameraSpec, pixels: Float[Tensor, "num_envs 2"], depth: Float[Tensor, " num_envs"]
 ) -> Float[Tensor, "num_envs 3"]:
     """World points [m] at these pixels [px] and depths [m]: the inverse of `project`."""
-    inverse, center = _inverse(camera, pixels.dtype, pixels.device)
+    inverse = constant(_inverse(camera), pixels.device, pixels.dtype)
+    center = camera_center(camera, pixels)
     homogeneous = torch.cat((pixels * depth[:, None], depth[:, None]), dim=-1)
     return center + (homogeneous.unsqueeze(-2) * inverse).sum(-1)
 
 
 def nominal_projection(camera: CameraSpec, like: Tensor) -> Projection:
     """The camera as it is specified, with dtype and device of `like`."""
-    return _projection(camera, like.dtype, like.device)
+    matrix = constant(_matrix(camera), like.device, like.dtype)
+    return Projection(matrix=matrix, center=camera_center(camera, like))
 
 
 def camera_center(camera: CameraSpec, like: Tensor) -> Float[Tensor, "3"]:
     """Return the camera's centre of projection in the world frame [m], with dtype and device of `like`."""
-    return nominal_projection(camera, like).center
+    return constant(camera.pos, like.device, like.dtype)
 
 
 def ray_directions(
@@ -114,23 +120,14 @@ def is_in_view(
 
 
 @lru_cache(maxsize=16)
-def _projection(camera: CameraSpec, dtype: torch.dtype, device: torch.device) -> Projection:
-    """The camera's projection, copied to a device once."""
-    matrix, center = _matrix(camera).to(device, dtype), torch.tensor(camera.pos, dtype=torch.float64)
-    return Projection(matrix=matrix, center=center.to(device, dtype))
+def _inverse(camera: CameraSpec) -> Matrix:
+    """The inverse of K Rᵀ, 3 x 3."""
+    return tuple(map(tuple, np.linalg.inv(_matrix(camera)).tolist()))
 
 
 @lru_cache(maxsize=16)
-def _inverse(
-    camera: CameraSpec, dtype: torch.dtype, device: torch.device
-) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
-    """The inverse of K Rᵀ and the camera's position, copied to a device once."""
-    inverse, center = torch.linalg.inv(_matrix(camera)), torch.tensor(camera.pos, dtype=torch.float64)
-    return inverse.to(device, dtype), center.to(device, dtype)
-
-
-def _matrix(camera: CameraSpec) -> Float[Tensor, "3 3"]:
-    """K Rᵀ in double precision."""
+def _matrix(camera: CameraSpec) -> Matrix:
+    """K Rᵀ, 3 x 3."""
     w, x, y, z = camera.quat
     norm = w * w + x * x + y * y + z * z
     axes = [  # rows: the camera's right, down and forward axes in the world frame
@@ -138,4 +135,4 @@ def _matrix(camera: CameraSpec) -> Float[Tensor, "3 3"]:
         [2 * (x * y - w * z) / norm, 1 - 2 * (x * x + z * z) / norm, 2 * (y * z + w * x) / norm],
         [2 * (x * z + w * y) / norm, 2 * (y * z - w * x) / norm, 1 - 2 * (x * x + y * y) / norm],
     ]
-    return torch.tensor(camera.matrix, dtype=torch.float64) @ torch.tensor(axes, dtype=torch.float64)
+    return tuple(map(tuple, (np.array(camera.matrix) @ np.array(axes)).tolist()))

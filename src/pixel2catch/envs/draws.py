@@ -1,12 +1,13 @@
 """What is drawn for an episode, and what becomes of it."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from pixel2catch.device_constants import constant
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.episodes import EpisodeRecord
 from pixel2catch.mdp.masks import select
@@ -93,7 +94,7 @@ def _draw(
     drag = None
     if any(each.randomization.air_density for each in task.all_variants):
         density = drawn(randomization.air_density, num_envs, generator)
-        by_object = _drag_by_object(cfg.scene, generator.device)
+        by_object = constant(_drag_by_object(cfg.scene), generator.device)
         drag = density * by_object[parameters.object_id] / parameters.mass_scale
     throw = sample_throws(cfg.throws, num_envs, generator, drag)
     is_exact = all(is_sight_exact(each.sensing) for each in task.all_variants)
@@ -120,9 +121,8 @@ def _command_delay(
     return sample_delay(cfg.command_delay, cfg.command_delay_grid, num_envs, generator)
 
 
-@lru_cache(maxsize=8)
-def _drag_by_object(scene: SceneCfg, device: torch.device) -> Float[Tensor, " num_objects"]:
-    """Of every object at its own mass in air of 1 kg/m³, in the order of the object table; copied once."""
+@cache
+def _drag_by_object(scene: SceneCfg) -> tuple[float, ...]:
+    """Of every object at its own mass in air of 1 kg/m³ [1/m], in the order of the object table."""
     thrown = [spec.scaled(scene.object_scale) for spec in OBJECTS.values()]
-    values = [0.5 * spec.drag_area / spec.mass for spec in thrown]
-    return torch.tensor(values, dtype=torch.float32, device=device)
+    return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)

@@ -99,8 +99,10 @@ class GradientStep:
 
     def close(self) -> None:
         """Release the graph: a process group does not end while a graph holds a collective of it."""
-        step = self._eager_step
-        self._step = GraphedFunction(step, num_eager_calls=NUM_EAGER_STEPS) if self._is_cuda else step
+        step, device = self._eager_step, self.totals.device
+        self._step = (
+            GraphedFunction(step, device=device, num_eager_calls=NUM_EAGER_STEPS) if self._is_cuda else step
+        )
 
     def _eager_step(self, *tensors: Tensor) -> None:
         """Source: PPO with clipped ratio and clipped values (Schulman et al. 2017; release).

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.environment import Environment, Observation, Step
@@ -43,16 +43,22 @@ class Mappo:
         next_states: Input of the value networks after the last step.
     """
 
-    def __init__(self, cfg: TrainCfg, env: Environment, workers: Workers | None = None) -> None:
+    def __init__(
+        self, cfg: TrainCfg, env: Environment, contract: PolicyContract, workers: Workers | None = None
+    ) -> None:
         """Build untrained networks; the global torch generator decides on their weights.
 
         Args:
             cfg: The configuration of this process.
             env: The environments of this process.
+            contract: What the policies that it learns expect and promise.
             workers: All processes, whose updates are one; this one alone if absent.
+
+        Raises:
+            PolicyMismatchError: The teacher moves other joints.
         """
-        self.cfg, self.workers = cfg, workers or Workers(device=cfg.device)
-        self.agents = tuple(env.action_sizes)
+        self.cfg, self.contract, self.workers = cfg, contract, workers or Workers(device=cfg.device)
+        self.agents = tuple(contract.agents)
         self.networks = {
             agent: ActorCritic(cfg, self.workers, env.observation_sizes[agent], env.state_size, num_actions)
             for agent, num_actions in env.action_sizes.items()
@@ -60,7 +66,7 @@ class Mappo:
         self.steps = {
             agent: GradientStep(cfg, networks, self.workers) for agent, networks in self.networks.items()
         }
-        self._teacher = Policy.load(cfg.teacher, cfg.device) if cfg.teacher else None
+        self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
         self._is_resting = False
 
         def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
@@ -125,11 +131,15 @@ class Mappo:
         return actions
 
     def _ask(self, teacher: Policy, observation: Observation) -> None:
-        """Remember a teacher's actions; joints are in the same order, however they are split over agents."""
-        advice = torch.cat(list(teacher.act(observation.teacher).values()), dim=-1)
-        buffers = [batch.advice for batch in self.rollout.values()]
-        for buffer, part in zip(buffers, advice.split([b.shape[-1] for b in buffers], dim=-1), strict=True):
-            buffer[self._num_steps] = part
+        """Remember a teacher's actions, whose joints may be split over other agents."""
+        advice = {
+            joint: action
+            for agent, actions in teacher.act(observation.teacher).items()
+            for joint, action in zip(teacher.contract.agents[agent].joints, actions.unbind(-1), strict=True)
+        }
+        for agent, batch in self.rollout.items():
+            joints = self.contract.agents[agent].joints
+            batch.advice[self._num_steps] = torch.stack([advice[joint] for joint in joints], dim=-1)
 
     def record(self, step: Step) -> None:
         """Remember what became of the last actions. A time-out ends an episode like any other end (paper)."""
@@ -213,9 +223,9 @@ class Mappo:
         self._is_resting = is_resting
 
     @torch.no_grad()
-    def export(self, contract: PolicyContract) -> Policy:
+    def export(self) -> Policy:
         """Copy mean networks and input statistics into a `Policy` on the CPU."""
-        policy = Policy(contract, self.cfg.hidden, self.cfg.recurrent)
+        policy = Policy(self.contract, self.cfg.hidden, self.cfg.recurrent)
         for agent, networks in self.networks.items():
             target = policy.network(agent)
             target.network.load_state_dict(networks.policy.state_dict())
@@ -271,6 +281,22 @@ class Mappo:
         """Release what would keep the process group from ending."""
         for step in self.steps.values():
             step.close()
+
+
+def _load_teacher(cfg: TrainCfg, contract: PolicyContract) -> Policy:
+    """The policy to imitate, on the device of the training."""
+    assert cfg.teacher is not None
+    teacher = Policy.load(cfg.teacher, cfg.device)
+    taught, own = (
+        {joint for agent in each.agents.values() for joint in agent.joints}
+        for each in (teacher.contract, contract)
+    )
+    if taught != own:
+        raise PolicyMismatchError(
+            f"the teacher '{cfg.teacher}' was trained for '{teacher.contract.workcell}'; not both move "
+            f"{', '.join(sorted(taught ^ own))}. Take one that was trained for '{contract.workcell}'."
+        )
+    return teacher
 
 
 def discounted_returns(

@@ -75,7 +75,7 @@ def train(
         with workers.sync_errors():
             schedule = stack.enter_context(contextlib.closing(EnvSchedule(share, make_env, contract)))
             torch.manual_seed(cfg.seed)
-            mappo = stack.enter_context(contextlib.closing(Mappo(share, schedule.env, workers)))
+            mappo = stack.enter_context(contextlib.closing(Mappo(share, schedule.env, contract, workers)))
             training = _Training(cfg, schedule, contract, folder, mappo)
             if cfg.start and not resume:
                 with workers.sync_errors():
@@ -195,7 +195,7 @@ class _Training:
     def _save(self) -> None:
         if self.workers.is_first:
             save_checkpoint(self.folder.checkpoint, self.mappo, self.contract, self.progress)
-            self.mappo.export(self.contract).save(self.folder.policy)
+            self.mappo.export().save(self.folder.policy)
 
     def _save_last(self, log: TrainingLog, status: str) -> None:
         try:

@@ -4,13 +4,13 @@ Source: paper, Table I; release (object friction, biases).
 """
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TypeVar
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from pixel2catch.device_constants import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import Amount, Range, uniform
@@ -174,14 +174,8 @@ def _sample_gains(
     """Factors on stiffness and damping."""
     stiffness = uniform(ranges.stiffness_scale, num_envs, generator)
     damping = uniform(ranges.damping_scale, num_envs, generator)
-    is_relative = _flags(ranges.is_damping_relative, generator.device)
+    is_relative = constant(ranges.is_damping_relative, generator.device, torch.bool)
     return stiffness, damping * torch.where(is_relative, stiffness, 1.0)
-
-
-@lru_cache(maxsize=8)
-def _flags(values: tuple[bool, ...], device: torch.device) -> Bool[Tensor, " num_joints"]:
-    """Flags on a device, copied only once."""
-    return torch.tensor(values, device=device)
 
 
 def sample_delay(

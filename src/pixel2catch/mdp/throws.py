@@ -4,12 +4,12 @@ Source: release, unless a line says otherwise.
 """
 
 from dataclasses import dataclass
-from functools import cache
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from pixel2catch.device_constants import constant
 from pixel2catch.mdp.drag import flight_time, velocity_through_air
 from pixel2catch.scene.constants import GRAVITY
 
@@ -163,20 +163,12 @@ def uniform(
     ranges: tuple[Range, ...], num_envs: int, generator: torch.Generator
 ) -> Float[Tensor, "num_envs k"]:
     """Independent uniform draws, one column per range, on the generator's device."""
-    lower, width = _bounds(ranges, generator.device)
-    return lower + width * torch.rand(num_envs, len(ranges), generator=generator, device=generator.device)
+    lower, upper = constant(ranges, generator.device).T
+    draws = torch.rand(num_envs, len(ranges), generator=generator, device=generator.device)
+    return lower + (upper - lower) * draws
 
 
 def random_directions(num_envs: int, generator: torch.Generator) -> Float[Tensor, "num_envs 3"]:
     """Unit vectors, uniform over all directions, on the generator's device."""
     normal = torch.randn(num_envs, 3, generator=generator, device=generator.device)
     return torch.nn.functional.normalize(normal, dim=-1)
-
-
-@cache
-def _bounds(
-    ranges: tuple[Range, ...], device: torch.device
-) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:
-    """Lower bounds and widths of ranges, copied to the device once."""
-    bounds = torch.tensor(ranges, dtype=torch.float32, device=device)
-    return bounds[:, 0], bounds[:, 1] - bounds[:, 0]

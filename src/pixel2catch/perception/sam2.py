@@ -248,7 +248,8 @@ class CapturedFunction:
         if key not in self._graphs:
             constants = {i: leaf for i, leaf in enumerate(leaves) if i not in tensors}
             function = partial(self._of_tensors, structure, constants, tuple(tensors))
-            graphed = GraphedFunction(function, num_eager_calls=WARM_UP_RUNS, pool=self._pool)
+            device = next(iter(tensors.values())).device
+            graphed = GraphedFunction(function, device=device, num_eager_calls=WARM_UP_RUNS, pool=self._pool)
             for _ in range(WARM_UP_RUNS):
                 graphed(*tensors.values())
             self._graphs[key] = graphed

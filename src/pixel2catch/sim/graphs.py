@@ -7,6 +7,8 @@ from typing import Any, Generic, TypeVar
 import torch
 from torch import Tensor
 
+from pixel2catch.device_constants import Constants, keeping
+
 Result = TypeVar("Result")
 
 
@@ -14,13 +16,15 @@ class GraphedFunction(Generic[Result]):
     """A function on a CUDA device whose first calls run as they are and whose later ones are replayed.
 
     It owns whatever a recording reads and writes: the function with all that it refers to, copies of its
-    arguments, and its result. Tensors that the function reads besides its arguments must be changed in place.
+    arguments, the constants that it asks for, and its result. Tensors that the function reads besides its
+    arguments must be changed in place.
     """
 
     def __init__(
         self,
         function: Callable[..., Result],
         *,
+        device: torch.device,
         num_eager_calls: int,
         is_aside: bool = True,
         pool: Any = None,
@@ -31,22 +35,27 @@ class GraphedFunction(Generic[Result]):
 
         Args:
             function: Takes tensors of the same shapes in every call, and never waits for the device.
-            num_eager_calls: Calls before it is recorded: in the first, libraries set themselves up.
+            device: Where it works, and all arguments are.
+            num_eager_calls: Calls before it is recorded: in the first, libraries set themselves up
+                and constants are made.
             is_aside: Whether those run on a stream of their own, as gradients require; not where another
                 library works on the current stream.
             pool: Memory that several recordings share, a `torch.cuda.graph_pool_handle`; its own if absent.
             generator: Random generator that the function draws from, if not torch's own.
             around: Entered around the recorded call, such as a capture by another library.
         """
-        self._function, self._num_eager_calls, self._is_aside = function, num_eager_calls, is_aside
+        self._function, self._device = function, device
+        self._num_eager_calls, self._is_aside = num_eager_calls, is_aside
         self._pool, self._generator, self._around = pool, generator, around
+        self._constants: Constants = {}
         self._graph: torch.cuda.CUDAGraph | None = None
 
     def __call__(self, *arguments: Tensor) -> Result:
         """Return what the function returns; a later call overwrites the tensors in it."""
         if self._num_eager_calls > 0:
             self._num_eager_calls -= 1
-            return self._run_aside(arguments) if self._is_aside else self._function(*arguments)
+            with keeping(self._constants):
+                return self._run_aside(arguments) if self._is_aside else self._function(*arguments)
         if self._graph is None:
             self._graph = self._record(arguments)
         for own, argument in zip(self._arguments, arguments, strict=True):
@@ -55,12 +64,11 @@ class GraphedFunction(Generic[Result]):
         return self._result
 
     def _run_aside(self, arguments: tuple[Tensor, ...]) -> Result:
-        device = arguments[0].device
-        stream = torch.cuda.Stream(device)
-        stream.wait_stream(torch.cuda.current_stream(device))
+        stream = torch.cuda.Stream(self._device)
+        stream.wait_stream(torch.cuda.current_stream(self._device))
         with torch.cuda.stream(stream):
             result = self._function(*arguments)
-        torch.cuda.current_stream(device).wait_stream(stream)
+        torch.cuda.current_stream(self._device).wait_stream(stream)
         return result
 
     def _record(self, arguments: tuple[Tensor, ...]) -> torch.cuda.CUDAGraph:
@@ -70,7 +78,8 @@ class GraphedFunction(Generic[Result]):
             graph.register_generator_state(self._generator)
         # Other threads may use the device meanwhile (NCCL's do), which "global" would forbid.
         with (
-            torch.cuda.device(arguments[0].device),
+            keeping(self._constants),
+            torch.cuda.device(self._device),
             torch.cuda.graph(graph, self._pool, capture_error_mode="thread_local"),
             self._around(),
         ):

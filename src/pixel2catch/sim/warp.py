@@ -5,8 +5,9 @@ written by one are read by the other in order.
 """
 
 import copy
-from collections.abc import Callable
-from typing import Generic, final
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, final
 
 import mujoco
 import mujoco_warp as mjw
@@ -18,6 +19,7 @@ from mujoco_warp._src.types import vec6  # the argument type of mjw.rays
 from torch import Tensor
 
 from pixel2catch.errors import NonFiniteError
+from pixel2catch.sim.graphs import GraphedFunction
 from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
 
 CONTACTS_PER_ENV = 40
@@ -50,7 +52,7 @@ class WarpSimulation(Simulation):
             self._model = mjw.put_model(_without_cpu_flags(model))
             self._model.block_dim.ray = RAY_BLOCK
             self._data = mjw.make_data(model, num_envs, nconmax=CONTACTS_PER_ENV, njmax=CONSTRAINTS_PER_ENV)
-        self._graph: wp.Graph | None = None
+        self._recorded_step = self._recorded(self._step)
         self._rays: _Rays | None = None
 
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
@@ -63,7 +65,7 @@ class WarpSimulation(Simulation):
             rows = np.repeat(array.numpy(), self.num_envs, axis=0)
             array = wp.array(rows, dtype=array.dtype, device=self._device)
             setattr(self._model, field, array)
-            self._graph = None  # it holds the address of the shared values
+            self._recorded_step = self._recorded(self._step)  # it held the address of the shared values
         return wp.to_torch(array).view(self.num_envs, *np.shape(getattr(self.model, field)))
 
     def can_expand(self, field: str) -> bool:  # noqa: D102
@@ -72,10 +74,8 @@ class WarpSimulation(Simulation):
     def step(self) -> None:  # noqa: D102
         if not self._device.is_cuda or torch.cuda.is_current_stream_capturing():
             self._step()
-            return
-        if self._graph is None:
-            self._graph = self._capture()
-        wp.capture_launch(self._graph)
+        else:
+            self._recorded_step()
 
     def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
         """Make bound fields current; for every environment, since that is what one launch computes."""
@@ -98,7 +98,7 @@ class WarpSimulation(Simulation):
         self, function: Callable[[Tensor], Result], generator: torch.Generator
     ) -> Callable[[Tensor], Result]:
         """A CUDA graph of the function, captured at the second call; the first compiles its kernels."""
-        return _Recording(function, generator) if self._device.is_cuda else function
+        return self._recorded(function, generator) if self._device.is_cuda else function
 
     def check(self) -> None:
         """Raise if an environment overflowed its contact or constraint buffers.
@@ -115,7 +115,27 @@ class WarpSimulation(Simulation):
             )
 
     def close(self) -> None:  # noqa: D102
-        self._graph = None
+        self._recorded_step = self._step
+
+    def _recorded(
+        self, function: Callable[..., Any], generator: torch.Generator | None = None
+    ) -> GraphedFunction[Any]:
+        """A CUDA graph of PyTorch's and Warp's work."""
+        return GraphedFunction(
+            function,
+            device=self.device,
+            num_eager_calls=1,
+            is_aside=False,
+            generator=generator,
+            around=self._captured_by_warp,
+        )
+
+    @contextmanager
+    def _captured_by_warp(self) -> Iterator[None]:
+        """Let Warp take part in a capture that PyTorch has begun on its current stream."""
+        stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
+        with wp.ScopedStream(stream), wp.ScopedCapture(stream=stream, external=True):
+            yield
 
     def _step(self) -> None:
         """Second half of this step, first half of the next: positions and sensors are then current."""
@@ -123,55 +143,12 @@ class WarpSimulation(Simulation):
             mjw.step2(self._model, self._data)
             mjw.step1(self._model, self._data)
 
-    def _capture(self) -> wp.Graph:
-        """Record one physics step; before, it runs once to compile every kernel, and is undone."""
-        state = {name: self.bind(name).clone() for name in ("qpos", "qvel", "qacc_warmstart", "time")}
-        self._step()
-        for name, value in state.items():
-            self.bind(name).copy_(value)
-        self.forward()
-        stream = wp.Stream(self._device)  # PyTorch's default stream cannot be captured
-        wp.synchronize_device(self._device)
-        with wp.ScopedStream(stream), wp.ScopedCapture(stream=stream) as capture:
-            self._step()
-        wp.synchronize_device(self._device)
-        return capture.graph
-
 
 def _without_cpu_flags(model: mujoco.MjModel) -> mujoco.MjModel:
     """The model without options that only say how the CPU finds contacts."""
     model = copy.copy(model)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     return model
-
-
-class _Recording(Generic[Result]):
-    """One CUDA graph of PyTorch's and Warp's work, captured on one stream."""
-
-    def __init__(self, function: Callable[[Tensor], Result], generator: torch.Generator) -> None:
-        self._function, self._generator = function, generator
-        self._calls = 0
-
-    def __call__(self, argument: Tensor) -> Result:
-        self._calls += 1
-        if self._calls == 1:
-            return self._function(argument)
-        if self._calls == 2:
-            self._capture(argument)
-        self._argument.copy_(argument)
-        self._graph.replay()
-        return self._result
-
-    def _capture(self, argument: Tensor) -> None:
-        """Record the function; nothing runs yet."""
-        self._argument = argument.clone()
-        self._graph = torch.cuda.CUDAGraph()
-        self._graph.register_generator_state(self._generator)
-        torch.cuda.synchronize(argument.device)
-        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
-            stream = wp.stream_from_torch(torch.cuda.current_stream(argument.device))
-            with wp.ScopedStream(stream), wp.ScopedCapture(stream=stream, external=True):
-                self._result = self._function(self._argument)
 
 
 class _Rays:
