@@ -20,10 +20,9 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from pixel2catch.robots.allegro import PALM, Handedness
+from pixel2catch.robots.allegro import HAND, PALM, Handedness
 from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.robots.workcell import robot_mjcf
-from pixel2catch.scene.constants import HAND_JOINTS
 from pixel2catch.scene.scene import SceneCfg, build_model
 
 SAMPLES = 200
@@ -154,7 +153,7 @@ def our_hand(handedness: Handedness) -> Hand:
     links = {name: [[model.body(f"{name}_link_{i}").id] for i in range(CHAIN)] for name in FINGERS}
     joints = {
         name: [
-            int(model.joint(joint.name).qposadr[0]) for joint in HAND_JOINTS if joint.name.startswith(name)
+            int(model.joint(joint.name).qposadr[0]) for joint in HAND.joints if joint.name.startswith(name)
         ]
         for name in FINGERS
     }
@@ -170,7 +169,7 @@ def maker_hand(path: str, surface: Surface, like: Hand) -> Hand:
     mujoco.mj_kinematics(model, data)
     palm = int(model.body_parentid[roots[0]])
     theirs = _seen_from(pose(data, palm), data, roots)
-    home = like.place(np.array([joint.home for joint in HAND_JOINTS]))
+    home = like.place(np.array([joint.home for joint in HAND.joints]))
     ours = _seen_from(pose(home, like.palm), home, [like.links[name][0][0] for name in FINGERS])
     links, joints = {}, {}
     for finger, spot in zip(FINGERS, ours - ours.mean(0), strict=True):
@@ -249,8 +248,8 @@ def compare_hands(path: str, handedness: Handedness, surface: Surface) -> None:
     """The hand alone, the arm of ours at rest."""
     ours = our_hand(handedness)
     theirs = maker_hand(path, surface, ours)
-    low, high = np.array([(joint.lower, joint.upper) for joint in HAND_JOINTS]).T
-    poses = np.random.default_rng(0).uniform(low, high, (POSES, len(HAND_JOINTS)))
+    low, high = np.array([(joint.lower, joint.upper) for joint in HAND.joints]).T
+    poses = np.random.default_rng(0).uniform(low, high, (POSES, len(HAND.joints)))
     for finger in FINGERS:
         gaps = [
             np.linalg.norm(last_link(ours, hand_pos, finger) - last_link(theirs, hand_pos, finger))
@@ -258,7 +257,7 @@ def compare_hands(path: str, handedness: Handedness, surface: Surface) -> None:
         ]
         report(f"largest gap of the last link, {finger} [mm]", f"{1e3 * max(gaps):.3f}")
     print("\nlink            mass [g]      reach along -x, x, -y, y, -z, z [mm]: ours | maker's")
-    data = [hand.place(np.zeros(len(HAND_JOINTS))) for hand in (ours, theirs)]
+    data = [hand.place(np.zeros(len(HAND.joints))) for hand in (ours, theirs)]
     for finger in ("index", "thumb"):
         for i in range(CHAIN):
             masses = [1e3 * hand.model.body_mass[hand.links[finger][i]].sum() for hand in (ours, theirs)]

@@ -17,13 +17,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_mask
-from pixel2catch.camera.pinhole import camera_center, project
-from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions
+from pixel2catch.camera.pinhole import camera_center, is_in_view, is_unoccluded, project, ray_directions
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
+from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.geometry import first_chain
-from pixel2catch.scene.constants import ARM_JOINTS, GRAVITY, HAND_JOINTS, RGB_CAMERA, JointSpec
+from pixel2catch.robots.ur5e import ARM
+from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA, JointSpec
 from pixel2catch.scene.objects import OBJECTS, surface_points
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.devices import make_simulation
@@ -104,8 +105,8 @@ def sample_frames(num_frames: int, seed: int) -> Float[Tensor, "num_frames nq"]:
     chance = torch.rand(num_frames, 2, generator=generator)
     is_late = is_reaching & (chance[:, :1] < 0.5)
     time = torch.where(is_late, end - 0.1 * chance[:, 1:], end * chance[:, 1:])
-    arm = torch.where(is_waiting, _near_home(ARM_JOINTS, RESET_NOISE, num_frames, generator), reach)
-    hand = _near_home(HAND_JOINTS, RESET_NOISE, num_frames, generator)
+    arm = torch.where(is_waiting, _near_home(ARM.joints, RESET_NOISE, num_frames, generator), reach)
+    hand = _near_home(HAND.joints, RESET_NOISE, num_frames, generator)
     hand = hand + CURL * is_holding * torch.rand(num_frames, 1, generator=generator)
     object_pos = torch.where(is_holding, _palm_target(arm), _path(throw, time[:, :, None])[:, 0])
     return torch.cat([arm, hand, object_pos, throw.quat], dim=-1)
@@ -177,7 +178,7 @@ def _reach(
 ) -> tuple[Float[Tensor, "num_frames 6"], Float[Tensor, "num_frames 1"]]:
     """Choose the arm position nearest to the path [rad], and when the object is there [s]."""
     num_frames = len(flight_time)
-    arms = _near_home(ARM_JOINTS, REACH, num_frames * NUM_REACHES, generator)
+    arms = _near_home(ARM.joints, REACH, num_frames * NUM_REACHES, generator)
     targets = _palm_target(arms).view(num_frames, NUM_REACHES, 3)
     times = flight_time * torch.linspace(0.7, 1.2, NUM_INSTANTS)
     distance = torch.cdist(targets, _path(throw, times[:, :, None]))

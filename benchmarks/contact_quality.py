@@ -21,12 +21,13 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from pixel2catch.scene.constants import ARM_JOINTS, HAND_JOINTS
-from pixel2catch.scene.contact import contact_solref
+from pixel2catch.robots.allegro import HAND
+from pixel2catch.robots.ur5e import ARM
+from pixel2catch.scene.cfg import contact_solref
 from pixel2catch.scene.scene import SceneCfg, build_model
 
 RESTITUTIONS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-HOME = np.array([joint.home for joint in (*ARM_JOINTS, *HAND_JOINTS)])
+HOME = np.array([joint.home for joint in (*ARM.joints, *HAND.joints)])
 GRAVITY = 9.81
 
 

@@ -27,7 +27,7 @@ from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.segmenter import Segmenter
-from pixel2catch.rendering.camera import OBJECT, CameraCfg, Moment
+from pixel2catch.rendering.camera import OBJECT_POS, CameraCfg, Moment
 from pixel2catch.rendering.video import RecordedThrow
 from pixel2catch.scene.objects import select_objects
 
@@ -86,7 +86,7 @@ def watch(take: RecordedThrow, cfg: FilmCfg, seed: int) -> dict[str, tuple[list[
     seen: dict[str, list[Extraction]] = {name: [] for name in plain}
     seen_gapped: dict[str, list[Extraction]] = {name: [] for name in plain}
     states = moments(take)
-    release_pos = states[0].qpos[OBJECT]
+    release_pos = states[0].qpos[OBJECT_POS]
     first = next(i for i, moment in enumerate(states) if moment.time > 0.0) + GAP_START
     with ThrowFilm(cfg, take.object_name, release_pos, seed) as film:
         for watcher in (*plain.values(), *gapped.values()):

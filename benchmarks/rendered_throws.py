@@ -19,18 +19,18 @@ from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
-from pixel2catch.perception.factory import make_robot_mask
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
+from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.timing import StageClock
-from pixel2catch.rendering.camera import ARM, OBJECT, ROBOT, CameraCfg, Exposure, Moment, RoomCamera
+from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL, CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.rendering.video import RecordedThrow
 from pixel2catch.robots.geometry import first_chain
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from pixel2catch.workcells import find_workcell
 
 NUM_EMPTY_AGAIN = 3
 """Images of the empty room before every throw but the first: the room is known."""
@@ -124,15 +124,17 @@ class ThrowFilm:
         exposure = Exposure(moment=moment, object_name=name, thrower=self._bystanders.joint_pos)
         mask = self._camera.object_mask(exposure)
         box, _ = box_of_mask(torch.from_numpy(mask)[None])
-        joint_pos = moment.qpos[ROBOT]
-        palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(moment.qpos[None, ARM]))
+        workcell = find_workcell(self._cfg.scene.workcell)
+        joint_pos = moment.qpos[: len(workcell.joints)]
+        arm = joint_pos[None, workcell.palms[0].carriers]
+        palm_pos, _ = first_chain(workcell).pose(torch.from_numpy(arm))
         return LabelledImage(
             image=self._camera.image(exposure),
             joint_pos=joint_pos + self._cfg.encoder_noise * self._rng.standard_normal(len(joint_pos)),
             time=moment.time,
             box=box,
             num_pixels=int(mask.sum()),
-            palm_distance=float(np.linalg.norm(moment.qpos[OBJECT] - palm_pos[0].numpy())),
+            palm_distance=float(np.linalg.norm(moment.qpos[OBJECT_POS] - palm_pos[0].numpy())),
         )
 
     def close(self) -> None:
@@ -151,7 +153,7 @@ class ThrowFilm:
 def moments(throw: RecordedThrow) -> list[Moment]:
     """The states of a throw until the success or the end, with their times since the release."""
     qpos, qvel = throw.qpos[: throw.num_untested], throw.qvel[: throw.num_untested]
-    flying = np.flatnonzero(np.linalg.norm(qvel[:, OBJECT], axis=-1) > LEAST_SPEED)
+    flying = np.flatnonzero(np.linalg.norm(qvel[:, OBJECT_VEL], axis=-1) > LEAST_SPEED)
     release = int(flying[0]) if len(flying) else len(qvel)
     return [Moment(qpos=qpos[i], qvel=qvel[i], time=(i - release) * CONTROL_DT) for i in range(len(qpos))]
 
@@ -171,7 +173,7 @@ class PerceptionRunner:
             seed: Of the person's errors.
         """
         self._person, self._rng = Prompter(), np.random.default_rng(seed)
-        robot = make_robot_mask(workcell=workcell)
+        robot = RobotMask(find_workcell(workcell))
         self._extractor = PixelFeatureExtractor(segmenter, self._person, robot=robot)
         self._is_prompted, self._num_seen = False, 0
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from pixel2catch.camera.features import PIXEL_FEATURES
+from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method
 from pixel2catch.policy import Policy, PolicyContract, build_mlp, contract_of

@@ -32,7 +32,7 @@ class Method:
     Attributes:
         name: Name on the command line and in policy files.
         agents: The learners, in joint order.
-        pixel_features: Names out of `camera.features.PIXEL_FEATURES`.
+        pixel_features: Names out of `camera.boxes.PIXEL_FEATURES`.
         num_boxes: Measured boxes that it remembers.
     """
 

@@ -2,7 +2,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pixel2catch.camera.boxes import box_of_mask, box_of_points, clip_box, hold_box, perturb_box
+from pixel2catch.camera.boxes import box_of_mask, box_of_points, clip_box, perturb_box
 from pixel2catch.scene.constants import RGB_CAMERA
 
 
@@ -68,9 +68,3 @@ def test_noise_keeps_boxes_in_order_and_in_the_image(seed: int, reach: float):
     assert (noisy[:, :2] <= noisy[:, 2:]).all()
     torch.testing.assert_close(clip_box(noisy, RGB_CAMERA), noisy, atol=0, rtol=0)
     assert (noisy - box).abs().max() <= reach + 1e-4
-
-
-def test_unseen_keeps_the_previous_box():
-    previous, box = boxes(2, 0), boxes(2, 1)
-    held = hold_box(box, torch.tensor([True, False]), previous)
-    assert torch.equal(held, torch.stack([box[0], previous[1]]))

@@ -1,8 +1,6 @@
-import pytest
 import torch
 
-from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features, select_features
-from pixel2catch.errors import UnknownNameError
+from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.scene.constants import RGB_CAMERA
 
 BEFORE = torch.tensor([[300.0, 100.0, 320.0, 130.0]])  # centre (310, 115), size (20, 30)
@@ -23,15 +21,3 @@ def test_differences_change_sign_with_time():
     forth = pixel_features(BEFORE, NOW, RGB_CAMERA)
     back = pixel_features(NOW, BEFORE, RGB_CAMERA)
     assert torch.equal(forth[:, 4:], -back[:, 4:])
-
-
-def test_selection_is_by_name_in_the_order_given():
-    features = pixel_features(BEFORE, NOW, RGB_CAMERA)
-    assert select_features(features, ("dw", "cx")).tolist() == [[12.0, 0.5]]
-    assert torch.equal(select_features(features, PIXEL_FEATURES), features)
-    assert select_features(features, ()).shape == (1, 0)
-
-
-def test_an_unknown_feature_names_the_valid_ones():
-    with pytest.raises(UnknownNameError, match=r"unknown pixel feature 'dx'.*Valid: cx, cy, w, h, dcx"):
-        select_features(pixel_features(BEFORE, NOW, RGB_CAMERA), ("dx",))

@@ -1,7 +1,6 @@
 import torch
 
-from pixel2catch.camera.pinhole import project
-from pixel2catch.camera.visibility import is_in_view, is_unoccluded, ray_directions
+from pixel2catch.camera.pinhole import is_in_view, is_unoccluded, project, ray_directions
 from pixel2catch.scene.constants import RGB_CAMERA
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from packaging.specifiers import SpecifierSet
 
-from pixel2catch.cli import doctor_probes as probes
+from pixel2catch.cli import doctor as probes
 from pixel2catch.cli.doctor import check
 from pixel2catch.cli.main import main
 
@@ -68,7 +68,7 @@ def test_versions_out_of_range_are_named(monkeypatch: pytest.MonkeyPatch):
         probes.packages()
     ranges = {"numpy": SpecifierSet(">=99")}
     with pytest.raises(probes.Broken, match=r"is not in >=99: pip install --upgrade 'pixel2catch\[maths\]'"):
-        probes.Optional(module="numpy", distribution="numpy", extra="maths").probe()
+        probes.optional("numpy", "numpy", "maths")
 
 
 def test_a_full_disk_is_bad(monkeypatch: pytest.MonkeyPatch):

@@ -135,7 +135,7 @@ def test_the_camera_keeps_its_lens_and_ros_gets_its_own_pixel_coordinates():
     data = messages.camera_info(RGB_CAMERA, 1.0)
     reading = messages.read_camera_info(data)
     for name in ("width", "height", "fx", "fy", "cx", "cy"):
-        assert getattr(reading, name) == pytest.approx(getattr(RGB_CAMERA, name))
+        assert getattr(reading.camera, name) == pytest.approx(getattr(RGB_CAMERA, name))
     assert reading.distortion == ()
     matrix = messages.STORE.deserialize_cdr(data, messages.CAMERA_INFO).k  # pyright: ignore[reportAttributeAccessIssue]
     assert matrix[2] == RGB_CAMERA.cx - 0.5, "ROS calls the middle of the first pixel 0"

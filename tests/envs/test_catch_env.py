@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from pixel2catch.camera.boxes import hold_box
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.step import Step
 from pixel2catch.mdp.masks import clone
@@ -166,7 +165,8 @@ def test_a_box_is_measured_exactly_after_the_latency(latency):
     points, is_visible = env.world.surface_points()
     seen = [detect(points, is_visible, EXACT.least_visible)[0]] * (latency + 1)
     for step in rollout(env, 20):
-        seen.append(hold_box(*detect(*env.world.surface_points(), EXACT.least_visible), seen[-1]))
+        box, is_seen = detect(*env.world.surface_points(), EXACT.least_visible)
+        seen.append(torch.where(is_seen[:, None], box, seen[-1]))
         torch.testing.assert_close(step.measurement.box, seen[-1 - latency])
     assert (seen[-1] - seen[0]).abs().max() > 50
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from snapshots import NUM_JOINTS, measurement, privileged, tensors
 
 from pixel2catch.agents import AgentSpec, agents_of
-from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features, select_features
+from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.mdp import observations
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.observations import Frame, observe, pixel_columns, privileged_state
@@ -62,7 +62,8 @@ def test_layout(agent: AgentSpec):
     """Per frame z_pixel, palm position, palm quaternion, joints, last action; the older frame first."""
     frames = []
     for before, now in itertools.pairwise(HISTORY):
-        z = select_features(pixel_features(before.box, now.box, RGB_CAMERA), PROPOSED.pixel_features)
+        columns = [PIXEL_FEATURES.index(name) for name in PROPOSED.pixel_features]
+        z = pixel_features(before.box, now.box, RGB_CAMERA)[:, columns]
         (own,) = agent.joints
         frames += [z, now.palm_pos[:, 0], now.palm_quat[:, 0], now.joint_pos[:, own], now.action[:, own]]
     assert torch.equal(observation(agent, PROPOSED), torch.cat(frames, dim=-1))

@@ -8,14 +8,16 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
+from pixel2catch.perception.calibration.extrinsics import HandView
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
 from pixel2catch.perception.calibration.target import SQUARE, SQUARES, CharucoBoard, View
+from pixel2catch.robots.chain import pose_matrix
 from pixel2catch.robots.geometry import first_chain
-from pixel2catch.scene.constants import ARM_JOINTS, RGB_CAMERA, CameraSpec
+from pixel2catch.robots.ur5e import ARM
+from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-HOME = np.array([joint.home for joint in ARM_JOINTS])
+HOME = np.array([joint.home for joint in ARM.joints])
 REACH = np.array((0.4, 0.35, 0.35, 0.5, 0.6, 0.9))
 """How far the arm goes from its start pose [rad]: within the UR5e's range, wider than a policy's."""
 
@@ -38,14 +40,12 @@ def camera_pose(camera: CameraSpec) -> np.ndarray:
 
 
 def lens(camera: CameraSpec = RGB_CAMERA) -> Intrinsics:
-    matrix = np.array(((camera.fx, 0, camera.cx), (0, camera.fy, camera.cy), (0, 0, 1.0)))
-    return Intrinsics(size=(camera.width, camera.height), matrix=matrix)
+    return Intrinsics(size=(camera.width, camera.height), matrix=np.array(camera.matrix))
 
 
 def palm(joint_pos: np.ndarray) -> np.ndarray:
     """Pose of the palm in the world at joint positions [rad]."""
-    pos, quat = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joint_pos)[None])
-    return pose_matrix(pos[0].tolist(), quat[0].tolist())
+    return first_chain(UR5E_ALLEGRO).link_poses(torch.from_numpy(joint_pos)[None])[0, -1].numpy()
 
 
 def board_in_camera(joint_pos: np.ndarray, camera: CameraSpec = RGB_CAMERA) -> np.ndarray:

@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from filmed import CAMERA, DISC, throw
 
-from pixel2catch.camera.boxes import box_of_mask
-from pixel2catch.camera.features import pixel_features
+from pixel2catch.camera.boxes import box_of_mask, pixel_features
 from pixel2catch.perception.annotate import (
     HEADER,
     HELD,

@@ -12,9 +12,10 @@ from calibration_views import board_in_camera, poses, rendered
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main
 from pixel2catch.perception.calibration.target import SQUARE, CharucoBoard, read_image
-from pixel2catch.scene.constants import ARM_JOINTS, RGB_CAMERA
+from pixel2catch.robots.ur5e import ARM
+from pixel2catch.scene.constants import RGB_CAMERA
 
-JOINTS = [joint.name for joint in ARM_JOINTS]
+JOINTS = [joint.name for joint in ARM.joints]
 NUM_IMAGES = 8
 
 
@@ -115,6 +116,20 @@ def test_a_table_that_cannot_be_is_refused(
     for words, (table, names) in cases.items():
         assert words in error_of(capsys, write_table(tmp_path / "views.csv", table, names), *lens)
     assert not (tmp_path / "camera.json").exists()
+
+
+def test_the_joints_are_those_of_the_work_cell(
+    laboratory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    args = (
+        laboratory / "views.csv",
+        "--intrinsics",
+        laboratory / "lens.json",
+        "--out",
+        tmp_path / "new.json",
+    )
+    assert "no column fr3_joint1" in error_of(capsys, *args, "--workcell", "fr3_allegro")
+    assert "unknown work cell 'ur10e'" in error_of(capsys, *args, "--workcell", "ur10e")
 
 
 def test_images_of_another_size_are_refused(

@@ -17,17 +17,17 @@ from pixel2catch.mdp.observations import Frame, pixels
 from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame, Extraction, ExtractorCfg, PixelFeatureExtractor
-from pixel2catch.perception.factory import make_robot_mask
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image, Mask, PointPrompt, Prompt, Segmentation, Segmenter
-from pixel2catch.scene.constants import CONTROL_DT, JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RED = (220, 20, 20)
 REDS = ColorRange(hue=(350.0, 10.0))
 ANYTHING = PlausibilityCfg(least_area=1, largest_share=1.0, largest_jump=1e4, largest_sides=4)
-HOME = np.array([joint.home for joint in JOINTS])
+HOME = np.array([joint.home for joint in UR5E_ALLEGRO.joints])
 
 Box = tuple[int, int, int, int]
 
@@ -201,7 +201,7 @@ def test_a_wrong_image_is_refused_at_the_start_and_passed_over_later(image: np.n
 
 
 def test_joint_states_that_are_no_numbers_do_not_stop_the_loop():
-    subject = extractor(robot=make_robot_mask())
+    subject = extractor(robot=RobotMask(UR5E_ALLEGRO))
     frames = [
         CameraFrame(image=picture(START), stamp=stamp, joint_pos=joints)
         for stamp, joints in ((0.0, HOME), (0.1, HOME * np.nan), (0.2, HOME))
@@ -221,7 +221,7 @@ def test_a_lost_object_is_pointed_out_again():
 
 
 def test_what_vanished_at_the_robot_is_in_the_hand_and_nothing_else_is_looked_for():
-    robot = make_robot_mask()
+    robot = RobotMask(UR5E_ALLEGRO)
     rows, columns = np.nonzero(robot.at(HOME))
     u, v = int(np.median(columns)), int(np.median(rows))
     subject, far = extractor(ExtractorCfg(patience=2), robot), (600, 10, 630, 40)
@@ -243,7 +243,7 @@ def test_a_new_throw_begins_without_the_old_box_and_its_stamps():
 
 
 def test_every_stage_is_measured():
-    subject = extractor(robot=make_robot_mask())
+    subject = extractor(robot=RobotMask(UR5E_ALLEGRO))
     for i in range(3):
         subject.step(CameraFrame(image=picture(START), stamp=i / 30, joint_pos=HOME), i / 30)
     report = subject.clock.percentiles()

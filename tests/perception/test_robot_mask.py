@@ -9,10 +9,13 @@ import torch
 
 from pixel2catch.camera.pinhole import back_project
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.factory import JOINT_NAMES, make_robot_mask
 from pixel2catch.perception.robot_mask import MARGIN, RobotMask
-from pixel2catch.scene.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
+from pixel2catch.robots.ur5e import ARM
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells import find_workcell, workcells
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STRIDE = 3
 ROBOT_GROUPS = (2, 3)
@@ -24,10 +27,11 @@ ROWS, COLUMNS = np.mgrid[: RGB_CAMERA.height : STRIDE, : RGB_CAMERA.width : STRI
 def poses() -> np.ndarray:
     """The start pose, and joints within 0.25 rad of it, fingers anywhere within their limits."""
     home, lower, upper = (
-        np.array([getattr(joint, name) for joint in JOINTS]) for name in ("home", "lower", "upper")
+        np.array([getattr(joint, name) for joint in UR5E_ALLEGRO.joints])
+        for name in ("home", "lower", "upper")
     )
-    spread = np.where(np.arange(len(JOINTS)) < len(ARM_JOINTS), 0.25, 2.0)
-    offsets = spread * np.random.default_rng(0).uniform(-1, 1, (11, len(JOINTS)))
+    spread = np.where(np.arange(len(UR5E_ALLEGRO.joints)) < len(ARM.joints), 0.25, 2.0)
+    offsets = spread * np.random.default_rng(0).uniform(-1, 1, (11, len(UR5E_ALLEGRO.joints)))
     return np.vstack((home, np.clip(home + offsets, lower, upper)))
 
 
@@ -58,7 +62,7 @@ def seen_robot(model: mujoco.MjModel, joint_pos: np.ndarray) -> np.ndarray:
 def shares(workcell: str, margin: int) -> tuple[np.ndarray, np.ndarray]:
     """In every pose, masked pixels of the robot and of the rest, both as shares of the robot's."""
     model = build_model(SceneCfg(workcell=workcell, visuals=True))
-    robot = RobotMask(model, JOINT_NAMES, RGB_CAMERA, margin=margin)
+    robot = RobotMask(find_workcell(workcell), margin=margin)
     covered, hidden = [], []
     for joint_pos in poses():
         truth = seen_robot(model, joint_pos)
@@ -84,12 +88,18 @@ def test_the_margin_covers_the_robot_and_little_else():
 
 def test_the_margin_covers_a_robot_that_is_a_little_elsewhere():
     """Encoders that are half an image interval late, at a tenth of the arm's largest speed."""
-    model, robot = build_model(SceneCfg(visuals=True)), make_robot_mask()
-    late = np.where(np.arange(len(JOINTS)) < len(ARM_JOINTS), 0.279 / 60, 0.0)
+    model, robot = build_model(SceneCfg(visuals=True)), RobotMask(UR5E_ALLEGRO)
+    late = np.where(np.arange(len(UR5E_ALLEGRO.joints)) < len(ARM.joints), 0.279 / 60, 0.0)
     covered = [robot.at(pose + late)[::STRIDE, ::STRIDE][seen_robot(model, pose)].mean() for pose in poses()]
     assert min(covered) >= 0.99
 
 
+@pytest.mark.parametrize("workcell", workcells().values(), ids=lambda workcell: workcell.name)
+def test_every_robot_can_be_masked(workcell: WorkcellSpec):
+    mask = RobotMask(workcell).at(np.array([joint.home for joint in workcell.joints]))
+    assert 0.01 < mask.mean() < 0.5
+
+
 def test_joint_positions_that_are_no_numbers_are_refused():
     with pytest.raises(PerceptionError, match="joint positions must be finite"):
-        make_robot_mask().at(np.full(len(JOINTS), np.nan))
+        RobotMask(UR5E_ALLEGRO).at(np.full(len(UR5E_ALLEGRO.joints), np.nan))

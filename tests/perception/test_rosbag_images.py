@@ -11,10 +11,10 @@ from rosbags.rosbag2 import StoragePlugin
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.rosbag_images import bag_frames
-from pixel2catch.scene.constants import JOINTS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 IMAGE = next(throw())
-NAMES = [joint.name for joint in JOINTS]
+NAMES = [*UR5E_ALLEGRO.joint_names]
 
 
 def read(path: Path, topic: str | None = None, notes: list[str] | None = None) -> list[CameraFrame]:

@@ -10,8 +10,7 @@ import torch
 from tiny_sam2 import random_images, save_tiny_sam2
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from pixel2catch.perception.sam2 import MODULES, Sam2Segmenter, capture
-from pixel2catch.perception.sam2_graphs import CapturedFunction
+from pixel2catch.perception.sam2 import MODULES, CapturedFunction, Sam2Segmenter, capture
 from pixel2catch.perception.segmenter import BoxPrompt
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))

@@ -119,7 +119,17 @@ def test_sam2_runs_from_a_checkpoint(files: Path, tmp_path: Path, capsys: pytest
 def test_what_is_printed_says_whether_it_is_fast_enough(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    track(files, "throw.mp4", tmp_path / "out", *RED, "--mask-robot", "--seconds", "0.5")
+    track(
+        files,
+        "throw.mp4",
+        tmp_path / "out",
+        *RED,
+        "--mask-robot",
+        "--workcell",
+        "fr3_allegro",
+        "--seconds",
+        "0.5",
+    )
     printed = capsys.readouterr().out
     for word in (
         "segment",
@@ -145,6 +155,7 @@ def test_what_is_printed_says_whether_it_is_fast_enough(
         (["throw.mp4", "--segmenter", "sam2", "--checkpoint", "nowhere"], "no SAM 2 checkpoint in nowhere"),
         (["throw.mp4", "--box", "1", "2", "3", "4", "--point", "5", "6"], "not both"),
         (["throw.mp4", "--region", "0", "0", "999", "10"], "is not on the image"),
+        (["throw.mp4", "--workcell", "ur10e"], "unknown work cell 'ur10e'"),
         (["throw.mp4", "--camera", "nowhere.json"], "cannot read the camera file 'nowhere.json'"),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 import torch
 from filmed import CAMERA, HELD, PATH, throw
 
-from pixel2catch.camera.features import PIXEL_FEATURES
+from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
 from pixel2catch.perception.plausibility import Verdict

@@ -8,12 +8,21 @@ import pytest
 
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
-from pixel2catch.rendering.camera import OBJECT, CameraCfg, Exposure, Moment, RoomCamera, room_positions
+from pixel2catch.rendering.camera import (
+    OBJECT_POS,
+    OBJECT_VEL,
+    CameraCfg,
+    Exposure,
+    Moment,
+    RoomCamera,
+    room_positions,
+)
 from pixel2catch.rendering.renderer import Renderer, find_gl_backend
 from pixel2catch.rendering.room import Bystanders, build_room
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.twin.simulated_lab import Thrower
+from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RELEASE = np.array((2.6, 0.1, 0.8))
 MODEL = build_model(SceneCfg())
@@ -23,18 +32,22 @@ STILL = CameraCfg(read_noise=0.0, shot_noise=0.0)
 
 def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, speed: float = 0.0) -> Exposure:
     qpos, qvel = MODEL.qpos0.copy(), np.zeros(MODEL.nv)
-    qpos[: len(JOINTS)] = [joint.home for joint in JOINTS]
-    qpos[OBJECT], qvel[OBJECT] = pos, (0.0, speed, 0.0)
+    qpos[: len(UR5E_ALLEGRO.joints)] = [joint.home for joint in UR5E_ALLEGRO.joints]
+    qpos[OBJECT_POS], qvel[OBJECT_VEL] = pos, (0.0, speed, 0.0)
     moment = Moment(qpos=qpos, qvel=qvel, time=1.0)
     return Exposure(moment=moment, object_name=object_name, thrower=THROWER.joint_pos)
 
 
 @pytest.fixture
-def view(request: pytest.FixtureRequest) -> Iterator[RoomCamera]:
+def opengl() -> None:
     try:
         find_gl_backend()
     except DeviceUnavailableError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def view(opengl: None, request: pytest.FixtureRequest) -> Iterator[RoomCamera]:
     with RoomCamera(SceneCfg(), 0, request.param) as view:
         yield view
 
@@ -98,3 +111,20 @@ def test_with_shadows_the_sensor_has_the_same_noise(view: RoomCamera):
         band = (light > 110) & (light < 140)
         variances.append((first - second)[band].var())
     assert variances[0] == pytest.approx(variances[1], rel=0.1)
+
+
+def test_the_robots_of_any_work_cell_are_drawn(opengl: None):
+    """Two arms, of which the second moves: it is smeared."""
+    scene = SceneCfg(workcell="two_ur5e_allegro")
+    model, workcell = build_model(scene), find_workcell(scene.workcell)
+    qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
+    qpos[: len(workcell.joints)] = [joint.home for joint in workcell.joints]
+    images = []
+    with RoomCamera(scene, 0, replace(STILL, part_length=1.0)) as camera:
+        for speed in (0.0, 3.0):
+            qvel[workcell.palms[1].carriers] = speed
+            moment = Moment(qpos=qpos, qvel=qvel, time=0.0)
+            shown = Exposure(moment=moment, object_name="cube_s", thrower=THROWER.joint_pos)
+            images.append(camera.image(shown).astype(int))
+    changed = (np.abs(images[1] - images[0]) > 15).any(axis=-1)
+    assert 200 < changed.sum() < 20_000

@@ -15,7 +15,7 @@ from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import METHODS
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.rendering.camera import OBJECT
+from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.scene.constants import CONTROL_DT
 
@@ -98,9 +98,9 @@ def test_throws_are_recorded_with_the_time_of_their_release():
         assert -19 * CONTROL_DT <= times[0] <= -4 * CONTROL_DT
         held = states[times.index(0.0) - 1]
         released, later = (states[times.index(0.0) + i] for i in (0, 3))
-        assert abs(held.qvel[OBJECT]).max() < 0.01
-        assert released.qvel[OBJECT][2] > 3.0
-        assert later.qpos[OBJECT][0] - released.qpos[OBJECT][0] == pytest.approx(
-            3 * CONTROL_DT * released.qvel[OBJECT][0], rel=0.02
+        assert abs(held.qvel[OBJECT_VEL]).max() < 0.01
+        assert released.qvel[OBJECT_VEL][2] > 3.0
+        assert later.qpos[OBJECT_POS][0] - released.qpos[OBJECT_POS][0] == pytest.approx(
+            3 * CONTROL_DT * released.qvel[OBJECT_VEL][0], rel=0.02
         )
         assert throw.object_name in cfg.objects

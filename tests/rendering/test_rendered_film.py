@@ -11,12 +11,12 @@ from rendered_throws import FilmCfg, ThrowFilm
 
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.rendering.camera import OBJECT, CameraCfg, Moment
+from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL, CameraCfg, Moment
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, FOLLOW_THROUGH, HAND_DROP, Bystanders, build_room
-from pixel2catch.scene import constants
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RELEASE = np.array((2.6, 0.1, 0.8))
 SCENE_MODEL = build_model(SceneCfg())
@@ -27,8 +27,8 @@ def moment(
     pos: np.ndarray, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), time: float = -1.0
 ) -> Moment:
     qpos, qvel = SCENE_MODEL.qpos0.copy(), np.zeros(SCENE_MODEL.nv)
-    qpos[: len(constants.JOINTS)] = [joint.home for joint in constants.JOINTS]
-    qpos[OBJECT], qvel[OBJECT] = pos, velocity
+    qpos[: len(UR5E_ALLEGRO.joints)] = [joint.home for joint in UR5E_ALLEGRO.joints]
+    qpos[OBJECT_POS], qvel[OBJECT_VEL] = pos, velocity
     return Moment(qpos=qpos, qvel=qvel, time=time)
 
 
@@ -129,7 +129,7 @@ def test_the_sensors_noise_grows_with_the_light(film: ThrowFilm):
 @pytest.mark.parametrize("film", [STILL], indirect=True)
 def test_encoders_are_noisy_and_the_robot_is_not(film: ThrowFilm):
     shots = [film.shot(moment(RELEASE)) for _ in range(2)]
-    home = np.array([joint.home for joint in constants.JOINTS])
+    home = np.array([joint.home for joint in UR5E_ALLEGRO.joints])
     assert 0.0 < np.abs(shots[0].joint_pos - home).max() < 0.03
     assert not np.array_equal(shots[0].joint_pos, shots[1].joint_pos)
     assert np.array_equal(shots[0].image, shots[1].image)

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FINGERS = ("index", "middle", "ring", "thumb")
-HOME = np.array([joint.home for joint in JOINTS])
+HOME = np.array([joint.home for joint in UR5E_ALLEGRO.joints])
 ROBOT_ONLY = np.array((0, 0, 0, 1, 0, 0), dtype=np.uint8)
 FAR = 0.3
 

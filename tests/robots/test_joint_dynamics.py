@@ -14,10 +14,10 @@ from pixel2catch.robots.joint_dynamics import (
     command_lag,
     filter_transition,
 )
-from pixel2catch.scene.constants import ARM_JOINTS
+from pixel2catch.robots.ur5e import ARM as ARM_GROUP
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-ARM = tuple(joint.name for joint in ARM_JOINTS)
+ARM = tuple(joint.name for joint in ARM_GROUP.joints)
 ELBOW_AND_INDEX = ("elbow_joint", "index_joint_1")
 ELBOW = JointDynamics.nominal(["elbow_joint"])
 FILTERED = ELBOW.with_values(filter_gain=SERVOJ_GAIN, filter_lookahead=SERVOJ_LOOKAHEAD)
@@ -25,8 +25,8 @@ FILTERED = ELBOW.with_values(filter_gain=SERVOJ_GAIN, filter_lookahead=SERVOJ_LO
 
 def test_nominal_dynamics_are_the_simulators():
     arm = JointDynamics.nominal(ARM)
-    np.testing.assert_array_equal(arm.stiffness, [joint.stiffness for joint in ARM_JOINTS])
-    np.testing.assert_array_equal(arm.armature, [joint.armature for joint in ARM_JOINTS])
+    np.testing.assert_array_equal(arm.stiffness, [joint.stiffness for joint in ARM_GROUP.joints])
+    np.testing.assert_array_equal(arm.armature, [joint.armature for joint in ARM_GROUP.joints])
     assert not arm.latency.any()
     assert not arm.has_filter.any()
     assert len(JointDynamics.nominal().joints) == 19

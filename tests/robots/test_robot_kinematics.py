@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from pixel2catch.robots.geometry import chain_of
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -77,7 +76,7 @@ def finger_tip(finger: str, q: np.ndarray) -> np.ndarray:
 
 def random_positions(seed: int = 0) -> np.ndarray:
     """Joint positions within the limits, (NUM_SAMPLES, 19)."""
-    low, high = np.array([(joint.lower, joint.upper) for joint in JOINTS]).T
+    low, high = np.array([(joint.lower, joint.upper) for joint in UR5E_ALLEGRO.joints]).T
     return np.random.default_rng(seed).uniform(low, high, (NUM_SAMPLES, 19))
 
 
@@ -103,7 +102,7 @@ def site_pose(data: mujoco.MjData, name: str) -> np.ndarray:
 
 
 def test_start_pose_is_the_one_of_the_task(model):
-    data = place(model, np.array([joint.home for joint in JOINTS]))
+    data = place(model, np.array([joint.home for joint in UR5E_ALLEGRO.joints]))
     palm = site_pose(data, "palm")
     np.testing.assert_allclose(palm[:3, 3], (0.434, 0.133, 1.391), atol=6e-4)
     np.testing.assert_allclose(palm[:3, 0], (0.208, 0.0, 0.978), atol=6e-4)
@@ -128,7 +127,7 @@ def test_fingertips_follow_the_link_table(model):
 
 
 def test_fingers_curl_out_of_the_palm(model):
-    straight = np.array([joint.home for joint in JOINTS])
+    straight = np.array([joint.home for joint in UR5E_ALLEGRO.joints])
     curled = straight.copy()
     curled[6:15] += 0.5
     normal = site_pose(place(model, straight), "palm")[:3, 0]

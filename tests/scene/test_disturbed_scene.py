@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.scene.object_table import object_table
 from pixel2catch.scene.objects import OBJECTS
-from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.scene.scene import SceneCfg, build_model, object_table
 
 
 @pytest.mark.parametrize("name", ["cube_s", "l_block"])

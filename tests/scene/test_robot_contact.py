@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-from pixel2catch.scene.constants import JOINTS
-from pixel2catch.scene.contact import PUSH_OUT, contact_solref
+from pixel2catch.scene.cfg import PUSH_OUT, contact_solref
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-HOME = np.array([joint.home for joint in JOINTS])
+HOME = np.array([joint.home for joint in UR5E_ALLEGRO.joints])
 TABLE_SPOT = np.array((-0.25, 0.2, 0.81))
 PALM_SPOT = np.array((0.44, 0.1333, 1.3915))
 PALM_NORMAL = np.array((0.20791, 0.0, 0.97815))

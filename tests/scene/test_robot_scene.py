@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.scene.constants import JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model, export
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FINGERS = ("index", "middle", "ring", "thumb")
-LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint in JOINTS]).T
+LOWER, UPPER, HOME = np.array([(joint.lower, joint.upper, joint.home) for joint in UR5E_ALLEGRO.joints]).T
 
 
 @pytest.fixture(scope="module", params=["ur5e_allegro", "ur5e_allegro_right"])
@@ -20,8 +21,8 @@ def model(request) -> mujoco.MjModel:
 
 def test_layout(model):
     assert (model.nq, model.nv, model.nu) == (26, 25, 19)
-    assert [model.joint(i).name for i in range(20)] == [*(joint.name for joint in JOINTS), "object_joint"]
-    assert [model.actuator(i).name for i in range(19)] == [joint.name for joint in JOINTS]
+    assert [model.joint(i).name for i in range(20)] == [*UR5E_ALLEGRO.joint_names, "object_joint"]
+    assert [model.actuator(i).name for i in range(19)] == [*UR5E_ALLEGRO.joint_names]
     assert sum(model.geom_contype > 0) <= 35
     types = set(model.geom_type[model.geom_contype > 0])
     assert types <= {int(getattr(mujoco.mjtGeom, f"mjGEOM_{t}")) for t in ("PLANE", "CAPSULE", "BOX", "MESH")}

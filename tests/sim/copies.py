@@ -8,9 +8,8 @@ from torch import Tensor
 
 from pixel2catch.envs.world import MASS_POWER
 from pixel2catch.scene.constants import JOINTS
-from pixel2catch.scene.object_table import ObjectTable, object_table
 from pixel2catch.scene.objects import OBJECTS
-from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, object_table
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.simulation import Simulation
 from pixel2catch.sim.warp import WarpSimulation

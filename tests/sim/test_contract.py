@@ -7,8 +7,8 @@ import pytest
 import torch
 from copies import BODY, HOME, NUM_ENVS, ON_FLOOR, ON_TABLE, TABLE
 
+from pixel2catch.scene.cfg import contact_solref
 from pixel2catch.scene.constants import PHYSICS_DT
-from pixel2catch.scene.contact import contact_solref
 from pixel2catch.sim.simulation import Simulation
 
 GRAVITY = 9.81

@@ -72,11 +72,12 @@ def test_the_lens_is_that_of_the_camera(bench: Bench):
     assert info is not None
     queue = bench.node.subscription(info)
     bench.cycle(40)
-    lens = messages.read_camera_info(queue.take()[0].data)
+    reading = messages.read_camera_info(queue.take()[0].data)
+    lens = reading.camera
     assert (lens.fx, lens.fy, lens.cx, lens.cy) == pytest.approx(
         (RGB_CAMERA.fx, RGB_CAMERA.fy, RGB_CAMERA.cx, RGB_CAMERA.cy)
     )
-    assert (lens.width, lens.height, lens.distortion) == (640, 480, ())
+    assert (lens.width, lens.height, reading.distortion) == (640, 480, ())
 
 
 def test_late_subscribers_learn_the_status_and_all_learn_of_a_stop(bench: Bench):

@@ -9,20 +9,17 @@ from torch import Tensor
 
 from pixel2catch.scene.constants import CameraSpec
 
-NUM_BOXES = 16
-"""Boxes that `box_fit` is made for. Source: ours, see there."""
+NUM_BOXES = 16  #: Boxes that `box_fit` is made for. Source: ours, see there.
 
 TIME_CONSTANTS = (3.0, 8.0)
 """Time constants of the weights of the two fits [control steps]. Source: ours, see `box_fit`."""
 
-STEPS_PER_SECOND = 30.0
-"""Control steps in a second, for the units of the features. Source: release."""
+STEPS_PER_SECOND = 30.0  #: Control steps in a second, for the units of the features. Source: release.
 
 TYPICAL_SIZE = 20.0
 """Mean of width and height whose logarithm counts as 0 [px]. Source: ours, 6 cm at 1.9 m."""
 
-LEAST_SIZE = 2.0
-"""Smaller boxes count as this large, so that the logarithm stays finite [px]. Source: ours."""
+LEAST_SIZE = 2.0  #: Smaller boxes count as this large, so that the logarithm stays finite [px]. Source: ours.
 
 PIXEL_NOISE = 3.0
 """Unit of the residuals [px]. Source: ours; an edge that is up to 5 px off has a deviation of 2.9 px."""
@@ -31,11 +28,8 @@ LONGEST_EXTRAPOLATION = 8.0
 """Age of the newest box beyond which the fits wait where they are [control steps]. Source: ours, the longest
 latency and four missing boxes; noise of the curvature would carry them out of the image."""
 
-BOUND = 10.0
-"""Features end here. Source: ours, several times what a flight reaches."""
-
-MOST_FAR = 4.0
-"""Largest distance by size [that of TYPICAL_SIZE]. Source: ours, smaller boxes are noise."""
+BOUND = 10.0  #: Features end here. Source: ours, several times what a flight reaches.
+MOST_FAR = 4.0  #: Largest distance by size [that of TYPICAL_SIZE]. Source: ours, smaller boxes are noise.
 
 SPREAD_FLOOR = 1e-4
 """Variance of normalised time below which a slope fades to 0. Source: ours; boxes a step apart have 1."""

@@ -1,4 +1,4 @@
-"""Bounding boxes (xmin, ymin, xmax, ymax) [px] in continuous image coordinates, one per environment."""
+"""Bounding boxes (xmin, ymin, xmax, ymax) [px], one per environment, and the pixel features made of them."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -6,62 +6,72 @@ from torch import Tensor
 
 from pixel2catch.scene.constants import CameraSpec
 
+PIXEL_FEATURES = ("cx", "cy", "w", "h", "dcx", "dcy", "dw", "dh")
+"""Centre and size of the box as shares of the image, and their changes since the last control step [px]."""
+
+
+def pixel_features(
+    before: Float[Tensor, "num_envs 4"], now: Float[Tensor, "num_envs 4"], camera: CameraSpec
+) -> Float[Tensor, "num_envs 8"]:
+    """Return every pixel feature of two successive boxes [px], in the order of `PIXEL_FEATURES`.
+
+    z = {cx, cy, w, h, Δcx, Δcy, Δw, Δh}; the paper's method reads all but w and h.
+
+    Source: paper, Eq. 1; release: cx / width and cy / height, differences in pixels; ours: w / width and
+    h / height.
+    """
+    (center, size), (old_center, old_size) = _center_and_size(now), _center_and_size(before)
+    width, height = camera.width, camera.height
+    shares = (center[:, 0] / width, center[:, 1] / height, size[:, 0] / width, size[:, 1] / height)
+    return torch.cat((torch.stack(shares, dim=-1), center - old_center, size - old_size), dim=-1)
+
+
+def _center_and_size(
+    box: Float[Tensor, "num_envs 4"],
+) -> tuple[Float[Tensor, "num_envs 2"], Float[Tensor, "num_envs 2"]]:
+    """Centre (cx, cy) and size (w, h) of boxes [px]."""
+    lower, upper = box[:, :2], box[:, 2:]
+    return (lower + upper) / 2, upper - lower
+
 
 def box_of_points(
     pixels: Float[Tensor, "num_envs num_points 2"],
     is_visible: Bool[Tensor, "num_envs num_points"],
     camera: CameraSpec,
 ) -> Float[Tensor, "num_envs 4"]:
-    """Return the smallest box around the part of the visible points that is on the image.
+    """Return the smallest box around the part of the visible points that is on the image [px].
 
     A point below the image moves the lower edge of the box to the image's, but bounds neither left nor right:
-    the object may be narrower where the image ends. The same holds for the other sides.
-
-    Args:
-        pixels: Projected points [px], on or off the image.
-        is_visible: Which of them are in front of the camera and not hidden.
-        camera: The camera, for the size of the image.
-
-    Returns:
-        Boxes [px]; (0, 0, 0, 0) where no visible point is on the image.
+    the object may be narrower where the image ends. The same holds for the other sides. A point that is not
+    visible is behind the camera or hidden. The box is (0, 0, 0, 0) where no visible point is on the image.
     """
     u, v = pixels.unbind(-1)
     is_in_columns = is_visible & (u >= 0.0) & (u <= camera.width)
     is_in_rows = is_visible & (v >= 0.0) & (v <= camera.height)
-    xmin, xmax = _extent(u, is_in_rows)
-    ymin, ymax = _extent(v, is_in_columns)
+    xmin, xmax = _extent(u, u, is_in_rows)
+    ymin, ymax = _extent(v, v, is_in_columns)
     box = clip_box(torch.stack([xmin, ymin, xmax, ymax], dim=-1), camera)
     return torch.where((is_in_columns & is_in_rows).any(-1, keepdim=True), box, 0.0)
-
-
-def _extent(
-    values: Float[Tensor, "num_envs num_points"], counts: Bool[Tensor, "num_envs num_points"]
-) -> tuple[Float[Tensor, " num_envs"], Float[Tensor, " num_envs"]]:
-    """Return the smallest and the largest value that counts."""
-    return torch.where(counts, values, torch.inf).amin(-1), torch.where(counts, values, -torch.inf).amax(-1)
 
 
 def box_of_mask(
     mask: Bool[Tensor, "num_envs height width"],
 ) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
-    """Return the smallest box around the true pixels of each mask, from outer pixel edge to outer pixel edge.
+    """Return the smallest box around the true pixels of each mask [px], and whether any pixel was true.
 
-    Returns:
-        Boxes [px], (0, 0, 0, 0) for an empty mask; and whether any pixel was true.
+    It runs from outer pixel edge to outer pixel edge, and is (0, 0, 0, 0) for an empty mask.
     """
     columns, rows = mask.any(-2), mask.any(-1)
-    (xmin, xmax), (ymin, ymax) = _span(columns), _span(rows)
-    box = torch.stack([xmin, ymin, xmax, ymax], dim=-1)
+    sizes = (columns.shape[-1], rows.shape[-1])
+    u, v = (torch.arange(size, device=mask.device, dtype=torch.get_default_dtype()) for size in sizes)
+    (xmin, xmax), (ymin, ymax) = _extent(u, u + 1.0, columns), _extent(v, v + 1.0, rows)
     is_seen = rows.any(-1)
-    return torch.where(is_seen.unsqueeze(-1), box, 0.0), is_seen
+    return torch.where(is_seen[:, None], torch.stack([xmin, ymin, xmax, ymax], dim=-1), 0.0), is_seen
 
 
-def _span(
-    row: Bool[Tensor, "num_envs num_pixels"],
-) -> tuple[Float[Tensor, " num_envs"], Float[Tensor, " num_envs"]]:
-    """Return the lower edge of the first and the upper edge of the last true pixel of each row [px]."""
-    edges = torch.arange(row.shape[-1], device=row.device, dtype=torch.get_default_dtype())
-    return torch.where(row, edges, torch.inf).amin(-1), torch.where(row, edges + 1.0, -torch.inf).amax(-1)
+def _extent(lower: Tensor, upper: Tensor, counts: Bool[Tensor, "num_envs n"]) -> tuple[Tensor, Tensor]:
+    """The smallest of the lower and the largest of the upper values that count."""
+    return torch.where(counts, lower, torch.inf).amin(-1), torch.where(counts, upper, -torch.inf).amax(-1)
 
 
 def clip_box(box: Float[Tensor, "num_envs 4"], camera: CameraSpec) -> Float[Tensor, "num_envs 4"]:
@@ -83,12 +93,3 @@ def perturb_box(
     lower = torch.minimum(noisy[:, :2], noisy[:, 2:])
     upper = torch.maximum(noisy[:, :2], noisy[:, 2:])
     return clip_box(torch.cat([lower, upper], dim=-1), camera)
-
-
-def hold_box(
-    box: Float[Tensor, "num_envs 4"],
-    is_seen: Bool[Tensor, " num_envs"],
-    previous: Float[Tensor, "num_envs 4"],
-) -> Float[Tensor, "num_envs 4"]:
-    """Return the box where the object is seen, else the previous box. Source: release."""
-    return torch.where(is_seen.unsqueeze(-1), box, previous)

@@ -19,32 +19,27 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
-FORMAT_VERSION = 1
-"""Version of the files. Raised when an older one can no longer be read."""
+FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
 LENS_SIZES = (0, 4, 5, 8)
 """How many numbers the lens models have that are read: none, and OpenCV's with 4, 5 or 8."""
 
-NO_POSE_ERROR = ((0.0,) * 6,) * 6
-"""Covariance of a pose that is known exactly."""
+NO_POSE_ERROR = ((0.0,) * 6,) * 6  #: Covariance of a pose that is known exactly.
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFile:
-    """A calibrated camera, and how well it is known.
+    """A calibrated camera, and how well it is known."""
 
-    Attributes:
-        camera: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is
-            (0.5, 0.5).
-        distortion: Its lens, (k1, k2, p1, p2[, k3[, k4, k5, k6]]) as in OpenCV; none for rectified images.
-        pose_covariance: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad],
-            both along the axes of the world.
-        focal_std: Standard deviation of the focal length, relative to it; None if unknown.
-    """
-
+    #: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is (0.5,
+    #: 0.5).
     camera: CameraSpec
+    #: Its lens, (k1, k2, p1, p2[, k3[, k4, k5, k6]]) as in OpenCV; none for rectified images.
     distortion: tuple[float, ...] = ()
+    #: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad], both along the axes
+    #: of the world.
     pose_covariance: tuple[tuple[float, ...], ...] = NO_POSE_ERROR
+    #: Standard deviation of the focal length, relative to it; None if unknown.
     focal_std: float | None = None
 
     def __post_init__(self) -> None:
@@ -63,22 +58,15 @@ class CameraFile:
     @property
     def pos_std(self) -> Vec3:
         """Standard deviations of the position along the axes of the world [m]."""
-        x, y, z, *_ = self._stds()
-        return x, y, z
+        return self._stds(0)
 
     @property
     def turn_std(self) -> Vec3:
         """Standard deviations of the orientation about the axes of the world [rad]."""
-        *_, x, y, z = self._stds()
-        return x, y, z
+        return self._stds(3)
 
     def sample(self, num_envs: int, generator: torch.Generator) -> Projection:
-        """Draw cameras as this one may be, on the generator's device; one without lens errors.
-
-        Args:
-            num_envs: How many.
-            generator: Where they are drawn from.
-        """
+        """Draw cameras as this one may be, on the generator's device; one without lens errors."""
         draws = torch.randn(num_envs, 7, generator=generator, device=generator.device)
         spread = constant(_spread(self.pose_covariance), draws.device)
         pose: Float[Tensor, "num_envs 6"] = draws[:, :6] @ spread.T
@@ -110,8 +98,9 @@ class CameraFile:
                 f"cannot read the camera file '{path}': {reason}. Calibrate again, or correct that entry."
             ) from error
 
-    def _stds(self) -> list[float]:
-        return [sqrt(row[i]) for i, row in enumerate(self.pose_covariance)]
+    def _stds(self, first: int) -> Vec3:
+        x, y, z = (sqrt(self.pose_covariance[i][i]) for i in range(first, first + 3))
+        return x, y, z
 
 
 @lru_cache(maxsize=16)
@@ -133,46 +122,32 @@ def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:
 
 def _parsed(content: Mapping[str, Any]) -> CameraFile:
     """The file's content as what it means."""
-    _require_names(content, [field.name for field in fields(CameraFile)])
-    camera = content["camera"]
-    _require_names(camera, [field.name for field in fields(CameraSpec)])
-    spec = CameraSpec(
-        width=int(camera["width"]),
-        height=int(camera["height"]),
-        fx=_number(camera["fx"]),
-        fy=_number(camera["fy"]),
-        cx=_number(camera["cx"]),
-        cy=_number(camera["cy"]),
-        pos=_numbers(camera["pos"], 3),
-        quat=_numbers(camera["quat"], 4),
-    )
-    focal_std = content["focal_std"]
-    return CameraFile(
-        camera=spec,
-        distortion=_numbers(content["distortion"]),
-        pose_covariance=tuple(_numbers(row) for row in content["pose_covariance"]),
-        focal_std=None if focal_std is None else _number(focal_std),
-    )
+    _require_names(content, CameraFile)
+    _require_names(content["camera"], CameraSpec)
+    camera = {name: _numbers(value) for name, value in content["camera"].items()}
+    for name, size in (("pos", 3), ("quat", 4)):
+        if len(camera[name]) != size:
+            raise InvalidValueError(f"{[*camera[name]]} must have {size} numbers")
+    others = {name: _numbers(value) for name, value in content.items() if name != "camera"}
+    return CameraFile(camera=CameraSpec(**camera), **others)
 
 
-def _require_names(content: Mapping[str, Any], names: list[str]) -> None:
-    unknown = [name for name in content if name not in names]
-    if unknown:
-        raise InvalidValueError(f"the entry '{unknown[0]}' is unknown")
-    missing = [name for name in names if name not in content]
-    if missing:
-        raise KeyError(missing[0])
+def _require_names(content: Mapping[str, Any], kind: type[CameraFile | CameraSpec]) -> None:
+    names = [field.name for field in fields(kind)]
+    for name in content:
+        if name not in names:
+            raise InvalidValueError(f"the entry '{name}' is unknown")
+    for name in names:
+        if name not in content:
+            raise KeyError(name)
 
 
-def _number(value: Any) -> float:
-    number = float(value)
-    if not isfinite(number):
+def _numbers(value: Any) -> Any:
+    """A number, or tuples of numbers; none stays."""
+    if value is None or isinstance(value, int):
+        return value
+    if isinstance(value, list):
+        return tuple(_numbers(entry) for entry in value)
+    if not isfinite(number := float(value)):
         raise InvalidValueError(f"{number} is no number")
     return number
-
-
-def _numbers(values: Any, size: int | None = None) -> tuple[Any, ...]:
-    """Some numbers, as many as wanted."""
-    if size not in (None, len(values)):
-        raise InvalidValueError(f"{values} must have {size} numbers")
-    return tuple(_number(value) for value in values)

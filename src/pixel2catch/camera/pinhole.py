@@ -1,28 +1,26 @@
-"""The pinhole camera: world points to continuous image coordinates, and back."""
+"""The pinhole camera: world points to continuous image coordinates and back, and which points it sees."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.device_constants import constant
 from pixel2catch.scene.constants import CameraSpec
 
+Matrix = tuple[tuple[float, ...], ...]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Projection:
-    """A camera as numbers: the nominal one, or one of its own in every environment.
+    """A camera as numbers: the nominal one, or one of its own in every environment."""
 
-    Attributes:
-        matrix: K Rᵀ, so that matrix (p - center) = (u z, v z, z) of a world point p at depth z.
-        center: Centre of projection, world frame [m].
-    """
-
+    #: K Rᵀ, so that matrix (p - center) = (u z, v z, z) of a world point p at depth z.
     matrix: Float[Tensor, "*turns 3 3"]
-    center: Float[Tensor, "*places 3"]
+    center: Float[Tensor, "*places 3"]  #: Centre of projection, world frame [m].
 
     def pixels(
         self, points: Float[Tensor, "num_envs num_points 3"]
@@ -60,13 +58,9 @@ class Projection:
 def project(
     camera: CameraSpec, points: Float[Tensor, "num_envs num_points 3"]
 ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
-    """Project world points into the image.
+    """Project world points [m] into the image.
 
     u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame.
-
-    Args:
-        camera: The camera.
-        points: Positions in the world frame [m].
 
     Returns:
         Pixels (u, v) [px], not clipped to the image, and depths z along the optical axis [m]. Where the depth
@@ -96,7 +90,33 @@ def camera_center(camera: CameraSpec, like: Tensor) -> Float[Tensor, "3"]:
     return constant(camera.pos, like.device, like.dtype)
 
 
-Matrix = tuple[tuple[float, ...], ...]
+def ray_directions(
+    camera: CameraSpec, points: Float[Tensor, "num_envs num_points 3"]
+) -> Float[Tensor, "num_envs num_points 3"]:
+    """Return the rays from the camera's centre to the points, world frame [m]; not normalised."""
+    return points - camera_center(camera, points)
+
+
+def is_unoccluded(hit_distance: Float[Tensor, "num_envs num_points"]) -> Bool[Tensor, "num_envs num_points"]:
+    """Return whether nothing stands between the camera and each point.
+
+    The object itself is not cast against: its far side projects into its own outline.
+
+    Args:
+        hit_distance: Where the ray of `ray_directions` first hits robot or table (`Simulation.ray`), in units
+            of the ray: 1 is at the point, negative is a miss.
+    """
+    return (hit_distance < 0.0) | (hit_distance >= 1.0)
+
+
+def is_in_view(
+    camera: CameraSpec,
+    pixels: Float[Tensor, "num_envs num_points 2"],
+    depth: Float[Tensor, "num_envs num_points"],
+) -> Bool[Tensor, "num_envs num_points"]:
+    """Return whether each projected point lies in front of the camera and on the image."""
+    u, v = pixels.unbind(-1)
+    return (depth > 0.0) & (u >= 0.0) & (u <= camera.width) & (v >= 0.0) & (v <= camera.height)
 
 
 @lru_cache(maxsize=16)
@@ -115,5 +135,4 @@ def _matrix(camera: CameraSpec) -> Matrix:
         [2 * (x * y - w * z) / norm, 1 - 2 * (x * x + z * z) / norm, 2 * (y * z + w * x) / norm],
         [2 * (x * z + w * y) / norm, 2 * (y * z - w * x) / norm, 1 - 2 * (x * x + y * y) / norm],
     ]
-    intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
-    return tuple(map(tuple, (np.array(intrinsics) @ np.array(axes)).tolist()))
+    return tuple(map(tuple, (np.array(camera.matrix) @ np.array(axes)).tolist()))

@@ -1,29 +1,29 @@
 """`pixel2catch calibrate`: where the camera stands, how well that is known, what it means for a policy."""
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.table import Table
+from rich.text import Text
 from tyro.conf import Positional
 
+from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import InvalidValueError, RecordingError
 from pixel2catch.files import require_free_file, write_atomically
-from pixel2catch.scene.constants import ARM_JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from pixel2catch.perception.calibration.comparison import Comparison
-    from pixel2catch.perception.calibration.extrinsics import Calibration, HandView
+    from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, Pose
     from pixel2catch.perception.calibration.intrinsics import Intrinsics
 
-IMAGE_COLUMN = "image"
-"""Column with the names of the images, relative to the folder of the table."""
-
-NUM_THROWS = 200
-"""Throws whose paths are compared."""
+IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
+NUM_THROWS = 200  #: Throws whose paths are compared.
 
 LARGEST_RMS = 1.5
 """Errors above this have a cause that can be found [px].
@@ -42,6 +42,8 @@ class Calibrate:
 
     Attributes:
         views: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
+        workcell: The robots: a name, as for `train`, or a Python file that defines WORKCELLS; the board is in
+            the first hand.
         intrinsics: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, a camera.json
             of before, or a folder with 10 or more images of the printed board.
         out: Where to write the camera; nothing is overwritten.
@@ -56,6 +58,7 @@ class Calibrate:
     """
 
     views: Positional[Path | None] = None
+    workcell: str = "ur5e_allegro"
     intrinsics: Path | None = None
     out: Path = Path("camera.json")
     print_marker: Path | None = None
@@ -76,12 +79,10 @@ class Calibrate:
             self._calibrate()
 
     def _calibrate(self) -> None:
-        from pixel2catch.cli.console import say
         from pixel2catch.evaluation.comparison.figures import sample_paths
-        from pixel2catch.files import require_free_file
         from pixel2catch.mdp.throws import ThrowCfg
         from pixel2catch.perception.calibration.comparison import compare
-        from pixel2catch.perception.calibration.extrinsics import calibrate, pose_matrix
+        from pixel2catch.perception.calibration.extrinsics import calibrate
 
         require_free_file(self.out)
         if self.intrinsics is None or self.views is None:
@@ -90,14 +91,29 @@ class Calibrate:
                 "to begin with."
             )
         intrinsics = self._lens(self.intrinsics)
-        pose = self.board_pose
-        board = None if pose is None else pose_matrix(pose[:3], pose[3:])
-        result = calibrate(self._hand_views(self.views, intrinsics), intrinsics, board)
+        result = calibrate(self._hand_views(self.views, intrinsics), intrinsics, self._board())
         paths = sample_paths(ThrowCfg(), NUM_THROWS, seed=0).reshape(-1, 3)
         comparison = compare(result.file, RGB_CAMERA, paths)
         result.file.save(self.out)
         _print_result(result, intrinsics, comparison, as_json=self.json)
         say(f"wrote {self.out}")
+
+    def _board(self) -> "Pose | None":
+        """The pose of the board in the hand, if it is known.
+
+        Raises:
+            InvalidValueError: If its orientation is none.
+        """
+        from math import hypot
+
+        from pixel2catch.robots.chain import pose_matrix
+
+        if self.board_pose is None:
+            return None
+        pos, quat = self.board_pose[:3], self.board_pose[3:]
+        if abs(hypot(*quat) - 1.0) > 1e-3:
+            raise InvalidValueError(f"{quat} is no unit quaternion (w, x, y, z); divide it by its norm.")
+        return pose_matrix(pos, quat)
 
     def _lens(self, path: Path) -> "Intrinsics":
         """The lens.
@@ -128,28 +144,28 @@ class Calibrate:
         import numpy as np
         import torch
 
-        from pixel2catch.cli.console import say
         from pixel2catch.identification.recording import read_table, require_motion
-        from pixel2catch.perception.calibration.extrinsics import HandView, pose_matrix
+        from pixel2catch.perception.calibration.extrinsics import HandView
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
         from pixel2catch.robots.geometry import first_chain
-        from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+        from pixel2catch.workcells import find_workcell
 
         table = read_table(path)
         if IMAGE_COLUMN not in table.names:
             raise RecordingError(f"{path}: no column {IMAGE_COLUMN}; it has {', '.join(table.names)}.")
-        joints = tuple(joint.name for joint in ARM_JOINTS)
+        workcell = find_workcell(self.workcell)
+        joints = workcell.joint_names[workcell.palms[0].carriers]
         joint_pos = table.columns(joints)
         require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
         names = [row[table.names.index(IMAGE_COLUMN)] for row in table.rows]
         board, views, blank = CharucoBoard(self.square), [], []
-        pos, quat = (each.tolist() for each in first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joint_pos)))
-        for name, *palm in zip(names, pos, quat, strict=True):
+        palms = first_chain(workcell).link_poses(torch.from_numpy(joint_pos))[:, -1].numpy()
+        for name, palm in zip(names, palms, strict=True):
             image = read_image(path.parent / name)
             check_image(image, *intrinsics.size)
             if view := board.find(image):
-                views.append(HandView(name=name, view=view, palm=pose_matrix(*palm)))
+                views.append(HandView(name=name, view=view, palm=palm))
             else:
                 blank.append(name)
         if blank:
@@ -160,7 +176,6 @@ class Calibrate:
 def _print_board(path: Path) -> None:
     import io
 
-    from pixel2catch.cli.console import say
     from pixel2catch.perception.calibration.target import sheet
 
     kind = path.suffix.lower().lstrip(".")
@@ -177,13 +192,6 @@ def _print_result(
     result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison", *, as_json: bool
 ) -> None:
     """Print the errors of the images, the camera, and what to do."""
-    from dataclasses import asdict
-
-    from rich.table import Table
-    from rich.text import Text
-
-    from pixel2catch.cli.console import results_console
-
     if as_json:
         content: dict[str, Any] = {
             "rms": result.rms,
@@ -204,10 +212,8 @@ def _print_result(
         console.print(Text(line))
 
 
-def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> "Iterator[str]":
+def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> Iterator[str]:
     """The result in words."""
-    from math import degrees
-
     from pixel2catch.perception.calibration.comparison import advice
 
     x, y, z = result.file.camera.pos

@@ -38,13 +38,14 @@ class Vision:
         """Perception and policy, for this robot and camera."""
         from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.perception.factory import make_robot_mask
+        from pixel2catch.perception.robot_mask import RobotMask
         from pixel2catch.workcells import find_workcell
 
         policy, _ = load_policy(policy_path)
-        controller = Controller(policy, find_workcell(profile.workcell), camera)
+        workcell = find_workcell(profile.workcell)
+        controller = Controller(policy, workcell, camera)
         profile.require(policy.contract.commands)
-        robot = make_robot_mask(camera, profile.workcell) if self.mask_robot else None
+        robot = RobotMask(workcell, camera) if self.mask_robot else None
         prompter = self.perception.make_prompter(camera)
         return make_pipeline(controller, self.perception.make_segmenter(), prompter, camera, robot)
 

@@ -1,37 +1,294 @@
-"""`pixel2catch doctor`: what works on this machine, and what to install or do where something does not."""
+"""`pixel2catch doctor`: what works on this machine, and what to install or do where something does not.
 
+A probe says what it found, or raises what is wrong and what to do.
+"""
+
+import importlib
+import importlib.metadata
+import importlib.util
 import json
+import platform
+import shutil
+import subprocess
 import sys
+import time
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rich.table import Table
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from rich.table import Table
+from rich.text import Text
+
+from pixel2catch.cli.console import results_console
+from pixel2catch.errors import Pixel2CatchError
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
 """Colour of each state; the word tells without colour, too."""
 
-EXIT_BAD = 1
-"""Exit status where something that is needed does not work."""
+EXIT_BAD = 1  #: Exit status where something that is needed does not work.
+
+PACKAGE = "pixel2catch"
+
+NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Where Linux says which driver is loaded.
+
+LEAST_FREE = 1e9
+"""Free space that a run may need [bytes]. Source: ours; a run folder has some megabytes, a study 200."""
+
+CAMERA_SECONDS = 3.0  #: How long a camera is watched [s].
+LEAST_RATE = 29.0  #: Images a second that the policies need; they act 30 times.
+DDS_SECONDS = 5.0  #: How long two nodes may take to find each other [s].
+SAM2_IMAGES = 3  #: Images that SAM 2 tracks to be timed; it warms up before, where that matters.
+
+_WARP_PROBE = """
+import mujoco_warp, warp
+device = warp.get_device("cuda:0")
+assert (warp.full(8, 3.0, device=device).numpy() == 3.0).all()
+print(f"Warp {warp.__version__} computes on {device.name}")
+"""
+
+
+class Absent(Exception):  # noqa: N818
+    """Something optional is not there; the message says what it would be for and how to get it."""
+
+
+class Broken(Exception):  # noqa: N818
+    """Something is there and does not work; the message says what to do."""
+
+
+def optional(module: str, distribution: str, extra: str) -> str:
+    """The version of a package that is needed for a part only, if it can be imported and is in range."""
+    if importlib.util.find_spec(module) is None:
+        raise Absent(f"not installed: pip install '{PACKAGE}[{extra}]'")
+    imported = importlib.import_module(module)
+    version = getattr(imported, "__version__", None) or importlib.metadata.version(distribution)
+    wanted = requirements(extra).get(distribution, SpecifierSet())
+    if not wanted.contains(version, prereleases=True):
+        raise Broken(f"{version} is not in {wanted}: pip install --upgrade '{PACKAGE}[{extra}]'")
+    return version
+
+
+@cache
+def requirements(extra: str = "") -> dict[str, SpecifierSet]:
+    """Ranges of versions by package: those that are always needed, or those of an extra."""
+    lines = importlib.metadata.requires(PACKAGE) or []
+    parsed = [Requirement(line) for line in lines]
+    return {
+        each.name: each.specifier
+        for each in parsed
+        if ("extra" in str(each.marker)) == bool(extra)
+        and (each.marker is None or each.marker.evaluate({"extra": extra}))
+    }
+
+
+def python() -> str:
+    """The interpreter."""
+    version, wanted = platform.python_version(), importlib.metadata.metadata(PACKAGE)["Requires-Python"]
+    if not SpecifierSet(wanted).contains(version, prereleases=True):
+        raise Broken(f"Python {version} is not in {wanted}: make setup PYTHON=python3.12")
+    return version
+
+
+def packages() -> str:
+    """The packages that every command needs."""
+    wanted = requirements()
+    wrong = []
+    for name, versions in wanted.items():
+        try:
+            version = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            wrong.append(f"{name} is missing")
+            continue
+        if not versions.contains(version, prereleases=True):
+            wrong.append(f"{name} {version} is not in {versions}")
+    if wrong:
+        raise Broken(f"{', '.join(wrong)}: pip install -r requirements.txt, or make setup")
+    return f"{len(wanted)} in the ranges of {PACKAGE} {importlib.metadata.version(PACKAGE)}"
+
+
+def policy_and_physics() -> str:
+    """The shipped policy catches for one control step, on the CPU."""
+    from pixel2catch.evaluation.loading import load_policy, task_of
+    from pixel2catch.evaluation.protocol import EvaluationCfg
+
+    policy, method = load_policy(None)
+    env = EvaluationCfg(objects=("cube_s",), num_envs=1, task=task_of(policy)).make_env(method)
+    try:
+        begin = env.reset()
+        env.step(policy.act(begin.policy))
+        env.check()
+    finally:
+        env.close()
+    return f"{method.name} loads and acts"
+
+
+def disk() -> str:
+    """Space for what the commands write."""
+    free = shutil.disk_usage(Path.cwd()).free
+    if free < LEAST_FREE:
+        raise Broken(f"only {free / 1e9:.2f} GB free in {Path.cwd()}: make room or work elsewhere")
+    return f"{free / 1e9:.0f} GB free"
+
+
+def rendering() -> str:
+    """OpenGL without a display."""
+    from pixel2catch.errors import DeviceUnavailableError
+    from pixel2catch.rendering.renderer import find_gl_backend
+
+    try:
+        return find_gl_backend()
+    except DeviceUnavailableError as error:
+        raise Absent(f"no videos of throws: {error}") from error
+
+
+def cuda() -> str:
+    """A GPU that PyTorch computes on."""
+    import torch
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        is_there = torch.cuda.is_available()
+    if is_there:
+        torch.ones(8, device="cuda").sum().item()
+        memory = torch.cuda.get_device_properties(0).total_memory / 2**30
+        name, count = torch.cuda.get_device_name(0), torch.cuda.device_count()
+        return f"{count} x {name}, {memory:.0f} GiB, {_driver()}, CUDA {torch.version.cuda}"
+    if not NVIDIA_DRIVER.exists():
+        raise Absent("no NVIDIA driver: training takes an hour on a CPU; everything else works")
+    said = "; ".join(str(warning.message) for warning in caught) or "PyTorch does not say why"
+    build = f"a build for CUDA {torch.version.cuda}" if torch.version.cuda else "a CPU build"
+    raise Broken(
+        f"{_driver()}, but PyTorch {torch.__version__}, {build}, sees no GPU ({said}): install a CUDA build "
+        "of PyTorch, or a newer driver"
+    )
+
+
+def _driver() -> str:
+    """The driver's version."""
+    words = NVIDIA_DRIVER.read_text().split("\n")[0].split() if NVIDIA_DRIVER.exists() else []
+    return "driver " + next((word for word in words if word[0].isdigit() and "." in word), "unknown")
+
+
+def warp() -> str:
+    """MuJoCo Warp's language on the GPU."""
+    import torch
+
+    if not torch.cuda.is_available():
+        raise Absent("needs a CUDA device")
+    return _in_process(_WARP_PROBE, "pip install -r requirements.txt, and a driver that this Warp supports")
+
+
+def torchvision() -> str:
+    """Not needed; but one that does not match PyTorch keeps SAM 2 from being imported."""
+    import torch
+
+    if importlib.util.find_spec("torchvision") is None:
+        return "not installed, not needed"
+    return _in_process(
+        "import torchvision; print(torchvision.__version__)",
+        f"it does not match PyTorch {torch.__version__} and breaks SAM 2: pip uninstall torchvision",
+    )
+
+
+def _in_process(code: str, remedy: str) -> str:
+    """Run Python code in a process of its own and return what it printed."""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    if done.returncode:
+        said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        raise Broken(f"{said[-1]}: {remedy}")
+    return done.stdout.strip().splitlines()[-1]
+
+
+def dds() -> str:
+    """Send a message from one node to another on this machine, as `rehearse` does."""
+    if importlib.util.find_spec("cyclonedds") is None:
+        raise Absent(f"not looked at without cyclonedds: pip install '{PACKAGE}[deployment]'")
+    from pixel2catch.ros2 import messages
+    from pixel2catch.ros2.transport import RealClock, Topic, make_transport
+
+    topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
+    with (
+        make_transport("dds", "doctor", True, clock) as ear,
+        make_transport("dds", "d", True, clock) as mouth,
+    ):
+        heard, sent = ear.subscription(topic), mouth.publisher(topic)
+        begin = clock.now()
+        while clock.now() < begin + DDS_SECONDS:
+            sent.publish(messages.boolean(True))
+            if ear.wait(0.1) and heard.take():
+                return f"two nodes on this machine hear each other after {clock.now() - begin:.2f} s"
+    raise Broken(
+        f"two nodes on this machine do not hear each other in {DDS_SECONDS:g} s: look at the interface 'lo' "
+        "and at the firewall; UDP ports from 7400 on are needed."
+    )
+
+
+def sam2(checkpoint: Path | None) -> str:
+    """A checkpoint that loads, and how long it takes for an image."""
+    if checkpoint is None:
+        raise Absent("not asked for: name its folder with --checkpoint")
+    import numpy as np
+    import torch
+
+    from pixel2catch.perception.sam2 import Sam2Segmenter
+    from pixel2catch.perception.segmenter import BoxPrompt
+    from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    segmenter = Sam2Segmenter(checkpoint, device)
+    image = np.random.default_rng(0).integers(0, 256, (RGB_CAMERA.height, RGB_CAMERA.width, 3), np.uint8)
+    segmenter.start(image, BoxPrompt(box=(300.0, 200.0, 340.0, 240.0)))
+    begin = time.perf_counter()
+    for _ in range(SAM2_IMAGES):
+        segmenter.track(image)
+    took = (time.perf_counter() - begin) / SAM2_IMAGES
+    use = "fast enough for a camera" if took < CONTROL_DT else "for recordings only"
+    return f"loads on {device}, {1e3 * took:.1f} ms an image: {use}"
+
+
+def camera(source: str | None) -> str:
+    """A camera that delivers what the policies need."""
+    if source is None:
+        raise Absent("not asked for: name it with --camera")
+    from pixel2catch.perception.sources import measure_camera, open_camera
+    from pixel2catch.scene.constants import RGB_CAMERA
+
+    report = measure_camera(open_camera(source), CAMERA_SECONDS)
+    found = (
+        f"{report.width} x {report.height} at {report.rate:.1f} Hz, longest pause {1e3 * report.pause:.0f} ms"
+    )
+    if (report.width, report.height) != (RGB_CAMERA.width, RGB_CAMERA.height):
+        raise Broken(f"{found}: it cannot deliver {RGB_CAMERA.width} x {RGB_CAMERA.height}; use another")
+    if report.rate < LEAST_RATE:
+        raise Broken(f"{found}: 30 Hz are needed; more light or a fixed exposure, or another USB port")
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """What a probe found.
+    """What a probe found."""
 
-    Attributes:
-        name: What was looked at.
-        state: good, BAD, or absent: optional, and not there.
-        found: What there is, or what is wrong and what to do.
-        is_needed: Whether `catch` and `evaluate`, or what was asked for by an option, need it.
-    """
+    name: str  #: What was looked at.
+    state: str  #: good, BAD, or absent: optional, and not there.
+    found: str  #: What there is, or what is wrong and what to do.
+    is_needed: bool  #: Whether `catch` and `evaluate`, or what was asked for by an option, need it.
 
-    name: str
-    state: str
-    found: str
-    is_needed: bool
+
+def check(name: str, probe: Callable[[], str], *, is_needed: bool = False) -> Check:
+    """Run a probe; whatever it raises becomes the result."""
+    try:
+        state, found = "good", probe()
+    except Absent as error:
+        state, found = "absent", str(error)
+    except (Broken, Pixel2CatchError) as error:
+        state, found = "BAD", str(error)
+    except Exception as error:  # the reason why a doctor is asked may be anything
+        state, found = "BAD", f"{type(error).__name__}: {error}: reinstall with make setup"
+    return Check(name=name, state=state, found=found, is_needed=is_needed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,71 +323,32 @@ class Doctor:
 
     def _checks(self) -> list[Check]:
         """Look at everything."""
-        from pixel2catch.cli import doctor_probes as probes
-
-        def optional(module: str, distribution: str, extra: str) -> Callable[[], str]:
-            return probes.Optional(module=module, distribution=distribution, extra=extra).probe
-
         return [
-            check("Python", probes.python, is_needed=True),
-            check("packages", probes.packages, is_needed=True),
-            check("policy, physics", probes.policy_and_physics, is_needed=True),
-            check("disk", probes.disk, is_needed=True),
-            check("rendering", probes.rendering),
-            check("GPU", probes.cuda),
-            check("Warp on the GPU", probes.warp),
-            check("OpenCV", optional("cv2", "opencv-python-headless", "perception")),
-            check("rosbags", optional("rosbags", "rosbags", "identification")),
-            check("cyclonedds", optional("cyclonedds", "cyclonedds", "deployment")),
-            check("DDS", probes.dds),
-            check("viser", optional("viser", "viser", "twin")),
-            check("transformers", optional("transformers", "transformers", "sam2")),
-            check("torchvision", probes.torchvision),
-            check("SAM 2", lambda: probes.sam2(self.checkpoint), is_needed=self.checkpoint is not None),
-            check("camera", lambda: probes.camera(self.camera), is_needed=self.camera is not None),
+            check("Python", python, is_needed=True),
+            check("packages", packages, is_needed=True),
+            check("policy, physics", policy_and_physics, is_needed=True),
+            check("disk", disk, is_needed=True),
+            check("rendering", rendering),
+            check("GPU", cuda),
+            check("Warp on the GPU", warp),
+            check("OpenCV", partial(optional, "cv2", "opencv-python-headless", "perception")),
+            check("rosbags", partial(optional, "rosbags", "rosbags", "identification")),
+            check("cyclonedds", partial(optional, "cyclonedds", "cyclonedds", "deployment")),
+            check("DDS", dds),
+            check("viser", partial(optional, "viser", "viser", "twin")),
+            check("transformers", partial(optional, "transformers", "transformers", "sam2")),
+            check("torchvision", torchvision),
+            check("SAM 2", partial(sam2, self.checkpoint), is_needed=self.checkpoint is not None),
+            check("camera", partial(camera, self.camera), is_needed=self.camera is not None),
         ]
 
     def _print(self, checks: list[Check]) -> None:
         """Print a table, and what it means."""
-        from pixel2catch.cli.console import results_console
-
+        table = Table("check", "", "found")
+        for each in checks:
+            style = STYLES[each.state]
+            table.add_row(each.name, Text(each.state, style=style), Text(each.found, style=style))
         console = results_console()
-        console.print(_table(checks))
+        console.print(table)
         bad = [check.name for check in checks if check.state == "BAD" and check.is_needed]
         console.print(f"To be mended: {', '.join(bad)}." if bad else "`catch` and `evaluate` work here.")
-
-
-def check(name: str, probe: Callable[[], str], *, is_needed: bool = False) -> Check:
-    """Run a probe; whatever it raises becomes the result.
-
-    Args:
-        name: What is looked at.
-        probe: Returns what it found.
-        is_needed: Whether it must work.
-    """
-    from pixel2catch.cli.doctor_probes import Absent, Broken
-    from pixel2catch.errors import Pixel2CatchError
-
-    try:
-        state, found = "good", probe()
-    except Absent as error:
-        state, found = "absent", str(error)
-    except (Broken, Pixel2CatchError) as error:
-        state, found = "BAD", str(error)
-    except Exception as error:  # the reason why a doctor is asked may be anything
-        state, found = "BAD", f"{type(error).__name__}: {error}: reinstall with make setup"
-    return Check(name=name, state=state, found=found, is_needed=is_needed)
-
-
-def _table(checks: list[Check]) -> "Table":
-    """One line a check."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table()
-    for column in ("check", "", "found"):
-        table.add_column(column)
-    for each in checks:
-        style = STYLES[each.state]
-        table.add_row(each.name, Text(each.state, style=style), Text(each.found, style=style))
-    return table

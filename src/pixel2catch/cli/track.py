@@ -4,30 +4,31 @@ import csv
 import json
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import chain, takewhile
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.table import Table
+from rich.text import Text
 from tyro.conf import Positional
 
 from pixel2catch.circumstances import circumstances
+from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import PerceptionError
 from pixel2catch.files import plain, require_free_folder, write_atomically
 from pixel2catch.interruption import StopRequest
-from pixel2catch.perception.factory import JOINT_NAMES, PerceptionArgs, make_robot_mask
+from pixel2catch.perception.factory import PerceptionArgs
 
 if TYPE_CHECKING:
     from pixel2catch.perception.tracking import Sighting, Tally
     from pixel2catch.scene.constants import CameraSpec
 
-VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"
-"""Files in the folder that it writes."""
-
-REPORT_SECONDS = 5.0
-"""Time between two lines of progress [s]."""
+VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"  #: Files in the folder that it writes.
+REPORT_SECONDS = 5.0  #: Time between two lines of progress [s].
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,8 @@ class Track:
         topic: Topic of the images in a rosbag. Default: the only one.
         joint_states: Topic of the joint states in a rosbag, for --mask-robot.
         mask_robot: Ignore motion where the robot is; the rosbag must have the states of all joints.
+        workcell: The robots, for --mask-robot: a name, as for `train`, or a Python file that defines
+            WORKCELLS.
         perception: What looks for the object.
         json: Print the summary as one JSON object.
     """
@@ -56,13 +59,12 @@ class Track:
     topic: str | None = None
     joint_states: str = "/joint_states"
     mask_robot: bool = False
+    workcell: str = "ur5e_allegro"
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)
     json: bool = False
 
     def run(self) -> None:
         """Follow the object, write what is seen, and print how long it took."""
-        from pixel2catch.cli.console import say
-
         with needs_extra("perception"):
             from pixel2catch.perception.tracking import Tally
         require_free_folder(self.out)
@@ -84,22 +86,26 @@ class Track:
 
     def _record(self, tally: "Tally", notes: list[str]) -> None:
         """Follow the object and write video and table until the end, or until Ctrl-C."""
-        from contextlib import closing
-
         from pixel2catch.perception.extractor import PixelFeatureExtractor
+        from pixel2catch.perception.robot_mask import RobotMask
         from pixel2catch.perception.sources import SourceCfg, ticks_of
         from pixel2catch.perception.tracking import follow
+        from pixel2catch.workcells import find_workcell
 
+        workcell = find_workcell(self.workcell)
         camera = self.perception.camera_spec(notes)
         extractor = PixelFeatureExtractor(
             self.perception.make_segmenter(),
             self.perception.make_prompter(camera),
-            robot=make_robot_mask(camera) if self.mask_robot else None,
+            robot=RobotMask(workcell, camera) if self.mask_robot else None,
             camera=camera,
             waits=True,
         )
         source = SourceCfg(
-            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=JOINT_NAMES
+            name=self.source,
+            topic=self.topic,
+            joint_states=self.joint_states,
+            joints=workcell.joint_names,
         )
         with closing(ticks_of(source, notes)) as ticks:
             sightings = follow(ticks, extractor, self.at)
@@ -115,7 +121,6 @@ class Track:
 
     def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
         """Write a picture and a row for every sighting."""
-        from pixel2catch.cli.console import say
         from pixel2catch.perception.annotate import Annotator
         from pixel2catch.perception.tracking import COLUMNS
         from pixel2catch.rendering.video import VideoWriter
@@ -143,10 +148,6 @@ def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> 
     if as_json:
         print(json.dumps(summary, indent=2))
         return
-    from rich.table import Table
-    from rich.text import Text
-
-    from pixel2catch.cli.console import results_console
 
     table = Table(title="time of each stage [ms]")
     table.add_column("stage")

@@ -121,7 +121,7 @@ class ImageSubscriber:
     def _check_lens(self) -> None:
         """Compare what the camera says of its lens with the calibration."""
         for message in self._lens.take() if self._lens else ():
-            lens, camera = messages.read_camera_info(message.data), self._camera
+            lens, camera = messages.read_camera_info(message.data).camera, self._camera
             pairs = (
                 (lens.fx, camera.fx, camera.fx),
                 (lens.fy, camera.fy, camera.fy),

@@ -70,7 +70,7 @@ class ContactColumns(NamedTuple):
         Raises:
             ValueError: If the model's sensors are laid out otherwise.
         """
-        names = contact_sensors(workcell)
+        names = [*contact_sensors(workcell)]
         addresses = [int(model.sensor(name).adr[0]) for name in names]
         first, last = addresses[0], addresses[-1] + 2
         if addresses != list(range(first, last, 2)):

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.camera.pinhole import camera_center
-from pixel2catch.camera.visibility import is_unoccluded, ray_directions
+from pixel2catch.camera.pinhole import camera_center, is_unoccluded, ray_directions
 from pixel2catch.envs.drives import Drives
 from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
 from pixel2catch.mdp.columns import Columns, merged, take
@@ -20,11 +19,10 @@ from pixel2catch.mdp.throws import Throw
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.cfg import contact_solref
 from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA, CameraSpec
-from pixel2catch.scene.contact import contact_solref
-from pixel2catch.scene.object_table import ObjectTable, object_table
 from pixel2catch.scene.objects import OBJECTS, surface_points
-from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, object_table
 from pixel2catch.sim.devices import make_simulation
 from pixel2catch.sim.simulation import Simulation
 from pixel2catch.workcells import find_workcell

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.camera import box_history
-from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
+from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.mdp.columns import Columns, take
 from pixel2catch.mdp.snapshot import History, Measurement, Privileged
 from pixel2catch.scene.constants import RGB_CAMERA

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_points
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import Projection, nominal_projection
-from pixel2catch.camera.visibility import is_in_view
+from pixel2catch.camera.pinhole import Projection, is_in_view, nominal_projection
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.throws import Amount, Range

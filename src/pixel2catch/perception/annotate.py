@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from pixel2catch.camera.features import PIXEL_FEATURES
+from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import Image
@@ -21,14 +21,9 @@ SEEN, HELD, STALE = (80, 255, 80), (255, 190, 60), (255, 80, 80)
 
 UNKNOWN, OUTLINE, TEXT, FRAME = (120, 120, 120), (255, 80, 255), (235, 235, 235), (70, 70, 70)
 
-HEADER = 24
-"""Height of the line of text [px]."""
-
-PLOT_ROWS, PLOT_COLUMNS, PLOT_HEIGHT = 2, 4, 72
-"""The features' plots; their height is in pixels."""
-
-HISTORY = 150
-"""Control steps in a plot: 5 s."""
+HEADER = 24  #: Height of the line of text [px].
+PLOT_ROWS, PLOT_COLUMNS, PLOT_HEIGHT = 2, 4, 72  #: The features' plots; their height is in pixels.
+HISTORY = 150  #: Control steps in a plot: 5 s.
 
 LIMITS = {
     **dict.fromkeys(("cx", "cy"), (0.0, 1.0)),

@@ -1,7 +1,7 @@
 """Images to pixel features, once in every control step: what training got from `envs.eye`, from a camera.
 
 An image goes through the segmenter to a mask, its largest region to a box, and a plausible box to features.
-Box and features are computed by the functions of training: `camera.boxes` and `camera.features`.
+Box and features are computed by the functions of training, `camera.boxes`.
 """
 
 from dataclasses import dataclass, field
@@ -11,8 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.camera.boxes import box_of_mask
-from pixel2catch.camera.features import pixel_features
+from pixel2catch.camera.boxes import box_of_mask, pixel_features
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.image_track import largest_component
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, judge

@@ -8,19 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.scene.constants import JOINTS, RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
 if TYPE_CHECKING:
     from pixel2catch.perception.color import ColorRange
     from pixel2catch.perception.prompt import Prompter
-    from pixel2catch.perception.robot_mask import RobotMask
     from pixel2catch.perception.segmenter import Segmenter
 
 Span = tuple[float, float]
 Corners = tuple[float, float, float, float]
-
-JOINT_NAMES = tuple(joint.name for joint in JOINTS)
-"""Names of the robot's joints, in the order of their positions in a `CameraFrame`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,14 +117,6 @@ class PerceptionArgs:
         from pixel2catch.perception.color import ColorRange
 
         return self.color and ColorRange(hue=self.color, saturation=self.saturation, value=self.value)
-
-
-def make_robot_mask(camera: CameraSpec = RGB_CAMERA, workcell: str = "ur5e_allegro") -> "RobotMask":
-    """What tells the robot's pixels in a camera's images."""
-    from pixel2catch.perception.robot_mask import RobotMask
-    from pixel2catch.scene.scene import SceneCfg, build_model
-
-    return RobotMask(build_model(SceneCfg(workcell=workcell, visuals=True)), JOINT_NAMES, camera)
 
 
 def _on_image(name: str, box: Corners, camera: CameraSpec) -> Corners:

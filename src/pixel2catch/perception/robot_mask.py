@@ -1,6 +1,4 @@
-"""Which pixels show the robot: its model, projected."""
-
-from collections.abc import Sequence
+"""Which pixels show the robots: their model, projected."""
 
 import cv2
 import mujoco
@@ -11,41 +9,37 @@ from jaxtyping import Float
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.segmenter import Mask
+from pixel2catch.robots.geometry import bare_model
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene import shapes
-from pixel2catch.scene.constants import CameraSpec
+from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
-NEAREST = 0.05
-"""Points nearer to the camera's plane are left out [m]."""
+NEAREST = 0.05  #: Points nearer to the camera's plane are left out [m].
 
 MARGIN = 4
 """Pixels about the robot that are taken for it, too. Source: ours, for errors of camera and clocks."""
 
 
 class RobotMask:
-    """Projects a robot into the camera's image. Every geom is convex, and seen as the hull of its corners."""
+    """Projects robots into the camera's image. Every geom is convex, and seen as the hull of its corners."""
 
     def __init__(
-        self, model: mujoco.MjModel, joints: Sequence[str], camera: CameraSpec, *, margin: int = MARGIN
+        self, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA, *, margin: int = MARGIN
     ) -> None:
-        """Compute the corners of every geom.
+        """Compute the corners of every geom, also of those that are only seen.
 
         Args:
-            model: A model with the robot and with what is only seen of it.
-            joints: Names of its joints, in joint order; the robot is all that hangs on the bodies of the
-                world that they belong to.
+            workcell: The robots.
             camera: The camera.
-            margin: Pixels about the robot that are taken for it, too.
+            margin: Pixels about the robots that are taken for them, too.
         """
         self._camera, self._margin = camera, margin
-        self._model, self._data = model, mujoco.MjData(model)
-        ids = [model.joint(name).id for name in joints]
-        self._columns = model.jnt_qposadr[ids]
-        roots = model.body_rootid[model.jnt_bodyid[ids]]
-        geoms = np.flatnonzero(np.isin(model.body_rootid[model.geom_bodyid], roots))
-        corners = [_corners(model, geom) for geom in geoms.tolist()]
-        self._corners = np.concatenate(corners)
-        self._ends = np.cumsum([len(points) for points in corners])[:-1]
-        self._owner = np.repeat(geoms, [len(points) for points in corners])
+        self._model = bare_model(workcell, visuals=True)
+        self._data = mujoco.MjData(self._model)
+        corners = [_corners(self._model, geom) for geom in range(self._model.ngeom)]
+        sizes = [len(points) for points in corners]
+        self._corners, self._ends = np.concatenate(corners), np.cumsum(sizes)[:-1]
+        self._owner = np.repeat(np.arange(self._model.ngeom), sizes)
 
     def at(self, joint_pos: Float[np.ndarray, " num_joints"]) -> Mask:
         """Return the pixels of the robot at these positions of its joints, in joint order [rad].
@@ -55,7 +49,7 @@ class RobotMask:
         """
         if not np.isfinite(joint_pos).all():
             raise PerceptionError(f"joint positions must be finite, got {joint_pos}: check the joint states.")
-        self._data.qpos[self._columns] = joint_pos
+        self._data.qpos[:] = joint_pos
         mujoco.mj_kinematics(self._model, self._data)
         turn = self._data.geom_xmat[self._owner].reshape(-1, 3, 3)
         points = np.einsum("nij,nj->ni", turn, self._corners) + self._data.geom_xpos[self._owner]

@@ -9,7 +9,8 @@ download. The network is never used.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -19,9 +20,9 @@ import torch.nn.functional as F  # noqa: N812
 from jaxtyping import Bool, Float
 from safetensors import SafetensorError
 from torch import Tensor, nn
+from torch.utils import _pytree as pytree
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.sam2_graphs import CapturedFunction
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     Image,
@@ -33,6 +34,7 @@ from pixel2catch.perception.segmenter import (
     check_image,
 )
 from pixel2catch.sim.devices import require_cuda
+from pixel2catch.sim.graphs import GraphedFunction
 
 MODEL_ID = "facebook/sam2.1-hiera-tiny"
 """Public name of the smallest checkpoint. Source: ours: users report 25 images a second on a desktop GPU."""
@@ -55,8 +57,10 @@ WARM_UP_FRAMES = 24
 """Images tracked before the first of a camera on CUDA. The memory grows for 16, and each size is a recording.
 Source: ours: timings are steady after 20."""
 
-OBJECT = 0
-"""Index of the only object of a session."""
+WARM_UP_RUNS = 2
+"""Runs before a recording: in the first, kernels choose algorithms and take memory. Source: ours."""
+
+OBJECT = 0  #: Index of the only object of a session.
 
 BOX_LABELS, POINT_LABELS = (2, 3), (1,)
 """What the points of a prompt are: two corners; a point on the object. Source: the model's prompt encoder."""
@@ -216,6 +220,53 @@ class Sam2Segmenter(Segmenter):
             self.track(blank)
         self.reset()
         self._upload = torch.empty((0, 0, 3), dtype=torch.uint8)
+
+
+class CapturedFunction:
+    """A function of tensors on a CUDA device, recorded once for every shape of its input and then replayed.
+
+    Several may share a pool of memory: inputs and outputs are copied, so that nothing in it is needed between
+    two calls.
+    """
+
+    def __init__(self, function: Callable[..., Any], pool: Any) -> None:
+        """Take the function; nothing runs yet.
+
+        Args:
+            function: Depends on its arguments and on constant tensors only. In and out are nested tuples,
+                lists, dictionaries and model outputs of tensors and constants.
+            pool: From `torch.cuda.graph_pool_handle`.
+        """
+        self._function, self._pool = function, pool
+        self._graphs: dict[tuple[Any, ...], GraphedFunction[Any]] = {}
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Return what the function returns."""
+        leaves, structure = pytree.tree_flatten((args, kwargs))
+        tensors = {i: leaf for i, leaf in enumerate(leaves) if isinstance(leaf, Tensor)}
+        key = (structure, *map(_signature, leaves))
+        if key not in self._graphs:
+            constants = {i: leaf for i, leaf in enumerate(leaves) if i not in tensors}
+            function = partial(self._of_tensors, structure, constants, tuple(tensors))
+            device = next(iter(tensors.values())).device
+            graphed = GraphedFunction(function, device=device, num_eager_calls=WARM_UP_RUNS, pool=self._pool)
+            for _ in range(WARM_UP_RUNS):
+                graphed(*tensors.values())
+            self._graphs[key] = graphed
+        return pytree.tree_map_only(Tensor, Tensor.clone, self._graphs[key](*tensors.values()))
+
+    def _of_tensors(
+        self, structure: pytree.TreeSpec, constants: dict[int, Any], places: tuple[int, ...], *tensors: Tensor
+    ) -> Any:
+        """The function with its tensors one after the other, at these places among all that goes in."""
+        leaves = constants | dict(zip(places, tensors, strict=True))
+        args, kwargs = pytree.tree_unflatten([leaves[i] for i in range(len(leaves))], structure)
+        return self._function(*args, **kwargs)
+
+
+def _signature(leaf: Any) -> Any:
+    """What a recording depends on: layout of a tensor, value of anything else."""
+    return (leaf.shape, leaf.dtype, leaf.device) if isinstance(leaf, Tensor) else leaf
 
 
 def capture(model: nn.Module, modules: Sequence[Module]) -> None:

@@ -8,11 +8,8 @@ from jaxtyping import Bool, UInt8
 
 from pixel2catch.errors import PerceptionError
 
-Image = UInt8[np.ndarray, "height width 3"]
-"""Red, green, blue; upper row first."""
-
-Mask = Bool[np.ndarray, "height width"]
-"""Which pixels of an image are meant."""
+Image = UInt8[np.ndarray, "height width 3"]  #: Red, green, blue; upper row first.
+Mask = Bool[np.ndarray, "height width"]  #: Which pixels of an image are meant.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,21 +32,15 @@ class PointPrompt:
     center: tuple[float, float]
 
 
-Prompt = BoxPrompt | PointPrompt
-"""Which of all the things in an image is the object."""
+Prompt = BoxPrompt | PointPrompt  #: Which of all the things in an image is the object.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Segmentation:
-    """What a segmenter makes of one image.
+    """What a segmenter makes of one image."""
 
-    Attributes:
-        mask: The object's pixels, not empty; None where the object is not found.
-        score: How sure the segmenter is, larger is surer; the scale is its own.
-    """
-
-    mask: Mask | None
-    score: float
+    mask: Mask | None  #: The object's pixels, not empty; None where the object is not found.
+    score: float  #: How sure the segmenter is, larger is surer; the scale is its own.
 
 
 NOT_FOUND = Segmentation(mask=None, score=0.0)

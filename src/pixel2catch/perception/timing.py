@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MEMORY = 10_000
-"""Durations that are kept of each stage: five minutes at 30 Hz."""
+MEMORY = 10_000  #: Durations that are kept of each stage: five minutes at 30 Hz.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.camera.features import PIXEL_FEATURES
+from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.sources import Tick

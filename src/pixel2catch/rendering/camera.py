@@ -13,50 +13,37 @@ from jaxtyping import Bool, Float, UInt8
 from pixel2catch.camera.pinhole import project
 from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer
 from pixel2catch.rendering.room import build_room
-from pixel2catch.robots.geometry import first_chain
-from pixel2catch.scene.constants import ARM_JOINTS, JOINTS, RGB_CAMERA
-from pixel2catch.scene.object_table import GEOM_FIELDS, object_indices, object_table
-from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from pixel2catch.robots.geometry import chain_of
+from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
+from pixel2catch.workcells import find_workcell
 
-ARM, ROBOT = slice(len(ARM_JOINTS)), slice(len(JOINTS))
-OBJECT = slice(len(JOINTS), len(JOINTS) + 3)
-"""Where the arm, the robot and the object's position or linear velocity are in `qpos` and `qvel`."""
+OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)
+"""Where the object's position is in `qpos`, and its linear velocity in `qvel`: it comes after the robots."""
 
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
 
 SURROUNDINGS = ("world", "floor")
 """Bodies that nothing can hide behind but the sky: walls, posters, floor, and the table's pedestal."""
 
-AWAY = (-9.0, 0.0, 1.0)
-"""Where an object is that is not in the room: behind the camera [m]."""
-
-COARSE = (16, 8)
-"""Slices and stacks of round geoms; MuJoCo's own 28 and 16 take half as long again."""
-
-NOISE_LENGTH = 1 << 21
-"""Numbers in the stock of noise; every image begins somewhere else in it."""
+AWAY = (-9.0, 0.0, 1.0)  #: Where an object is that is not in the room: behind the camera [m].
+COARSE = (16, 8)  #: Slices and stacks of round geoms; MuJoCo's own 28 and 16 take half as long again.
+NOISE_LENGTH = 1 << 21  #: Numbers in the stock of noise; every image begins somewhere else in it.
 
 Image = UInt8[np.ndarray, "height width 3"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraCfg:
-    """What the camera does to an image.
+    """What the camera does to an image."""
 
-    Attributes:
-        exposure: Time in which an image gathers light [s]. Source: ours, short for a room, as one sets it to
-            film throws; the fastest objects pass 15 px in it.
-        part_length: Furthest that object and palm move between two of the pictures that are averaged over the
-            exposure [px]. Source: ours, less than half an object.
-        read_noise: Standard deviation of the noise in the dark [levels]. Source: ours.
-        shot_noise: Variance that light adds [levels²] per level. Source: ours; with the other 3 levels at
-            mid grey.
-    """
-
+    #: Time in which an image gathers light [s]. Source: ours, short for a room, as one sets it to film
+    #: throws; the fastest objects pass 15 px in it.
     exposure: float = 0.008
+    #: Furthest that object and palm move between two of the pictures that are averaged over the exposure
+    #: [px]. Source: ours, less than half an object.
     part_length: float = 4.0
-    read_noise: float = 1.5
+    read_noise: float = 1.5  #: Standard deviation of the noise in the dark [levels]. Source: ours.
+    #: Variance that light adds [levels²] per level. Source: ours; with the other 3 levels at mid grey.
     shot_noise: float = 0.05
 
 
@@ -66,32 +53,20 @@ FAST_CAMERA = CameraCfg(part_length=8.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """What the camera looks at, in the middle of the exposure.
+    """What the camera looks at, in the middle of the exposure."""
 
-    Attributes:
-        qpos: Positions of the simulation: robot, then object.
-        qvel: Its velocities, taken as constant during the exposure.
-        time: Time [s], of the clock by which the bystanders move.
-    """
-
-    qpos: Float[np.ndarray, " nq"]
-    qvel: Float[np.ndarray, " nv"]
-    time: float
+    qpos: Float[np.ndarray, " nq"]  #: Positions of the simulation: robot, then object.
+    qvel: Float[np.ndarray, " nv"]  #: Its velocities, taken as constant during the exposure.
+    time: float  #: Time [s], of the clock by which the bystanders move.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """What there is to see.
+    """What there is to see."""
 
-    Attributes:
-        moment: The middle of the exposure.
-        object_name: What the thrower has, or has thrown; none in an empty room.
-        thrower: Positions of the bystanders' joints at a time [s].
-    """
-
-    moment: Moment
-    object_name: str | None
-    thrower: Callable[[float], Float[np.ndarray, "6"]]
+    moment: Moment  #: The middle of the exposure.
+    object_name: str | None  #: What the thrower has, or has thrown; none in an empty room.
+    thrower: Callable[[float], Float[np.ndarray, "6"]]  #: Positions of the bystanders' joints at a time [s].
 
 
 class RoomCamera:
@@ -111,19 +86,16 @@ class RoomCamera:
         room: int | None = None,
         shadows: bool = False,
     ) -> None:
-        """Furnish the room and draw what stays.
-
-        Args:
-            scene: The scene of the simulation.
-            seed: Of the sensor's noise.
-            cfg: Exposure and noise of the camera.
-            room: Seed of the room's looks; that of the noise if absent.
-            shadows: Whether there are shadows.
+        """Furnish the room and draw what stays; `room` is the seed of its looks, if not that of the noise.
 
         Raises:
             DeviceUnavailableError: If no OpenGL back end works.
         """
-        self._cfg, self._objects = cfg, object_table(scene)
+        self._cfg, self._camera, self._objects = cfg, scene.camera, object_table(scene)
+        workcell = find_workcell(scene.workcell)
+        self._chains = [
+            (palm.carriers, chain_of(workcell, palm, dtype=torch.float64)) for palm in workcell.palms
+        ]
         self._rng = np.random.default_rng(seed)
         self._noise = self._rng.standard_normal(NOISE_LENGTH, dtype=np.float32)
         self._room = build_room(scene, self._objects.names[0], seed if room is None else room)
@@ -143,7 +115,7 @@ class RoomCamera:
     def image(self, exposure: Exposure) -> Image:
         """The image, with motion blur and noise."""
         moment = self._shown(exposure)
-        times = part_times(moment, self._cfg).tolist()
+        times = self._part_times(moment).tolist()
         positions = [room_positions(self._room, moment, time, exposure.thrower) for time in times]
         pictures = (self._renderer.image(qpos) for qpos in positions)
         if self._background is None:
@@ -154,7 +126,7 @@ class RoomCamera:
                 shown = np.flatnonzero(picture[..., 0] | picture[..., 1] | picture[..., 2])
                 change = picture.reshape(-1, 3)[shown] - self._background[shown].astype(np.float32)
                 light[shown] += change / len(times)
-        return self._sensed(light).reshape(RGB_CAMERA.height, RGB_CAMERA.width, 3)
+        return self._sensed(light).reshape(self._camera.height, self._camera.width, 3)
 
     def object_mask(self, exposure: Exposure) -> Bool[np.ndarray, "height width"]:
         """Which pixels show the object in the middle of the exposure."""
@@ -182,6 +154,22 @@ class RoomCamera:
             getattr(model, name)[self._geoms] = self._objects.fields[name][row]
         return exposure.moment
 
+    def _part_times(self, moment: Moment) -> Float[np.ndarray, " num_parts"]:
+        """When the pictures are taken that are averaged over an exposure, from its middle [s]."""
+        num_parts = max(ceil(self._smear(moment) / self._cfg.part_length), 1)
+        return self._cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
+
+    def _smear(self, moment: Moment) -> float:
+        """How far object and palms move in the image during an exposure, the farthest of them [px]."""
+        times = self._cfg.exposure * np.array(((-0.5,), (0.5,)))
+        ways = [
+            chain.pose(torch.from_numpy(moment.qpos[carriers] + times * moment.qvel[carriers]))[0]
+            for carriers, chain in self._chains
+        ]
+        ways.append(torch.from_numpy(moment.qpos[OBJECT_POS] + times * moment.qvel[OBJECT_VEL]))
+        pixels, _ = project(self._camera, torch.stack(ways, dim=1))
+        return float((pixels[1] - pixels[0]).norm(dim=-1).max())
+
     def _sensed(self, light: Float[np.ndarray, "num_pixels 3"]) -> UInt8[np.ndarray, "num_pixels 3"]:
         start = self._rng.integers(NOISE_LENGTH - light.size)
         deviation = np.sqrt(self._cfg.read_noise**2 + self._cfg.shot_noise * light)
@@ -190,26 +178,13 @@ class RoomCamera:
         return np.clip(np.rint(light, out=light), 0.0, 255.0, out=light).astype(np.uint8)
 
 
-def part_times(moment: Moment, cfg: CameraCfg) -> Float[np.ndarray, " num_parts"]:
-    """When the pictures are taken that are averaged over an exposure, from its middle [s]."""
-    num_parts = max(ceil(_smear(moment, cfg.exposure) / cfg.part_length), 1)
-    return cfg.exposure * ((np.arange(num_parts) + 0.5) / num_parts - 0.5)
-
-
 def room_positions(
     room: mujoco.MjModel,
     moment: Moment,
     offset: float,
     bystanders: Callable[[float], Float[np.ndarray, " num_bystanders"]],
 ) -> Float[np.ndarray, " num_positions"]:
-    """All positions of the room so long after the middle of an exposure.
-
-    Args:
-        room: From `build_room`.
-        moment: The middle of the exposure.
-        offset: Time from there [s].
-        bystanders: Positions of their joints at a time.
-    """
+    """All positions of the room of `build_room` at an offset from the middle of an exposure [s]."""
     qpos, qvel = room.qpos0.copy(), np.zeros(room.nv)
     qpos[: len(moment.qpos)], qvel[: len(moment.qvel)] = moment.qpos, moment.qvel
     mujoco.mj_integratePos(room, qpos, qvel, offset)
@@ -217,20 +192,9 @@ def room_positions(
     return qpos
 
 
-def _smear(moment: Moment, exposure: float) -> float:
-    """How far object and palm move in the image during an exposure, the farther of the two [px]."""
-    times = exposure * np.array(((-0.5,), (0.5,)))
-    palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(
-        torch.from_numpy(moment.qpos[ARM] + times * moment.qvel[ARM])
-    )
-    object_pos = torch.from_numpy(moment.qpos[OBJECT] + times * moment.qvel[OBJECT])
-    pixels, _ = project(RGB_CAMERA, torch.stack((palm_pos, object_pos), dim=1))
-    return float((pixels[1] - pixels[0]).norm(dim=-1).max())
-
-
 def _without_object(moment: Moment) -> Moment:
     qpos, qvel = moment.qpos.copy(), moment.qvel.copy()
-    qpos[OBJECT], qvel[OBJECT] = AWAY, 0.0
+    qpos[OBJECT_POS], qvel[OBJECT_VEL] = AWAY, 0.0
     return replace(moment, qpos=qpos, qvel=qvel)
 
 

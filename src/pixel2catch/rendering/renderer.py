@@ -26,8 +26,7 @@ GL_BACKENDS = ("egl", "osmesa")
 
 OBJECT_BODY = "object"
 
-DRAWN_GROUPS = (0, 1, 2, 3)
-"""Geom groups in a picture: table and floor, object, what is only seen, robot."""
+DRAWN_GROUPS = (0, 1, 2, 3)  #: Geom groups in a picture: table and floor, object, what is only seen, robot.
 
 _PROBE = """
 import importlib, sys, mujoco
@@ -41,29 +40,20 @@ context.free()
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """From where to draw.
+    """From where to draw."""
 
-    Attributes:
-        camera: Name of a camera of the model, or None for a free camera, which the next four place.
-        lookat: Point in the middle of the picture, world frame [m].
-        distance: From the camera to that point [m].
-        azimuth: Direction of sight about the vertical, 0 along +x, 90 along +y [degrees].
-        elevation: Direction of sight above the horizontal [degrees].
-        width: Of the picture [px], even.
-        height: Of the picture [px], even.
-    """
-
+    #: Name of a camera of the model, or None for a free camera, which the next four place.
     camera: str | None = None
+    #: Point in the middle of the picture, world frame [m].
     lookat: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    distance: float = 1.0
-    azimuth: float = 0.0
-    elevation: float = 0.0
-    width: int = RGB_CAMERA.width
-    height: int = RGB_CAMERA.height
+    distance: float = 1.0  #: From the camera to that point [m].
+    azimuth: float = 0.0  #: Direction of sight about the vertical, 0 along +x, 90 along +y [degrees].
+    elevation: float = 0.0  #: Direction of sight above the horizontal [degrees].
+    width: int = RGB_CAMERA.width  #: Of the picture [px], even.
+    height: int = RGB_CAMERA.height  #: Of the picture [px], even.
 
 
-RGB_VIEW = View(camera="rgb")
-"""What the robot's camera sees."""
+RGB_VIEW = View(camera="rgb")  #: What the robot's camera sees.
 
 OUTSIDE_VIEW = View(lookat=(1.3, 0.0, 1.05), distance=3.6, azimuth=105.0, elevation=-12.0)
 """Robot, table and the whole throw, from the side."""
@@ -113,13 +103,7 @@ class Renderer:
     def __init__(
         self, model: mujoco.MjModel, view: View = RGB_VIEW, *, shadows: bool = True, sky: bool = True
     ) -> None:
-        """Open the drawing context.
-
-        Args:
-            model: The model; it is copied, its drawing settings are not touched.
-            view: From where to draw.
-            shadows: Whether to draw shadows, about three times slower without a GPU.
-            sky: Whether to draw the sky; without it a pixel that shows nothing is black.
+        """Open the drawing context; without the sky, a pixel that shows nothing is black.
 
         Raises:
             DeviceUnavailableError: If no OpenGL back end works.

@@ -5,24 +5,20 @@ from math import exp, pi, sin
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from scipy import ndimage
 
+from pixel2catch.robots.workcell import VISUAL_GROUP
 from pixel2catch.scene.scene import SceneCfg, build_spec
-from pixel2catch.scene.surroundings import VISUAL_GROUP
 
-WALL_X = 4.6
-"""Where the wall behind the thrower is [m]; its foot is in the upper half of the image."""
-
-TEXTURE_SIZE = 512
-"""Side of a texture [px]."""
+WALL_X = 4.6  #: Where the wall behind the thrower is [m]; its foot is in the upper half of the image.
+TEXTURE_SIZE = 512  #: Side of a texture [px].
 
 GRAINS = ((3.0, 9.0), (24.0, 16.0))
 """Size [px] and standard deviation [levels] of the patterns that a texture is made of."""
 
 FLOOR_LEVEL = (128.0, 124.0, 116.0)
-WALL_LEVEL = (172.0, 168.0, 158.0)
-"""Mean red, green and blue of the textures."""
+WALL_LEVEL = (172.0, 168.0, 158.0)  #: Mean red, green and blue of the textures.
 
 NUM_POSTERS = 6
 
@@ -31,11 +27,8 @@ TROUSERS_RGBA = (0.30, 0.27, 0.22, 1.0)
 SKIN_RGBA = (0.80, 0.58, 0.46, 1.0)
 BALL_RGBA = (0.85, 0.28, 0.15, 1.0)
 
-SHOULDER = (0.42, 0.12, 0.56)
-"""The shoulder, from the held object [m]: behind it, beside it and above it."""
-
-HAND_DROP = 0.085
-"""From the middle of the hand up to the held object [m]: the object lies on it."""
+SHOULDER = (0.42, 0.12, 0.56)  #: The shoulder, from the held object [m]: behind it, beside it and above it.
+HAND_DROP = 0.085  #: From the middle of the hand up to the held object [m]: the object lies on it.
 
 HAND_RADIUS = 0.045
 
@@ -49,24 +42,21 @@ begins with 4 m/s, as fast as the object."""
 BALL_PIVOT, BALL_LENGTH, BALL_RADIUS = (3.4, -0.75, 2.3), 1.2, 0.05
 """Where the ball hangs from, how deep, and its radius [m]: as large as the objects, and red."""
 
-BALL_SWING, BALL_PERIOD = 0.4, 2.2
-"""Amplitude [rad] and period [s] of the ball."""
+BALL_SWING, BALL_PERIOD = 0.4, 2.2  #: Amplitude [rad] and period [s] of the ball.
 
 BYSTANDER_JOINTS = ("thrower_x", "thrower_y", "thrower_z", "thrower_sway", "thrower_arm", "ball_swing")
 """Their joints, in the order of their positions in `qpos`, where they are the last."""
 
 
+ONLY_SEEN = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Bystanders:
-    """How they move during one throw.
+    """How they move during one throw."""
 
-    Attributes:
-        release_pos: Where the object is held before the throw [m].
-        phase: Which part of their swing they are in at the release [rad].
-    """
-
-    release_pos: Float[np.ndarray, "3"]
-    phase: float
+    release_pos: Float[np.ndarray, "3"]  #: Where the object is held before the throw [m].
+    phase: float  #: Which part of their swing they are in at the release [rad].
 
     def joint_pos(self, time: float) -> Float[np.ndarray, "6"]:
         """Positions of `BYSTANDER_JOINTS` [m, rad] so long after the release [s], before it if negative."""
@@ -79,33 +69,25 @@ class Bystanders:
 def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
     """Compile the scene in a room; `qpos` is that of the scene, followed by that of `bystanders`.
 
-    Args:
-        scene: The scene of the simulation.
-        object_name: What is thrown.
-        seed: Of textures and posters; rooms of one seed look alike.
+    The seed is of textures and posters: rooms of one seed look alike.
     """
     spec = build_spec(replace(scene, visuals=True), object_name)
     rng = np.random.default_rng(seed)
-    floor = spec.texture("floor")
-    floor.builtin = mujoco.mjtBuiltin.mjBUILTIN_NONE
-    _paint(floor, _texture(FLOOR_LEVEL, rng))
+    spec.texture("floor").builtin = mujoco.mjtBuiltin.mjBUILTIN_NONE
+    _paint(spec.texture("floor"), FLOOR_LEVEL, rng)
     _add_wall(spec, rng)
     _add_bystanders(spec)
     return spec.compile()
 
 
-def _texture(
-    level: tuple[float, float, float], rng: np.random.Generator
-) -> UInt8[np.ndarray, "height width 3"]:
+def _paint(texture: mujoco.MjsTexture, level: tuple[float, float, float], rng: np.random.Generator) -> None:
+    """Fill a texture with a random pattern about a mean colour."""
     size = (TEXTURE_SIZE, TEXTURE_SIZE)
     pattern = np.zeros(size)
     for grain, deviation in GRAINS:
         smooth = ndimage.gaussian_filter(rng.normal(size=size), grain, mode="wrap")
         pattern += deviation * smooth / smooth.std()
-    return np.clip(pattern[..., None] + level, 0, 255).astype(np.uint8)
-
-
-def _paint(texture: mujoco.MjsTexture, pixels: UInt8[np.ndarray, "height width 3"]) -> None:
+    pixels = np.clip(pattern[..., None] + level, 0, 255).astype(np.uint8)
     texture.height, texture.width, texture.nchannel = pixels.shape
     texture.data = pixels.tobytes()
 
@@ -113,59 +95,46 @@ def _paint(texture: mujoco.MjsTexture, pixels: UInt8[np.ndarray, "height width 3
 def _add_wall(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
     """A wall behind the thrower with posters, some of the object's colour."""
     texture = spec.add_texture(name="wall", type=mujoco.mjtTexture.mjTEXTURE_2D)
-    _paint(texture, _texture(WALL_LEVEL, rng))
+    _paint(texture, WALL_LEVEL, rng)
     material = spec.add_material(name="wall", texrepeat=(1, 1), texuniform=True, specular=0.05, shininess=0.1)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "wall"
-    look = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0, "type": mujoco.mjtGeom.mjGEOM_BOX}
-    wall = {**look, "type": mujoco.mjtGeom.mjGEOM_PLANE}
-    spec.worldbody.add_geom(pos=(WALL_X, 0, 1.5), zaxis=(-1, 0, 0), size=(1.5, 5, 1), material="wall", **wall)
+    box, plane = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_PLANE
+    wall = {"pos": (WALL_X, 0, 1.5), "zaxis": (-1, 0, 0), "size": (1.5, 5, 1), "material": "wall"}
+    spec.worldbody.add_geom(type=plane, **wall, **ONLY_SEEN)
     for i in range(NUM_POSTERS):
         y, z = rng.uniform(-2.0, 2.0), rng.uniform(0.2, 1.4)
         half = (0.01, rng.uniform(0.1, 0.35), rng.uniform(0.1, 0.3))
         color = (*rng.uniform(0.1, 0.9, 3), 1.0)
-        spec.worldbody.add_geom(pos=(WALL_X - 0.02 * (i + 1), y, z), size=half, rgba=color, **look)
+        pos = (WALL_X - 0.02 * (i + 1), y, z)
+        spec.worldbody.add_geom(type=box, pos=pos, size=half, rgba=color, **ONLY_SEEN)
 
 
 def _add_bystanders(spec: mujoco.MjSpec) -> None:
     """Add them to a complete scene; nothing collides with them."""
+    x, y, _ = SHOULDER
+    hand = np.array((0.0, 0.0, -HAND_DROP)) - SHOULDER
     thrower = spec.worldbody.add_body(name="thrower")
+    arm = thrower.add_body(name="thrower_arm", pos=SHOULDER)
+    ball = spec.worldbody.add_body(name="ball", pos=BALL_PIVOT)
     for axis, name in zip(np.eye(3), BYSTANDER_JOINTS[:3], strict=True):
         thrower.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    feet = (SHOULDER[0], SHOULDER[1] + 0.2, -0.8)
-    _add_hinge(thrower, BYSTANDER_JOINTS[3], pos=feet, axis=(1, 0, 0))
-    x, y, _ = SHOULDER
-    _add_capsule(thrower, (x, y + 0.09, -0.75), (x, y + 0.09, -0.05), 0.08, TROUSERS_RGBA)
-    _add_capsule(thrower, (x, y + 0.31, -0.75), (x, y + 0.31, -0.05), 0.08, TROUSERS_RGBA)
-    _add_capsule(thrower, (x, y + 0.2, 0.1), (x, y + 0.2, 0.5), 0.17, CLOTHES_RGBA)
-    _add_capsule(thrower, (x, y + 0.2, 0.78), (x, y + 0.2, 0.84), 0.1, SKIN_RGBA)
-    arm = thrower.add_body(name="thrower_arm", pos=SHOULDER)
-    _add_hinge(arm, BYSTANDER_JOINTS[4], pos=(0, 0, 0), axis=(0, 1, 0))
-    hand = np.array((0.0, 0.0, -HAND_DROP)) - SHOULDER
-    _add_capsule(arm, (0, 0, 0), tuple(0.55 * hand), 0.055, CLOTHES_RGBA)
-    _add_capsule(arm, tuple(0.55 * hand), tuple(hand), 0.04, SKIN_RGBA)
-    _add_capsule(arm, tuple(hand), tuple(0.97 * hand), HAND_RADIUS, SKIN_RGBA)
-    ball = spec.worldbody.add_body(name="ball", pos=BALL_PIVOT)
-    _add_hinge(ball, BYSTANDER_JOINTS[5], pos=(0, 0, 0), axis=(1, 0, 0))
-    _add_capsule(ball, (0, 0, -BALL_LENGTH), (0, 0, -BALL_LENGTH - 1e-3), BALL_RADIUS, BALL_RGBA)
-
-
-def _add_hinge(body: mujoco.MjsBody, name: str, pos: tuple[float, ...], axis: tuple[float, ...]) -> None:
-    body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, pos=pos, axis=axis)
-
-
-def _add_capsule(
-    body: mujoco.MjsBody,
-    start: tuple[float, ...],
-    end: tuple[float, ...],
-    radius: float,
-    rgba: tuple[float, float, float, float],
-) -> None:
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=(*start, *end),
-        size=(radius, 0, 0),
-        rgba=rgba,
-        group=VISUAL_GROUP,
-        contype=0,
-        conaffinity=0,
+    hinges = (
+        (thrower, (x, y + 0.2, -0.8), (1, 0, 0)),  # about the feet
+        (arm, (0, 0, 0), (0, 1, 0)),
+        (ball, (0, 0, 0), (1, 0, 0)),
     )
+    for (body, pos, axis), name in zip(hinges, BYSTANDER_JOINTS[3:], strict=True):
+        body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, pos=pos, axis=axis)
+    for body, start, end, radius, rgba in (
+        (thrower, (x, y + 0.09, -0.75), (x, y + 0.09, -0.05), 0.08, TROUSERS_RGBA),
+        (thrower, (x, y + 0.31, -0.75), (x, y + 0.31, -0.05), 0.08, TROUSERS_RGBA),
+        (thrower, (x, y + 0.2, 0.1), (x, y + 0.2, 0.5), 0.17, CLOTHES_RGBA),
+        (thrower, (x, y + 0.2, 0.78), (x, y + 0.2, 0.84), 0.1, SKIN_RGBA),
+        (arm, (0, 0, 0), 0.55 * hand, 0.055, CLOTHES_RGBA),
+        (arm, 0.55 * hand, hand, 0.04, SKIN_RGBA),
+        (arm, hand, 0.97 * hand, HAND_RADIUS, SKIN_RGBA),
+        (ball, (0, 0, -BALL_LENGTH), (0, 0, -BALL_LENGTH - 1e-3), BALL_RADIUS, BALL_RGBA),
+    ):
+        ends, size = (*start, *end), (radius, 0, 0)
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        body.add_geom(type=capsule, fromto=ends, size=size, rgba=rgba, **ONLY_SEEN)

@@ -25,40 +25,24 @@ VIEWS: dict[str, tuple[View, ...]] = {
 """What a picture shows, from left to right."""
 
 BOX_COLOR = (80, 255, 80)
-BOX_WIDTH = 2
-"""Width of a drawn box's edge [px]."""
+BOX_WIDTH = 2  #: Width of a drawn box's edge [px].
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedThrow:
-    """One throw, from its start to the decision of the trial.
+    """One throw, from its start to the decision of the trial."""
 
-    Attributes:
-        object_name: What was thrown.
-        qpos: Positions of the simulation at every control step.
-        qvel: Its velocities.
-        box: The box that the policy got [px].
-        num_untested: Control steps before the test of the hold; all if there was no success.
-    """
-
-    object_name: str
-    qpos: Float[ndarray, "num_steps nq"]
-    qvel: Float[ndarray, "num_steps nv"]
-    box: Float[ndarray, "num_steps 4"]
-    num_untested: int
+    object_name: str  #: What was thrown.
+    qpos: Float[ndarray, "num_steps nq"]  #: Positions of the simulation at every control step.
+    qvel: Float[ndarray, "num_steps nv"]  #: Its velocities.
+    box: Float[ndarray, "num_steps 4"]  #: The box that the policy got [px].
+    num_untested: int  #: Control steps before the test of the hold; all if there was no success.
 
 
 def write_video(
     path: Path, throws: Iterable[RecordedThrow], scene: SceneCfg, view: str = "both", *, shadows: bool = True
 ) -> int:
-    """Draw throws one after the other and return the number of pictures.
-
-    Args:
-        path: The file, such as catch.mp4.
-        throws: The throws.
-        scene: The scene that they were thrown in.
-        view: A name out of `VIEWS`.
-        shadows: Whether to draw shadows, about 2.5 times slower without a GPU.
+    """Draw throws one after the other, in a view out of `VIEWS`, and return the number of pictures.
 
     Raises:
         UnknownNameError: If there is no such view.
@@ -106,12 +90,9 @@ class VideoWriter:
     """Writes pictures of one size to an H.264 file; close it, or use it as a context manager."""
 
     def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
-        """Open the file.
+        """Open the file; its ending names the container, such as .mp4.
 
-        Args:
-            path: The file; its ending names the container, such as .mp4.
-            fps: Pictures per second.
-            crf: Constant rate factor, lower is better and larger.
+        `crf` is the constant rate factor: lower is better and larger.
 
         Raises:
             InvalidValueError: If the folder does not exist, or the ending names no format.

@@ -37,14 +37,7 @@ class Chain:
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        """Read the chain off a model.
-
-        Args:
-            model: The model.
-            site: Name of the site at its end.
-            home: Start positions of its joints [rad].
-            device: Where poses are computed.
-            dtype: In what precision.
+        """Read the chain off a model; `home` are the start positions of its joints [rad].
 
         Raises:
             InvalidValueError: If something else than hinges moves the site, or `home` is of another length.
@@ -70,11 +63,7 @@ class Chain:
     def pose(
         self, joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> tuple[Float[Tensor, "num_envs 3"], Float[Tensor, "num_envs 4"]]:
-        """Position [m] and orientation (w, x, y, z) of the site in the world.
-
-        Args:
-            joint_pos: Positions of the chain's joints [rad].
-        """
+        """Position [m] and orientation (w, x, y, z) of the site in the world, from the joints' [rad]."""
         transforms = [*self._transforms(joint_pos).unbind(dim=1)]
         while len(transforms) > 3:  # pairs first: fewer steps one after the other
             whole, rest = len(transforms) // 2 * 2, transforms[len(transforms) // 2 * 2 :]

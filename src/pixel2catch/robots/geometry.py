@@ -18,41 +18,33 @@ from torch import Tensor
 from pixel2catch.robots.chain import Chain, pose_matrix
 from pixel2catch.robots.workcell import PlacedPalm, WorkcellSpec, add_robots
 
-TABLE_CLEARANCE = 0.02
-"""Distance to keep from the table's top and from its sides [m]. Source: ours."""
+TABLE_CLEARANCE = 0.02  #: Distance to keep from the table's top and from its sides [m]. Source: ours.
 
 POINTS_PER_CAPSULE = 5
 """Points of a capsule's axis that training looks at. Source: ours: 9 cm apart on the longest."""
 
-COLLISION_GROUP = 3
-"""Geom group of everything of a robot that collides."""
+COLLISION_GROUP = 3  #: Geom group of everything of a robot that collides.
 
 
 @cache
-def bare_model(workcell: WorkcellSpec) -> mujoco.MjModel:
-    """The robots of a work cell alone."""
+def bare_model(workcell: WorkcellSpec, *, visuals: bool = False) -> mujoco.MjModel:
+    """The robots of a work cell alone, with or without what is only seen of them."""
     spec = mujoco.MjSpec()
-    add_robots(spec, workcell, visuals=False)
+    add_robots(spec, workcell, visuals)
     return spec.compile()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmShape:
-    """What carries a palm, as far as it is watched: its links between the first and the last, and the hand.
+    """What carries a palm, as far as it is watched: its links but the first and the last, and the hand."""
 
-    Attributes:
-        links: Of each capsule the link, as a row of `Chain.link_poses`.
-        ends: Centres of both ends of each in the frame at the far end of its link, homogeneous [m].
-        radii: Their radii [m].
-        hand_center: Middle of the box about the hand, from the palm, in the axes of the palm's site [m].
-        hand_half: Half of its extents [m].
-    """
-
-    links: Int[np.ndarray, " capsules"]
+    links: Int[np.ndarray, " capsules"]  #: Of each capsule the link, as a row of `Chain.link_poses`.
+    #: Centres of both ends of each in the frame at the far end of its link, homogeneous [m].
     ends: Float[np.ndarray, "capsules 4 2"]
-    radii: Float[np.ndarray, " capsules"]
+    radii: Float[np.ndarray, " capsules"]  #: Their radii [m].
+    #: Middle of the box about the hand, from the palm, in the axes of the palm's site [m].
     hand_center: Float[np.ndarray, " 3"]
-    hand_half: Float[np.ndarray, " 3"]
+    hand_half: Float[np.ndarray, " 3"]  #: Half of its extents [m].
 
 
 def chain_of(
@@ -61,14 +53,7 @@ def chain_of(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> Chain:
-    """The joints that carry a palm.
-
-    Args:
-        workcell: The work cell.
-        palm: One of its palms.
-        device: Where poses are computed.
-        dtype: In what precision.
-    """
+    """The joints that carry a palm."""
     home = [joint.home for joint in workcell.joints[palm.carriers]]
     return Chain(bare_model(workcell), palm.spec.site, home, device=device, dtype=dtype)
 
@@ -140,11 +125,7 @@ class WorkcellGeometry:
     def palm_poses(
         self, joint_pos: Float[Tensor, "num_envs num_joints"]
     ) -> tuple[Float[Tensor, "num_envs num_palms 3"], Float[Tensor, "num_envs num_palms 4"]]:
-        """Position [m] and orientation (w, x, y, z) of all palms in the world.
-
-        Args:
-            joint_pos: Positions of all joints [rad].
-        """
+        """Position [m] and orientation (w, x, y, z) of all palms in the world, from all joints [rad]."""
         poses = [
             chain.pose(joint_pos[:, palm.carriers])
             for chain, palm in zip(self._chains, self._palms, strict=True)
@@ -159,9 +140,6 @@ class WorkcellGeometry:
 
         Looks at points of the capsules' axes and at the corners of the box, so that an edge across the
         table's edge may pass; the servo looks at all of them.
-
-        Args:
-            joint_pos: Positions of all joints [rad].
         """
         depths = [
             points.depth(chain.link_poses(joint_pos[:, palm.carriers]))

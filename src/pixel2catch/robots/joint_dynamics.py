@@ -28,35 +28,23 @@ JOINTS: tuple[JointSpec, ...] = (*ARM.joints, *HAND.joints)
 SERVOJ_GAIN = 300.0
 """Gain of the UR5e's servoJ filter [1/s²]. Source: the controller's setting, confirmed on recorded motion."""
 
-SERVOJ_LOOKAHEAD = 0.1
-"""Look-ahead time of the UR5e's servoJ filter [s]. Source: as of the gain."""
+SERVOJ_LOOKAHEAD = 0.1  #: Look-ahead time of the UR5e's servoJ filter [s]. Source: as of the gain.
 
 Parameter = Float[np.ndarray, " num_joints"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointDynamics:
-    """The dynamics of some joints, one entry per joint.
+    """The dynamics of some joints, one entry per joint."""
 
-    Attributes:
-        joints: Their names, in joint order.
-        stiffness: Gain on the position error [N·m/rad].
-        damping: Gain on the velocity [N·m·s/rad].
-        frictionloss: Dry friction [N·m].
-        armature: Reflected inertia of the drive [kg·m²].
-        latency: Time from sending a command to its arrival [s].
-        filter_gain: Gain of the command filter [1/s²]; infinite where there is no filter.
-        filter_lookahead: Look-ahead time of the command filter [s]; 0 where there is no filter.
-    """
-
-    joints: tuple[str, ...]
-    stiffness: Parameter
-    damping: Parameter
-    frictionloss: Parameter
-    armature: Parameter
-    latency: Parameter
-    filter_gain: Parameter
-    filter_lookahead: Parameter
+    joints: tuple[str, ...]  #: Their names, in joint order.
+    stiffness: Parameter  #: Gain on the position error [N·m/rad].
+    damping: Parameter  #: Gain on the velocity [N·m·s/rad].
+    frictionloss: Parameter  #: Dry friction [N·m].
+    armature: Parameter  #: Reflected inertia of the drive [kg·m²].
+    latency: Parameter  #: Time from sending a command to its arrival [s].
+    filter_gain: Parameter  #: Gain of the command filter [1/s²]; infinite where there is no filter.
+    filter_lookahead: Parameter  #: Look-ahead time of the command filter [s]; 0 where there is no filter.
 
     def __post_init__(self) -> None:
         """Refuse joints that are named twice, and values out of range."""
@@ -107,12 +95,7 @@ class JointDynamics:
     def nominal(
         cls, joints: Sequence[str] | None = None, specs: Sequence[JointSpec] = JOINTS
     ) -> "JointDynamics":
-        """What the simulator has without an identification: neither latency nor filter.
-
-        Args:
-            joints: Names, in joint order; all joints if not given.
-            specs: The joints of the robot.
-        """
+        """What the simulator has of the named joints, or of all: neither latency nor filter."""
         specs = [joint for joint in specs if joints is None or joint.name in joints]
         fields = ("stiffness", "damping", "frictionloss", "armature")
         return cls(
@@ -136,14 +119,12 @@ class JointDynamics:
 
     def over(self, below: "JointDynamics") -> "JointDynamics":
         """The joints of both, those of `below` first; what both have is as in here."""
-        joints = tuple(dict.fromkeys((*below.joints, *self.joints)))
-        owners = [self if name in self.joints else below for name in joints]
-        columns = [owner.joints.index(name) for owner, name in zip(owners, joints, strict=True)]
+        last = {name: i for i, name in enumerate((*below.joints, *self.joints))}
+        rows = [*last.values()]
         values = {
-            name: np.array([getattr(owner, name)[i] for owner, i in zip(owners, columns, strict=True)])
-            for name in PARAMETERS
+            name: np.concatenate((getattr(below, name), getattr(self, name)))[rows] for name in PARAMETERS
         }
-        return JointDynamics(joints=joints, **values)
+        return JointDynamics(joints=tuple(last), **values)
 
     def to_dict(self) -> dict[str, Any]:
         """Lists and numbers, ready for JSON; an infinite gain is null there."""
@@ -185,14 +166,10 @@ PARAMETERS = tuple(field.name for field in dataclasses.fields(JointDynamics) if 
 
 
 def command_lag(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, " num_joints"]:
-    """How much earlier than the middle of a physics step its command was sent [s].
+    """How much earlier than the middle of a physics step, of a length [s], its command was sent [s].
 
     A servo that aims in a step at the command of the step's middle leads by half a step, and so does a filter
     that answers at the end of its step: both are taken back, so that motion hardly depends on the time step.
-
-    Args:
-        dynamics: The joints.
-        dt: Length of the step [s].
     """
     return dynamics.latency + dt / 2 * (1.0 + dynamics.has_filter)
 
@@ -200,9 +177,7 @@ def command_lag(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, " num_j
 def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "num_joints 2 2"]:
     """Exact step of every joint's filter, for position minus command and speed; 0 where there is no filter.
 
-    Args:
-        dynamics: The joints.
-        dt: Length of the step [s], in which the command is constant.
+    The command is constant in the step, which takes dt [s].
     """
     step = np.zeros((len(dynamics.joints), 2, 2))
     gain, lookahead = dynamics.filter_gain, dynamics.filter_lookahead

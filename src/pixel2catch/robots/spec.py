@@ -19,115 +19,71 @@ IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class JointSpec:
-    """One driven joint: its task limits, start position and servo.
+    """One driven joint: its task limits, start position and servo."""
 
-    Attributes:
-        name: Name of the joint and of its actuator.
-        lower: Lower limit [rad].
-        upper: Upper limit [rad].
-        home: Start position [rad], before the reset noise.
-        stiffness: Gain on the position error [N·m/rad].
-        damping: Gain on the velocity [N·m·s/rad].
-        frictionloss: Dry friction [N·m].
-        armature: Reflected inertia of the drive [kg·m²].
-        effort_limit: Largest torque of the whole servo [N·m].
-        velocity_limit: Largest speed [rad/s]. MuJoCo has no such limit: whoever commands the joint keeps it.
-    """
-
-    name: str
-    lower: float
-    upper: float
-    home: float
-    stiffness: float
-    damping: float
-    frictionloss: float
-    armature: float
-    effort_limit: float
+    name: str  #: Name of the joint and of its actuator.
+    lower: float  #: Lower limit [rad].
+    upper: float  #: Upper limit [rad].
+    home: float  #: Start position [rad], before the reset noise.
+    stiffness: float  #: Gain on the position error [N·m/rad].
+    damping: float  #: Gain on the velocity [N·m·s/rad].
+    frictionloss: float  #: Dry friction [N·m].
+    armature: float  #: Reflected inertia of the drive [kg·m²].
+    effort_limit: float  #: Largest torque of the whole servo [N·m].
+    #: Largest speed [rad/s]. MuJoCo has no such limit: whoever commands the joint keeps it.
     velocity_limit: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointGroup:
-    """Joints that are commanded alike, by one driver.
+    """Joints that are commanded alike, by one driver."""
 
-    Attributes:
-        name: Such as "arm" or "hand"; agents, logs and drivers are named by it.
-        role: Whether it carries a palm about, or moves the fingers on one.
-        joints: Its joints from the base to the tips.
-        command: Whether an action is a change of the measured position, or a position in the joint's range.
-        gain_range: Factors on stiffness and damping that an episode draws.
-        action_noise: Standard deviation of the noise on each action.
-        action_bias: Standard deviation of an error of each action that lasts an episode.
-    """
-
-    name: str
-    role: Literal["arm", "hand"]
-    joints: tuple[JointSpec, ...]
+    name: str  #: Such as "arm" or "hand"; agents, logs and drivers are named by it.
+    role: Literal["arm", "hand"]  #: Whether it carries a palm about, or moves the fingers on one.
+    joints: tuple[JointSpec, ...]  #: Its joints from the base to the tips.
+    #: Whether an action is a change of the measured position, or a position in the joint's range.
     command: Literal["relative", "absolute"]
-    gain_range: Range
-    action_noise: float
-    action_bias: float
+    gain_range: Range  #: Factors on stiffness and damping that an episode draws.
+    action_noise: float  #: Standard deviation of the noise on each action.
+    action_bias: float  #: Standard deviation of an error of each action that lasts an episode.
 
 
 @dataclass(frozen=True, kw_only=True)
 class FingerSpec:
-    """A finger.
-
-    Attributes:
-        name: Its name.
-        root: Its first body.
-        tip: The site in the middle of its tip.
-    """
+    """A finger."""
 
     name: str
-    root: str
-    tip: str
+    root: str  #: Its first body.
+    tip: str  #: The site in the middle of its tip.
 
 
 @dataclass(frozen=True, kw_only=True)
 class PalmSpec:
-    """What catches: a palm with fingers.
-
-    Attributes:
-        name: Its name.
-        site: The site on its surface that shall come near the object.
-        body: Its body.
-        fingers: Its fingers.
-        lower: Corner of a box in the axes of the body that holds palm, fingers and the link that carries
-            them, whatever the fingers do [m].
-        upper: The other corner [m].
-    """
+    """What catches: a palm with fingers."""
 
     name: str
-    site: str
+    site: str  #: The site on its surface that shall come near the object.
     body: str
     fingers: tuple[FingerSpec, ...]
+    #: Corner of a box in the axes of the body that holds palm, fingers and the link that carries them,
+    #: whatever the fingers do [m].
     lower: Vec3
-    upper: Vec3
+    upper: Vec3  #: The other corner [m].
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotSpec:
-    """A robot, or a part of one.
-
-    Attributes:
-        name: Its name.
-        mjcf: Its bodies, joint axes, collision shapes (group 3), what is only seen (group 2) and sites, as
-            MJCF. Limits, gains and drives come from `groups`.
-        root: The body that everything else of it hangs on.
-        groups: Its joints, in MuJoCo's order.
-        palms: Its palms.
-        mount: The site that carries a tool.
-        tool: What it carries, and where in that site's frame.
-    """
+    """A robot, or a part of one."""
 
     name: str
+    #: Its bodies, joint axes, collision shapes (group 3), what is only seen (group 2) and sites, as MJCF.
+    #: Limits, gains and drives come from `groups`.
     mjcf: Path
-    root: str
-    groups: tuple[JointGroup, ...] = ()
+    root: str  #: The body that everything else of it hangs on.
+    groups: tuple[JointGroup, ...] = ()  #: Its joints, in MuJoCo's order.
     palms: tuple[PalmSpec, ...] = ()
-    mount: str = ""
-    tool: "Placed | None" = None
+    mount: str = ""  #: The site that carries a tool.
+    tool: "Placed | None" = None  #: What it carries, and where in that site's frame.
 
     def holding(self, tool: "RobotSpec", pos: Vec3 = (0.0, 0.0, 0.0), quat: Quat = IDENTITY) -> "RobotSpec":
         """The robot with a tool on its mount."""
@@ -141,16 +97,9 @@ class RobotSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """A robot somewhere.
-
-    Attributes:
-        robot: The robot.
-        pos: Where its root is, in the frame of what carries it [m].
-        quat: How its root is turned there.
-        prefix: What the names of all its parts begin with, so that there can be several.
-    """
+    """A robot somewhere."""
 
     robot: RobotSpec
-    pos: Vec3
-    quat: Quat = IDENTITY
-    prefix: str = ""
+    pos: Vec3  #: Where its root is, in the frame of what carries it [m].
+    quat: Quat = IDENTITY  #: How its root is turned there.
+    prefix: str = ""  #: What the names of all its parts begin with, so that there can be several.

@@ -9,23 +9,16 @@ import mujoco
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robots.spec import JointGroup, JointSpec, PalmSpec, Placed, RobotSpec, Vec3
 
-VISUAL_GROUP = 2
-"""Geom group of what is only seen."""
+VISUAL_GROUP = 2  #: Geom group of what is only seen.
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableSpec:
-    """A solid box that robots stand on.
+    """A solid box that robots stand on."""
 
-    Attributes:
-        center: Centre of the top surface, world frame [m].
-        size: Extent along x and y [m].
-        thickness: Extent along z [m].
-    """
-
-    center: Vec3
-    size: tuple[float, float]
-    thickness: float
+    center: Vec3  #: Centre of the top surface, world frame [m].
+    size: tuple[float, float]  #: Extent along x and y [m].
+    thickness: float  #: Extent along z [m].
 
 
 TABLE = TableSpec(center=(-0.05, 0.0, 0.81), size=(0.75, 0.75), thickness=0.04)
@@ -34,19 +27,12 @@ TABLE = TableSpec(center=(-0.05, 0.0, 0.81), size=(0.75, 0.75), thickness=0.04)
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedPalm:
-    """A palm in a work cell.
+    """A palm in a work cell."""
 
-    Attributes:
-        spec: The palm, by the names of the work cell.
-        first: Column in joint order of the first joint on the way from the world to it.
-        stop: Column after the last.
-        groups: Names of the groups of the robot that it belongs to.
-    """
-
-    spec: PalmSpec
-    first: int
-    stop: int
-    groups: tuple[str, ...]
+    spec: PalmSpec  #: The palm, by the names of the work cell.
+    first: int  #: Column in joint order of the first joint on the way from the world to it.
+    stop: int  #: Column after the last.
+    groups: tuple[str, ...]  #: Names of the groups of the robot that it belongs to.
 
     @property
     def carriers(self) -> slice:
@@ -56,21 +42,15 @@ class PlacedPalm:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkcellSpec:
-    """Robots with their places, and the table that they stand on.
-
-    Attributes:
-        name: Its name.
-        robots: The robots; joint order is theirs, one after the other.
-        table: What they stand on.
-    """
+    """Robots with their places, and the table that they stand on."""
 
     name: str
-    robots: tuple[Placed, ...]
-    table: TableSpec = field(default_factory=lambda: TABLE)
+    robots: tuple[Placed, ...]  #: The robots; joint order is theirs, one after the other.
+    table: TableSpec = field(default_factory=lambda: TABLE)  #: What they stand on.
 
     def __post_init__(self) -> None:
         """Refuse a robot that can catch nothing, and a name that is taken twice."""
-        names = [joint.name for joint in self.joints]
+        names = self.joint_names
         for placed in self.robots:
             if not any(part.palms for part in placed.robot.parts):
                 raise InvalidValueError(
@@ -100,6 +80,11 @@ class WorkcellSpec:
     def joints(self) -> tuple[JointSpec, ...]:
         """All joints: the order of every tensor."""
         return tuple(joint for group in self.groups for joint in group.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints, in joint order."""
+        return tuple(joint.name for joint in self.joints)
 
     def columns(self, group: str) -> slice:
         """Where the joints of a group are in joint order.
@@ -134,11 +119,6 @@ class WorkcellSpec:
                 first += sum(len(group.joints) for group in part.groups)
         return tuple(found)
 
-    @cached_property
-    def roots(self) -> tuple[str, ...]:
-        """The first body of each robot."""
-        return tuple(placed.prefix + placed.robot.root for placed in self.robots)
-
     def of_role(self, role: Literal["arm", "hand"]) -> tuple[slice, ...]:
         """Columns of the groups of a role."""
         return tuple(self.columns(group.name) for group in self.groups if group.role == role)
@@ -155,13 +135,7 @@ def _prefixed(palm: PalmSpec, prefix: str) -> PalmSpec:
 
 
 def add_robots(spec: mujoco.MjSpec, workcell: WorkcellSpec, visuals: bool) -> None:
-    """Add the robots of a work cell to a scene.
-
-    Args:
-        spec: The scene.
-        workcell: The work cell.
-        visuals: Whether to keep what is only seen.
-    """
+    """Add the robots of a work cell to a scene, with or without what is only seen."""
     for placed in workcell.robots:
         frame = spec.worldbody.add_frame(pos=placed.pos, quat=placed.quat)
         _attach(spec, robot_mjcf(placed.robot, visuals), placed.prefix, frame)

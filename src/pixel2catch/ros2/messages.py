@@ -15,6 +15,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pixel2catch.errors import DeploymentError
+from pixel2catch.robots.spec import IDENTITY
 from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
 
@@ -118,25 +119,10 @@ class ImageReading:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraReading:
-    """What a camera says of its lens; all numbers but the distortion are those of a `CameraSpec`.
+    """What a camera says of its lens."""
 
-    Attributes:
-        width: Image width [px].
-        height: Image height [px].
-        fx: Focal length along x [px].
-        fy: Focal length along y [px].
-        cx: Column of the optical axis [px].
-        cy: Row of the optical axis [px].
-        distortion: As in OpenCV; none if all numbers are 0.
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...]
+    camera: CameraSpec  #: Size and lens; as a camera does not say where it stands, it is in its own frame.
+    distortion: tuple[float, ...]  #: As in OpenCV; none if all numbers are 0.
 
 
 def joint_state(
@@ -232,15 +218,17 @@ def read_camera_info(data: bytes) -> CameraReading:
     fx, _, cx, _, fy, cy, *_ = map(float, message.k)
     if not (fx > 0.0 and fy > 0.0):
         raise DeploymentError("the camera sends no focal length: calibrate it (camera_calibration).")
-    return CameraReading(
+    camera = CameraSpec(
         width=message.width,
         height=message.height,
         fx=fx,
         fy=fy,
         cx=cx + PIXEL_CENTER,
         cy=cy + PIXEL_CENTER,
-        distortion=tuple(map(float, message.d)) if np.any(message.d) else (),
+        pos=(0.0, 0.0, 0.0),
+        quat=IDENTITY,
     )
+    return CameraReading(camera=camera, distortion=tuple(map(float, message.d)) if np.any(message.d) else ())
 
 
 Value = TypeVar("Value", bool, int, float, str)

@@ -1,39 +1,45 @@
-"""What can be chosen about the scene."""
+"""What can be chosen about the scene, and the contacts that follow from it."""
 
 from dataclasses import dataclass
+from math import sqrt
+from typing import TypeVar
+
+from numpy import ndarray
+from torch import Tensor
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
-from pixel2catch.scene.contact import SOLIMP
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-MAX_OBJECT_SCALE = 1.4
-"""Of the largest object's 6.75 cm, that stays within `scene.OBJECT_BOUND`."""
+MAX_OBJECT_SCALE = 1.4  #: Of the largest object's 6.75 cm, that stays within `scene.OBJECT_BOUND`.
+
+PUSH_OUT = 0.2
+"""Share of a penetration that is removed in one physics step: it decays with a time constant of 5 steps.
+
+Source: ours, `benchmarks/contact_quality.py`. More decays faster, but an object that is found deep in the
+surface is then thrown out: a restitution is met up to half of this share, by where in a step the impact
+falls.
+"""
+
+SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+"""Impedance of a contact with the object. Source: ours; MuJoCo's default lets an object creep in the hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneCfg:
-    """What can be chosen about the scene.
+    """What can be chosen about the scene."""
 
-    Attributes:
-        workcell: Name of the work cell, or a Python file that defines `WORKCELLS`.
-        physics_hz: Physics steps in a second, a multiple of the control rate. Default: paper.
-        visuals: Whether to add lights, textures and what is only seen.
-        camera: What pictures are taken by.
-        object_friction: Sliding friction of the object; randomised per environment by the release.
-        object_restitution: Speed after over speed before an impact; randomised per environment.
-        object_solimp: Impedance of a contact with the object.
-        object_scale: Factor on every object's size; its mass stays.
-    """
-
-    workcell: str = UR5E_ALLEGRO.name
+    workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
+    #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: float = 1.0 / PHYSICS_DT
-    visuals: bool = False
-    camera: CameraSpec = RGB_CAMERA
+    visuals: bool = False  #: Whether to add lights, textures and what is only seen.
+    camera: CameraSpec = RGB_CAMERA  #: What pictures are taken by.
+    #: Sliding friction of the object; randomised per environment by the release.
     object_friction: float = 1.0
-    object_restitution: float = 0.25
+    object_restitution: float = 0.25  #: Speed after over speed before an impact; randomised per environment.
+    #: Impedance of a contact with the object.
     object_solimp: tuple[float, float, float, float, float] = SOLIMP
-    object_scale: float = 1.0
+    object_scale: float = 1.0  #: Factor on every object's size; its mass stays.
 
     def __post_init__(self) -> None:
         """Refuse a size without room, and a rate that does not divide a control step into physics steps."""
@@ -57,3 +63,34 @@ class SceneCfg:
     def physics_dt(self) -> float:
         """Physics time step [s]."""
         return CONTROL_DT / self.decimation
+
+
+Value = TypeVar("Value", float, ndarray, Tensor)
+
+
+def contact_solref(restitution: Value, physics_dt: float) -> tuple[Value, Value]:
+    """Stiffness and damping of a contact, as the two negative numbers of a direct `solref`.
+
+    A step changes the normal velocity v at depth p by dt (b |v| + k p). With b = (1 + e - PUSH_OUT / 2) / dt
+    and k = PUSH_OUT / dt², and depths spread evenly over the way of one step, the mean velocity after the
+    impact is e |v|.
+
+    Args:
+        restitution: e, speed after over speed before the impact; a number, or an array or tensor of them.
+        physics_dt: Length of the step, dt [s].
+
+    Returns:
+        (-k, -b), each like `restitution`.
+    """
+    stiffness = PUSH_OUT / physics_dt**2 + 0.0 * restitution
+    damping = (1.0 - 0.5 * PUSH_OUT + restitution) / physics_dt
+    return -stiffness, -damping
+
+
+def table_solref(physics_dt: float) -> tuple[float, float]:
+    """Time constant and damping ratio of the table, as stiff as a step allows: the arm is strong.
+
+    Of a speed and a depth, a step removes all of the one and 80 % of the other. Not the direct form: of two
+    direct ones MuJoCo Warp takes the smaller numbers, whatever the priorities, and the object has one.
+    """
+    return 2.0 * physics_dt, 1.0 / sqrt(4.0 * 0.8)

@@ -10,17 +10,10 @@ from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.spec import JointSpec, Quat, Vec3
 from pixel2catch.robots.ur5e import ARM
 
-GRAVITY = 9.81
-"""Standard value, as MuJoCo's default [m/s²]."""
-
-PHYSICS_DT = 1.0 / 120.0
-"""Physics time step [s]. Source: paper, 120 Hz."""
-
-DECIMATION = 4
-"""Physics steps in a control step. Source: paper."""
-
-CONTROL_DT = DECIMATION * PHYSICS_DT
-"""Control time step [s]: the policy runs at 30 Hz. Source: paper."""
+GRAVITY = 9.81  #: Standard value, as MuJoCo's default [m/s²].
+PHYSICS_DT = 1.0 / 120.0  #: Physics time step [s]. Source: paper, 120 Hz.
+DECIMATION = 4  #: Physics steps in a control step. Source: paper.
+CONTROL_DT = DECIMATION * PHYSICS_DT  #: Control time step [s]: the policy runs at 30 Hz. Source: paper.
 
 
 ARM_JOINTS: tuple[JointSpec, ...] = ARM.joints
@@ -38,27 +31,22 @@ PIXEL_CENTER = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSpec:
-    """A pinhole camera.
+    """A pinhole camera."""
 
-    Attributes:
-        width: Image width [px].
-        height: Image height [px].
-        fx: Focal length along x [px].
-        fy: Focal length along y [px].
-        cx: Column of the optical axis [px].
-        cy: Row of the optical axis [px].
-        pos: Position of the optical centre, world frame [m].
-        quat: Orientation of the optical frame in the world: z along the optical axis, x to the right, y down.
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    pos: Vec3
+    width: int  #: Image width [px].
+    height: int  #: Image height [px].
+    fx: float  #: Focal length along x [px].
+    fy: float  #: Focal length along y [px].
+    cx: float  #: Column of the optical axis [px].
+    cy: float  #: Row of the optical axis [px].
+    pos: Vec3  #: Position of the optical centre, world frame [m].
+    #: Orientation of the optical frame in the world: z along the optical axis, x to the right, y down.
     quat: Quat
+
+    @property
+    def matrix(self) -> tuple[Vec3, Vec3, Vec3]:
+        """Focal lengths and optical axis, row by row [px]."""
+        return (self.fx, 0.0, self.cx), (0.0, self.fy, self.cy), (0.0, 0.0, 1.0)
 
 
 def quat_multiply(a: Quat, b: Quat) -> Quat:

@@ -6,7 +6,7 @@ origin at half its height.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -14,10 +14,9 @@ from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.scene import shapes
-from pixel2catch.scene.shapes import ConvexPart, VolumeMoments, moments
+from pixel2catch.scene.shapes import ConvexPart, moments
 
-OBJECT_MASS = 0.03
-"""Mass of every object [kg]. Source: release."""
+OBJECT_MASS = 0.03  #: Mass of every object [kg]. Source: release.
 
 MAX_PARTS = 2
 """Convex parts of an object's body in the model; one that is not needed hides inside the first."""
@@ -25,19 +24,12 @@ MAX_PARTS = 2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObjectSpec:
-    """A thrown object.
+    """A thrown object."""
 
-    Attributes:
-        name: Its name in the catalogue.
-        parts: Convex parts in the body frame; they may overlap.
-        mass: Mass [kg].
-        inertia: Principal moments of inertia about the axes of the body frame [kg·m²].
-    """
-
-    name: str
-    parts: tuple[ConvexPart, ...]
-    mass: float
-    inertia: Float[ndarray, "3"]
+    name: str  #: Its name in the catalogue.
+    parts: tuple[ConvexPart, ...]  #: Convex parts in the body frame; they may overlap.
+    mass: float  #: Mass [kg].
+    inertia: Float[ndarray, "3"]  #: Principal moments of inertia about the axes of the body frame [kg·m²].
 
     @property
     def drag_area(self) -> float:
@@ -51,26 +43,21 @@ class ObjectSpec:
 
     def scaled(self, factor: float) -> "ObjectSpec":
         """The same object, larger by a factor but of the same mass, as of lighter foam."""
-        return ObjectSpec(
-            name=self.name,
-            parts=tuple(part.scaled(factor) for part in self.parts),
-            mass=self.mass,
-            inertia=self.inertia * factor**2,
-        )
+        parts = tuple(ConvexPart(vertices=part.vertices * factor) for part in self.parts)
+        return replace(self, parts=parts, inertia=self.inertia * factor**2)
 
 
 def _object(name: str, *parts: ConvexPart, overlap: ConvexPart | None = None) -> ObjectSpec:
     """Move the parts into the body frame; `overlap` is the part of space that both fill."""
-    solid: VolumeMoments = moments(parts[0])
-    for part in parts[1:]:
-        solid = solid + moments(part)
+    solid = sum(map(moments, parts[1:]), start=moments(parts[0]))
     if overlap is not None:
         solid = solid - moments(overlap)
-    inertia = solid.inertia(OBJECT_MASS)
+    inertia = shapes.inertia(solid, OBJECT_MASS)
     axes = _principal_axes(inertia)
+    center = shapes.center_of_mass(solid)
     return ObjectSpec(
         name=name,
-        parts=tuple(part.moved(-solid.center()).turned(axes.T) for part in parts),
+        parts=tuple(ConvexPart(vertices=(part.vertices - center) @ axes) for part in parts),
         mass=OBJECT_MASS,
         inertia=np.diag(axes.T @ inertia @ axes).copy(),
     )
@@ -89,14 +76,9 @@ def _principal_axes(inertia: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
 def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
     """Two bars of this width at a right angle, both legs `leg` long outside, `depth` deep along z."""
     long_bar = shapes.box(leg, width, depth)
-    short_bar = shapes.box(width, leg - width, depth).moved((-(leg - width) / 2, leg / 2, 0.0))
+    offset = np.array((-(leg - width) / 2, leg / 2, 0.0))
+    short_bar = ConvexPart(vertices=shapes.box(width, leg - width, depth).vertices + offset)
     return _object(name, long_bar, short_bar)
-
-
-def _cross(name: str, span: float, width: float, depth: float) -> ObjectSpec:
-    """Two bars crossing in their middles."""
-    bars = (shapes.box(span, width, depth), shapes.box(width, span, depth))
-    return _object(name, *bars, overlap=shapes.box(width, width, depth))
 
 
 def _by_name(*specs: ObjectSpec) -> dict[str, ObjectSpec]:
@@ -118,26 +100,29 @@ _SEEN = _by_name(
 
 _UNSEEN = _by_name(
     _l_block("l_block", 0.07, 0.03, 0.05),
-    _object("triangular_prism", shapes.prism(shapes.polygon(3, 0.07), 0.06)),
-    _object("hexagonal_prism", shapes.prism(shapes.polygon(6, 0.035), 0.06)),
+    _object("triangular_prism", shapes.prism(3, 0.07, 0.06)),
+    _object("hexagonal_prism", shapes.prism(6, 0.035, 0.06)),
     _object("ellipsoid", shapes.ellipsoid(0.025, 0.03, 0.04)),
-    _cross("cross", 0.08, 0.03, 0.05),
+    _object(
+        "cross",
+        shapes.box(0.08, 0.03, 0.05),
+        shapes.box(0.03, 0.08, 0.05),
+        overlap=shapes.box(0.03, 0.03, 0.05),
+    ),
 )
 
 _REAL = _by_name(
     _object("real_cube", shapes.box(0.06, 0.06, 0.06)),
     _l_block("real_l_block", 0.08, 0.035, 0.06),
-    _object("real_triangle", shapes.prism(shapes.polygon(3, 0.08), 0.06)),
+    _object("real_triangle", shapes.prism(3, 0.08, 0.06)),
 )
 
-SEEN: tuple[str, ...] = tuple(_SEEN)
-"""Training objects: five shapes in two scales. Source: release."""
+SEEN: tuple[str, ...] = tuple(_SEEN)  #: Training objects: five shapes in two scales. Source: release.
 
 UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
 """Validation objects. Source: shapes: ours (paper, Fig. 3, shows but does not list them); sizes: ours."""
 
-REAL: tuple[str, ...] = tuple(_REAL)
-"""Objects of the real experiment. Source: shapes: paper; sizes: ours."""
+REAL: tuple[str, ...] = tuple(_REAL)  #: Objects of the real experiment. Source: shapes: paper; sizes: ours.
 
 OBJECTS: dict[str, ObjectSpec] = _SEEN | _UNSEEN | _REAL
 """All objects by name; the order is the order of the object table."""
@@ -173,11 +158,6 @@ def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[nd
     The first points are all vertices, whose projections bound the outline exactly; the others are spread over
     the outer surface, equally per area. Points of one part inside the other are left out.
 
-    Args:
-        spec: The object.
-        num_points: At least the number of vertices.
-        seed: Seed of the spread points.
-
     Raises:
         InvalidValueError: If there are more vertices than points.
     """
@@ -200,15 +180,6 @@ def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[nd
 
 def _is_inside(spec: ObjectSpec, points: Float[ndarray, "n 3"]) -> ndarray:
     """Whether each point lies strictly inside a part, or on the seam between two."""
-    depths = [_depth(part, points) for part in spec.parts]
-    num_touched = sum((depth > -1e-9).astype(int) for depth in depths)
-    is_within = np.any([depth > 1e-6 for depth in depths], axis=0)
-    return is_within | (num_touched > 1)
-
-
-def _depth(part: ConvexPart, points: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-    """Distance [m] from each point inwards to the nearest face; negative outside."""
-    faces = part.faces
-    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.min(np.einsum("fd,fd->f", normals, faces[:, 0]) - points @ normals.T, axis=1)
+    planes = [part.hull.equations for part in spec.parts]  # outward normals, and minus their distances [m]
+    depths = np.stack([-(points @ each[:, :3].T + each[:, 3]).max(axis=1) for each in planes])
+    return (depths > 1e-6).any(axis=0) | ((depths > -1e-9).sum(axis=0) > 1)

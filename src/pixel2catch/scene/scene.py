@@ -1,24 +1,25 @@
 """The scene as a MuJoCo model: robot, table, floor, one thrown object, camera, servos, contact sensors.
 
-The model of every object has the same layout; only the values of a few fields differ (`object_table.py`).
+The model of every object has the same layout; only the values of a few fields differ (`object_table`).
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 from os import PathLike
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.robots.spec import JointSpec
-from pixel2catch.robots.workcell import TableSpec, WorkcellSpec, add_robots
-from pixel2catch.scene.cfg import SceneCfg
+from pixel2catch.robots.workcell import VISUAL_GROUP, TableSpec, WorkcellSpec, add_robots
+from pixel2catch.scene.cfg import SOLIMP, SceneCfg, contact_solref, table_solref
 from pixel2catch.scene.constants import quat_multiply
-from pixel2catch.scene.contact import SOLIMP, contact_solref, table_solref
 from pixel2catch.scene.objects import MAX_PARTS, OBJECTS, ObjectSpec
-from pixel2catch.scene.surroundings import add_looks
 from pixel2catch.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)
@@ -28,11 +29,8 @@ NO_PART = "no_part"
 OBJECT_START = (2.65, 0.0, 0.8)
 """Position of the object in `qpos0` [m]: the middle of the throw's release points."""
 
-FLOOR_BIT = 2
-"""Contact bit of the floor: only the object falls on it. Robot, table and object share bit 1."""
-
-OBJECT_BOUND = 0.1
-"""Half an edge of a cube about the body origin that holds every object [m]."""
+FLOOR_BIT = 2  #: Contact bit of the floor: only the object falls on it. Robot, table and object share bit 1.
+OBJECT_BOUND = 0.1  #: Half an edge of a cube about the body origin that holds every object [m].
 
 CONTACT_DATA = sum(
     1 << int(field)
@@ -41,8 +39,11 @@ CONTACT_DATA = sum(
 Contact = tuple[mujoco.mjtObj, str]
 """One side of a contact: a body, a body with all that hangs on it, or a geom, by name."""
 
-REDUCE_MINDIST = 1
-"""Of several contacts a sensor reports the deepest."""
+REDUCE_MINDIST = 1  #: Of several contacts a sensor reports the deepest.
+
+GEOM_FIELDS = ("geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound")
+BODY_FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_invweight0")
+DOF_FIELDS = ("dof_M0", "dof_length", "dof_invweight0")  #: Model fields that depend on the object.
 
 
 def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
@@ -63,7 +64,7 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     _add_object(spec, cfg, OBJECTS[object_name])
     _add_contact_sensors(spec, workcell)
     if cfg.visuals:
-        add_looks(spec, workcell.table)
+        _add_looks(spec, workcell.table)
     return spec
 
 
@@ -72,10 +73,7 @@ def build_model(
 ) -> mujoco.MjModel:
     """Compile the scene with one object; the layout is the same for all, so that fields can be exchanged.
 
-    Args:
-        cfg: What can be chosen.
-        object_name: The object.
-        armature: Reflected inertias by joint that differ from the nominal ones [kg·m²].
+    `armature` are reflected inertias by joint that differ from the nominal ones [kg·m²].
     """
     spec = build_spec(cfg, object_name)
     for name, value in (armature or {}).items():
@@ -94,22 +92,74 @@ def _open_layout(model: mujoco.MjModel) -> None:
     model.bvh_aabb[nodes] = (0.0, 0.0, 0.0, OBJECT_BOUND, OBJECT_BOUND, OBJECT_BOUND)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ObjectIndices:
+    """Where the object is in the arrays of the model."""
+
+    body: int
+    geoms: slice  #: Its geoms, one after the other.
+    qpos: slice  #: Its position and quaternion in `qpos`.
+    dofs: slice  #: Its linear and angular velocity in `qvel`.
+
+    def rows(self, field: str) -> slice:
+        """Rows of a model field that belong to the object."""
+        if field.startswith("geom_"):
+            return self.geoms
+        return self.dofs if field.startswith("dof_") else slice(self.body, self.body + 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectTable:
+    """The object's rows of every model field that depends on the object."""
+
+    names: tuple[str, ...]  #: The objects, in the order of the first axis of each array.
+    indices: ObjectIndices  #: Where those rows belong.
+    fields: dict[str, ndarray]  #: Field name to array (num_objects, rows, ...).
+
+
+def object_indices(model: mujoco.MjModel) -> ObjectIndices:
+    """Find the object in a model."""
+    body = model.body("object").id
+    joint = model.joint("object_joint")
+    first = int(model.body_geomadr[body])
+    qpos, dof = int(joint.qposadr[0]), int(joint.dofadr[0])
+    return ObjectIndices(
+        body=body, geoms=slice(first, first + MAX_PARTS), qpos=slice(qpos, qpos + 7), dofs=slice(dof, dof + 6)
+    )
+
+
+@cache
+def object_table(cfg: SceneCfg) -> ObjectTable:
+    """Compile the scene once with each object and read off what differs."""
+    models = [build_model(cfg, name) for name in OBJECTS]
+    indices = object_indices(models[0])
+    fields = {
+        field: np.stack([_rows(model, field, indices) for model in models])
+        for field in (*GEOM_FIELDS, *BODY_FIELDS, *DOF_FIELDS)
+    }
+    return ObjectTable(names=tuple(OBJECTS), indices=indices, fields=fields)
+
+
+def _rows(model: mujoco.MjModel, field: str, indices: ObjectIndices) -> ndarray:
+    values = getattr(model, field)
+    return np.array(values.reshape(len(values), -1) if values.ndim > 2 else values)[indices.rows(field)]
+
+
 def export(path: str | PathLike[str], cfg: SceneCfg, object_name: str = "cube_s") -> None:
     """Write the model as a self-contained .xml, of six digits, or as an exact, binary .mjb.
 
     Raises:
         InvalidValueError: If the path ends otherwise.
     """
-    spec = build_spec(cfg, object_name)
-    model = spec.compile()
-    _open_layout(model)
-    suffix = Path(path).suffix
-    if suffix == ".xml":
-        Path(path).write_text(spec.to_xml(), encoding="utf-8")
-    elif suffix == ".mjb":
-        mujoco.mj_saveModel(model, str(path))
-    else:
-        raise InvalidValueError(f"cannot export to '{path}': the name must end in .xml or .mjb.")
+    match Path(path).suffix:
+        case ".xml":
+            spec = build_spec(cfg, object_name)
+            spec.compile()
+            Path(path).write_text(spec.to_xml(), encoding="utf-8")
+        case ".mjb":
+            mujoco.mj_saveModel(build_model(cfg, object_name), str(path))
+        case _:
+            raise InvalidValueError(f"cannot export to '{path}': the name must end in .xml or .mjb.")
 
 
 def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
@@ -164,34 +214,29 @@ def _add_surroundings(spec: mujoco.MjSpec, cfg: SceneCfg, table: TableSpec) -> N
 
 
 def _add_servos(spec: mujoco.MjSpec, joints: tuple[JointSpec, ...]) -> None:
-    """Limits, friction and a position servo for every joint, in the order of the joints."""
-    for joint_spec in joints:
-        joint = spec.joint(joint_spec.name)
+    """Limits, friction and a position servo for every joint, in the order of the joints.
+
+    Torque = stiffness (target - position) - damping velocity, limited to the effort of the servo.
+    """
+    for each in joints:
+        joint = spec.joint(each.name)
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-        joint.range = (joint_spec.lower, joint_spec.upper)
-        joint.frictionloss = joint_spec.frictionloss
-        joint.armature = joint_spec.armature
-        _add_servo(spec, joint_spec)
-
-
-def _add_servo(spec: mujoco.MjSpec, joint: JointSpec) -> None:
-    """Torque = stiffness (target - position) - damping velocity, limited to the effort of the servo."""
-    gain, bias = np.zeros(10), np.zeros(10)
-    gain[0] = joint.stiffness
-    bias[1], bias[2] = -joint.stiffness, -joint.damping
-    spec.add_actuator(
-        name=joint.name,
-        target=joint.name,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        gainprm=gain,
-        biasprm=bias,
-        ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-        ctrlrange=(joint.lower, joint.upper),
-        forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
-        forcerange=(-joint.effort_limit, joint.effort_limit),
-    )
+        joint.range = (each.lower, each.upper)
+        joint.frictionloss = each.frictionloss
+        joint.armature = each.armature
+        spec.add_actuator(
+            name=each.name,
+            target=each.name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            gainprm=[each.stiffness, *[0.0] * 9],
+            biasprm=[0.0, -each.stiffness, -each.damping, *[0.0] * 7],
+            ctrllimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            ctrlrange=(each.lower, each.upper),
+            forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            forcerange=(-each.effort_limit, each.effort_limit),
+        )
 
 
 def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
@@ -225,47 +270,74 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
         )
 
 
-def contact_sensors(workcell: WorkcellSpec) -> tuple[str, ...]:
-    """Names of the contact sensors.
+def contact_sensors(workcell: WorkcellSpec) -> dict[str, tuple[Contact, Contact | None]]:
+    """The contact sensors: their names, and between what they look.
 
     Each palm and its fingers with the object, anything with it, then each robot with the table, each with
     itself, and each with each other one.
     """
-    parts = [
-        name
-        for palm in workcell.palms
-        for name in (palm.spec.name, *(finger.name for finger in palm.spec.fingers))
-    ]
-    robots = [placed.prefix + "robot" for placed in workcell.robots]
-    pairs = [f"{first}_{second}" for first, second in combinations(robots, 2)]
-    return (
-        *(f"object_{part}" for part in parts),
-        "object_any",
-        *(f"{robot}_table" for robot in robots),
-        *(f"{robot}_self" for robot in robots),
-        *pairs,
-    )
+    subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
+    thrown, table = (body, "object"), (mujoco.mjtObj.mjOBJ_GEOM, "table")
+    sensors: dict[str, tuple[Contact, Contact | None]] = {}
+    for palm in workcell.palms:
+        sensors[f"object_{palm.spec.name}"] = thrown, (body, palm.spec.body)
+        for finger in palm.spec.fingers:
+            sensors[f"object_{finger.name}"] = thrown, (subtree, finger.root)
+    sensors["object_any"] = thrown, None
+    robots = {f"{each.prefix}robot": (subtree, each.prefix + each.robot.root) for each in workcell.robots}
+    sensors |= {f"{name}_table": (root, table) for name, root in robots.items()}
+    sensors |= {f"{name}_self": (root, root) for name, root in robots.items()}
+    sensors |= {f"{one}_{other}": (robots[one], robots[other]) for one, other in combinations(robots, 2)}
+    return sensors
 
 
 def _add_contact_sensors(spec: mujoco.MjSpec, workcell: WorkcellSpec) -> None:
-    """The sensors, in the order of `contact_sensors`."""
-    subtree, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
-    thrown, table = (body, "object"), (mujoco.mjtObj.mjOBJ_GEOM, "table")
-    pairs: list[tuple[Contact, Contact | None]] = []
-    for palm in workcell.palms:
-        pairs.append((thrown, (body, palm.spec.body)))
-        pairs += [(thrown, (subtree, finger.root)) for finger in palm.spec.fingers]
-    roots = [(subtree, root) for root in workcell.roots]
-    pairs += [(thrown, None), *((root, table) for root in roots), *((root, root) for root in roots)]
-    pairs += combinations(roots, 2)
-    for name, (first, second) in zip(contact_sensors(workcell), pairs, strict=True):
-        _add_sensor(spec, name, first, second)
+    """Sensors of (found, dist [m]) of the deepest contact between two bodies, subtrees or geoms."""
+    for name, (first, second) in contact_sensors(workcell).items():
+        sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
+        sensor.objtype, sensor.objname = first
+        if second is not None:
+            sensor.reftype, sensor.refname = second
+        sensor.intprm = (CONTACT_DATA, REDUCE_MINDIST, 1)
 
 
-def _add_sensor(spec: mujoco.MjSpec, name: str, first: Contact, second: Contact | None) -> None:
-    """A sensor of (found, dist [m]) of the deepest contact between two bodies, subtrees or geoms."""
-    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
-    sensor.objtype, sensor.objname = first
-    if second is not None:
-        sensor.reftype, sensor.refname = second
-    sensor.intprm = (CONTACT_DATA, REDUCE_MINDIST, 1)
+def _add_looks(spec: mujoco.MjSpec, table: TableSpec) -> None:
+    """What is only seen of the surroundings: lights, sky, textures, a pedestal; none collides or has mass."""
+    headlight = spec.visual.headlight
+    headlight.ambient, headlight.diffuse, headlight.specular = (0.35,) * 3, (0.35,) * 3, (0.1,) * 3
+    spec.visual.map.znear, spec.visual.map.shadowclip = 0.02, 2.0
+    spec.stat.extent, spec.stat.center = 2.0, (0.4, 0.0, 1.0)
+    for pos, direction, strength, has_shadow in (
+        ((1.0, -1.2, 3.6), (-0.25, 0.4, -1.0), 0.55, True),
+        ((-1.5, 2.0, 3.0), (0.5, -0.6, -1.0), 0.25, False),
+    ):
+        spec.worldbody.add_light(
+            pos=pos,
+            dir=direction,
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            diffuse=(strength,) * 3,
+            specular=(0.15,) * 3,
+            castshadow=has_shadow,
+        )
+    texture, builtin = mujoco.mjtTexture, mujoco.mjtBuiltin
+    for name, kind, pattern, rgb1, rgb2 in (
+        ("sky", texture.mjTEXTURE_SKYBOX, builtin.mjBUILTIN_GRADIENT, (0.62, 0.72, 0.82), (0.93, 0.95, 0.97)),
+        ("floor", texture.mjTEXTURE_2D, builtin.mjBUILTIN_CHECKER, (0.50, 0.53, 0.56), (0.58, 0.61, 0.64)),
+    ):
+        spec.add_texture(name=name, type=kind, builtin=pattern, rgb1=rgb1, rgb2=rgb2, width=256, height=256)
+    material = spec.add_material(name="floor", texrepeat=(1, 1), texuniform=True, specular=0.1, shininess=0.1)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    floor = spec.geom("floor")
+    floor.size, floor.material, floor.rgba = (0, 0, 0.1), "floor", (1, 1, 1, 1)  # size 0: without end
+    floor.castshadow = False  # it would speckle itself
+    x, y, top = table.center
+    height = top - table.thickness
+    spec.worldbody.add_geom(  # a pedestal from the floor to the underside of the table
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=(x, y, height / 2),
+        size=(table.size[0] / 2 - 0.05, table.size[1] / 2 - 0.05, height / 2),
+        rgba=(0.32, 0.33, 0.35, 1.0),
+        group=VISUAL_GROUP,
+        contype=0,
+        conaffinity=0,
+    )

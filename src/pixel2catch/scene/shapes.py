@@ -14,94 +14,55 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import ConvexHull
 
-RING_POINTS = 32
-"""Vertices of a circle. Source: ours."""
-
-SPHERE_POINTS = 64
-"""Vertices of a sphere or an ellipsoid. Source: ours."""
+RING_POINTS = 32  #: Vertices of a circle. Source: ours.
+SPHERE_POINTS = 64  #: Vertices of a sphere or an ellipsoid. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConvexPart:
-    """A convex body of uniform density, given by the corners of its hull.
+    """A convex body of uniform density, given by the corners of its hull."""
 
-    Attributes:
-        vertices: Corners [m].
-    """
+    vertices: Float[ndarray, "num_vertices 3"]  #: Corners [m].
 
-    vertices: Float[ndarray, "num_vertices 3"]
+    @cached_property
+    def hull(self) -> ConvexHull:
+        """The hull of the corners."""
+        return ConvexHull(self.vertices)
 
     @cached_property
     def faces(self) -> Float[ndarray, "num_faces 3 3"]:
         """Corners of the triangles of the hull, counter-clockwise seen from outside."""
-        hull = ConvexHull(self.vertices)
-        triangles = self.vertices[hull.simplices]
+        triangles = self.vertices[self.hull.simplices]
         normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-        is_inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+        is_inward = np.einsum("ij,ij->i", normals, self.hull.equations[:, :3]) < 0
         triangles[is_inward] = triangles[is_inward][:, ::-1]
         return triangles
 
-    def moved(self, offset: tuple[float, float, float] | Float[ndarray, "3"]) -> "ConvexPart":
-        """The same part, shifted by an offset [m]."""
-        return ConvexPart(vertices=self.vertices + np.asarray(offset))
 
-    def scaled(self, factor: float) -> "ConvexPart":
-        """The same part, larger by a factor, as seen from the origin."""
-        return ConvexPart(vertices=self.vertices * factor)
+def moments(part: ConvexPart) -> Float[ndarray, "4 4"]:
+    """Integral of (1, x) (1, x)ᵀ over a solid of density 1 [m³, m⁴, m⁵].
 
-    def turned(self, rotation: Float[ndarray, "3 3"]) -> "ConvexPart":
-        """The same part, rotated about the origin."""
-        return ConvexPart(vertices=self.vertices @ rotation.T)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class VolumeMoments:
-    """Moments of a solid of density 1; they add up over disjoint solids and subtract over overlaps.
-
-    Attributes:
-        volume: Integral of 1 [m³].
-        first: Integral of x [m⁴].
-        second: Integral of x xᵀ [m⁵].
+    It adds up over disjoint solids and subtracts over overlaps; taken over the tetrahedra between the origin
+    and each face.
     """
-
-    volume: float
-    first: Float[ndarray, "3"]
-    second: Float[ndarray, "3 3"]
-
-    def __add__(self, other: "VolumeMoments") -> "VolumeMoments":
-        """Moments of two disjoint solids."""
-        return VolumeMoments(
-            volume=self.volume + other.volume,
-            first=self.first + other.first,
-            second=self.second + other.second,
-        )
-
-    def __sub__(self, other: "VolumeMoments") -> "VolumeMoments":
-        """Moments of a solid without a part of it."""
-        return VolumeMoments(
-            volume=self.volume - other.volume,
-            first=self.first - other.first,
-            second=self.second - other.second,
-        )
-
-    def center(self) -> Float[ndarray, "3"]:
-        """Centre of mass [m]."""
-        return self.first / self.volume
-
-    def inertia(self, mass: float) -> Float[ndarray, "3 3"]:
-        """Inertia about the centre of mass [kg·m²] of a uniform solid of this mass [kg]."""
-        center = self.center()
-        covariance = mass * (self.second / self.volume - np.outer(center, center))
-        return np.trace(covariance) * np.eye(3) - covariance
-
-
-def moments(part: ConvexPart) -> VolumeMoments:
-    """Integrate over the tetrahedra between the origin and each face."""
     faces = part.faces
     volumes = np.linalg.det(faces) / 6.0
     sums = faces.sum(axis=1)
     second = np.einsum("f,fi,fj->ij", volumes, sums, sums) + np.einsum("f,fki,fkj->ij", volumes, faces, faces)
-    return VolumeMoments(volume=float(volumes.sum()), first=volumes @ sums / 4.0, second=second / 20.0)
+    first = volumes @ sums / 4.0
+    return np.block([[volumes.sum(), first], [first[:, None], second / 20.0]])
+
+
+def center_of_mass(solid: Float[ndarray, "4 4"]) -> Float[ndarray, "3"]:
+    """Centre of mass [m] of a solid with these moments."""
+    return solid[0, 1:] / solid[0, 0]
+
+
+def inertia(solid: Float[ndarray, "4 4"], mass: float) -> Float[ndarray, "3 3"]:
+    """Inertia about the centre of mass [kg·m²] of a uniform solid with these moments and this mass [kg]."""
+    center = center_of_mass(solid)
+    covariance = mass * (solid[1:, 1:] / solid[0, 0] - np.outer(center, center))
+    return np.trace(covariance) * np.eye(3) - covariance
 
 
 def box(x: float, y: float, z: float) -> ConvexPart:
@@ -110,16 +71,12 @@ def box(x: float, y: float, z: float) -> ConvexPart:
     return ConvexPart(vertices=0.5 * signs * (x, y, z))
 
 
-def prism(outline: Float[ndarray, "num_corners 2"], height: float) -> ConvexPart:
-    """The outline [m] in the xy plane, extruded along z."""
-    low, high = (np.column_stack((outline, np.full(len(outline), z))) for z in (-height / 2, height / 2))
-    return ConvexPart(vertices=np.concatenate((low, high)))
-
-
-def polygon(num_corners: int, edge: float) -> Float[ndarray, "num_corners 2"]:
-    """Corners [m] of a regular polygon with this edge length."""
+def prism(num_corners: int, edge: float, height: float) -> ConvexPart:
+    """A regular polygon with this edge length [m] in the xy plane, extruded along z."""
     angles = 2 * pi * np.arange(num_corners) / num_corners
-    return edge / (2 * np.sin(pi / num_corners)) * np.column_stack((np.cos(angles), np.sin(angles)))
+    outline = edge / (2 * np.sin(pi / num_corners)) * np.column_stack((np.cos(angles), np.sin(angles)))
+    low, high = (np.column_stack((outline, np.full(num_corners, z))) for z in (-height / 2, height / 2))
+    return ConvexPart(vertices=np.concatenate((low, high)))
 
 
 def _ring(

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 import viser
 
-from pixel2catch.camera.features import PIXEL_FEATURES, pixel_features
+from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.deployment.operator import OperatorConsole, newest
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile

@@ -21,7 +21,7 @@ from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_near
-from pixel2catch.rendering.camera import OBJECT, ROBOT, Moment
+from pixel2catch.rendering.camera import Moment
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CameraSpec
@@ -103,8 +103,6 @@ EMPTY_TIME = 0.5
 """How long the room is empty between two throws [s]: what lay there is taken away. Source: ours."""
 
 Joints = Float[np.ndarray, " num_joints"]
-OBJECT_POSE = slice(OBJECT.start, OBJECT.start + 7)
-"""Position and quaternion of the object in `qpos`."""
 
 _YES = torch.ones(1, dtype=torch.bool)
 
@@ -197,7 +195,8 @@ class SimulatedLab:
     @property
     def joints(self) -> Motion:
         """The true joints now."""
-        return Motion(position=self._qpos[ROBOT].copy(), velocity=self._qvel[ROBOT].copy())
+        num_joints = len(self.lag)
+        return Motion(position=self._qpos[:num_joints].copy(), velocity=self._qvel[:num_joints].copy())
 
     def encoders(self, time: float) -> Motion:
         """What the encoders say at a time up to a physics step from now [s]."""
@@ -258,13 +257,13 @@ class SimulatedLab:
 
     def truth(self) -> dict[str, Any]:
         """What is true of the throw: for the operator and the report, not for the robot."""
-        record = self.record
+        record, object_pose = self.record, self._qpos[self._world.objects.indices.qpos]
         return {
             "phase": self.phase.value,
             "throw": self.num_throws,
             "object": None if self.phase is Phase.EMPTY else self.object_name,
             "box": self._box(),
-            "object_pose": [round(value, 4) for value in self._qpos[OBJECT_POSE].tolist()],
+            "object_pose": [round(value, 4) for value in object_pose.tolist()],
             "is_tracked": record is not None and bool(record.is_tracked),
             "is_success": record is not None and bool(record.is_success),
             "joint_speed": self.max_joint_speed,

@@ -15,7 +15,6 @@ from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, Ste
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
-from pixel2catch.perception.factory import make_robot_mask
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image, Segmenter
@@ -204,7 +203,7 @@ def _rendered(cfg: SteppedRehearsalCfg, policy: Policy, stack: ExitStack) -> tup
     """What `pixel2catch twin` shows, and what `pixel2catch deploy` sees in it."""
     scene = cfg.task.scene
     view = stack.enter_context(RoomCamera(scene, cfg.seed))
-    robot = make_robot_mask(scene.camera, scene.workcell)
+    robot = RobotMask(find_workcell(scene.workcell), scene.camera)
     return lambda _, exposure: view.image(exposure), _pipeline(cfg, policy, BackgroundSubtraction(), robot)
 
 

@@ -26,10 +26,7 @@ def workcells() -> dict[str, WorkcellSpec]:
 
 
 def find_workcell(name: str) -> WorkcellSpec:
-    """The work cell of that name, or the first in a Python file.
-
-    Args:
-        name: A name, or the path of a file that defines `WORKCELLS`.
+    """The work cell of that name, or the first in the Python file with that path.
 
     Raises:
         UnknownNameError: With the valid names.

@@ -7,8 +7,7 @@ from pixel2catch.robots.spec import Placed, Quat, RobotSpec, Vec3
 from pixel2catch.robots.ur5e import UR5E, UR5E_OF_RELEASE
 from pixel2catch.robots.workcell import TABLE, WorkcellSpec
 
-UR5E_POS: Vec3 = (0.0, 0.0, 0.821)
-"""Position of the UR5e's `base_link`. Source: release."""
+UR5E_POS: Vec3 = (0.0, 0.0, 0.821)  #: Position of the UR5e's `base_link`. Source: release.
 
 UR5E_QUAT: Quat = (0.0, 0.0, 0.0, 1.0)
 """Orientation of the UR5e's `base_link`: turned by 180° about z. Source: release.
@@ -17,8 +16,7 @@ UR's `base_link` is itself turned by 180° about z against the frame that the DH
 turns cancel: the DH base frame is parallel to the world frame, and pan = π points the arm along +x.
 """
 
-ALLEGRO_POS: Vec3 = (0.0, 0.0097, 0.0074)
-"""The Allegro hand's frame in the UR5e's `tool0`. Source: release."""
+ALLEGRO_POS: Vec3 = (0.0, 0.0097, 0.0074)  #: The Allegro hand's frame in the UR5e's `tool0`. Source: release.
 
 ALLEGRO_QUAT: Quat = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 """Its orientation there: hand x along y of `tool0`, hand y along its -x. Source: release."""

@@ -11,57 +11,37 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.camera.pinhole import project
-from pixel2catch.camera.visibility import is_in_view
+from pixel2catch.camera.pinhole import is_in_view, project
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.perception.calibration.intrinsics import camera_matrix
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
-NUM_DRAWS = 100
-"""Cameras that are drawn to see what the uncertainty does."""
+NUM_DRAWS = 100  #: Cameras that are drawn to see what the uncertainty does.
 
 LARGEST_LENS_ERROR = 1.0
 """What a lens may move a pixel until its images are better rectified [px]. Source: ours, a fifth of the noise
 that a policy is trained with."""
 
-LARGEST_UNSEEN = 0.02
-"""Share of the paths that may be out of the image. Source: ours."""
+LARGEST_UNSEEN = 0.02  #: Share of the paths that may be out of the image. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Where points that the policy's camera sees are in the calibrated camera's image.
+    """Where points that the policy's camera sees are in the calibrated camera's image."""
 
-    Attributes:
-        mean: Mean distance between the two places [px].
-        largest: Largest distance [px].
-        unseen: Share of the points that are out of the calibrated camera's image.
-        lens: Largest distance that is the lens's distortion alone [px].
-        uncertainty: Root mean square distance that the calibration leaves open [px].
-        move: What would bring the camera to the policy's place, world frame [m].
-        turn: What would then bring it to the policy's orientation, about its own axes: right, down, forward
-            [rad].
-    """
-
-    mean: float
-    largest: float
-    unseen: float
-    lens: float
-    uncertainty: float
-    move: Vec3
+    mean: float  #: Mean distance between the two places [px].
+    largest: float  #: Largest distance [px].
+    unseen: float  #: Share of the points that are out of the calibrated camera's image.
+    lens: float  #: Largest distance that is the lens's distortion alone [px].
+    uncertainty: float  #: Root mean square distance that the calibration leaves open [px].
+    move: Vec3  #: What would bring the camera to the policy's place, world frame [m].
+    #: What would then bring it to the policy's orientation, about its own axes: right, down, forward [rad].
     turn: Vec3
 
 
 def compare(
     calibrated: CameraFile, policy: CameraSpec, points: Float[np.ndarray, "num_points 3"]
 ) -> Comparison:
-    """Compare the camera of a laboratory with the one of a policy, whose images have the same size.
-
-    Args:
-        calibrated: The camera of the laboratory.
-        policy: The camera that the policy was trained with.
-        points: Where objects fly, world frame [m].
-    """
+    """Compare a laboratory's camera with a policy's of the same image size, where objects fly [m]."""
     wanted, in_view = _pixels(policy, points)
     points, wanted = points[in_view], wanted[in_view]
     straight, is_seen = _pixels(calibrated.camera, points)
@@ -120,7 +100,7 @@ def _lens_shift(calibrated: CameraFile, points: np.ndarray) -> np.ndarray:
     camera = calibrated.camera
     inverse = _rotation(camera).inv()
     turn, move = inverse.as_rotvec(), -inverse.apply(camera.pos)
-    matrix, lenses = camera_matrix(camera), (np.array(calibrated.distortion), np.zeros(4))
+    matrix, lenses = np.array(camera.matrix), (np.array(calibrated.distortion), np.zeros(4))
     bent, straight = (cv2.projectPoints(points, turn, move, matrix, lens)[0][:, 0] for lens in lenses)
     return bent - straight
 

@@ -15,26 +15,23 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.linalg import polar
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import CameraFile
-from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.calibration.intrinsics import Intrinsics
 from pixel2catch.perception.calibration.target import View
 from pixel2catch.scene.constants import CameraSpec
 
-Pose = Float[np.ndarray, "4 4"]
-"""A homogeneous matrix [m]."""
+Pose = Float[np.ndarray, "4 4"]  #: A homogeneous matrix [m].
 
 NUM_DRAWS = 40
 """First guesses from a few images each: where a third of the images is wrong, 12 are from right ones only."""
 
-LEAST_DEPTH = 1e-3
-"""A point nearer to the camera's plane, or behind it, is taken to be there [m]."""
-
-MIN_VIEWS = 6
-"""Images that a pose takes. Source: ours; three would do without errors."""
+LEAST_DEPTH = 1e-3  #: A point nearer to the camera's plane, or behind it, is taken to be there [m].
+MIN_VIEWS = 6  #: Images that a pose takes. Source: ours; three would do without errors.
 
 OUTLIER_FACTOR = 3.0
 """An image is left out if its error is more than so many times the median of all. Source: ours."""
@@ -46,8 +43,7 @@ Source: ours; the corners of a sharp image are found within a few tenths of a pi
 each of the arm's joints make 1 px.
 """
 
-ROBUST_SCALE = 1.0
-"""Residuals far above this count less in the first fit [px]."""
+ROBUST_SCALE = 1.0  #: Residuals far above this count less in the first fit [px].
 
 LARGEST_CONDITION = 1e3
 """Condition of the Jacobian above which a direction of the camera is not told.
@@ -59,17 +55,11 @@ workspace give 50.
 
 @dataclass(frozen=True, kw_only=True)
 class HandView:
-    """One image of the board in the hand.
+    """One image of the board in the hand."""
 
-    Attributes:
-        name: Name of the image, for messages.
-        view: The corners in it.
-        palm: Pose of the hand's frame at the palm in the world, by the robot's joints.
-    """
-
-    name: str
-    view: View
-    palm: Pose
+    name: str  #: Name of the image, for messages.
+    view: View  #: The corners in it.
+    palm: Pose  #: Pose of the hand's frame at the palm in the world, by the robot's joints.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,38 +73,23 @@ class ViewError:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A camera and the evidence for it.
+    """A camera and the evidence for it."""
 
-    Attributes:
-        file: The camera, and how well it is known.
-        board: Pose of the board in the hand's frame at the palm.
-        views: The error of each image.
-        rms: Root mean square distance of seen and computed corners in the images used [px].
-    """
-
-    file: CameraFile
-    board: Pose
-    views: tuple[ViewError, ...]
-    rms: float
+    file: CameraFile  #: The camera, and how well it is known.
+    board: Pose  #: Pose of the board in the hand's frame at the palm.
+    views: tuple[ViewError, ...]  #: The error of each image.
+    rms: float  #: Root mean square distance of seen and computed corners in the images used [px].
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Corners:
-    """The corners of some images in one array.
+    """The corners of some images in one array."""
 
-    Attributes:
-        points: In the frame of the board [m].
-        pixels: Where a pinhole would see them [px].
-        owner: Number of each corner's image.
-        palms: Pose of the palm in the world in every image.
-        matrix: Focal lengths and optical axis [px].
-    """
-
-    points: Float[np.ndarray, "num_points 3"]
-    pixels: Float[np.ndarray, "num_points 2"]
-    owner: Int[np.ndarray, " num_points"]
-    palms: Float[np.ndarray, "num_views 4 4"]
-    matrix: Float[np.ndarray, "3 3"]
+    points: Float[np.ndarray, "num_points 3"]  #: In the frame of the board [m].
+    pixels: Float[np.ndarray, "num_points 2"]  #: Where a pinhole would see them [px].
+    owner: Int[np.ndarray, " num_points"]  #: Number of each corner's image.
+    palms: Float[np.ndarray, "num_views 4 4"]  #: Pose of the palm in the world in every image.
+    matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
 
     def of(self, is_meant: np.ndarray) -> "_Corners":
         """The corners of some of the images."""
@@ -150,12 +125,7 @@ class _Fit:
 
 
 def calibrate(views: Sequence[HandView], intrinsics: Intrinsics, board: Pose | None = None) -> Calibration:
-    """Find the camera.
-
-    Args:
-        views: Images of the board in the hand.
-        intrinsics: The lens.
-        board: Pose of the board in the hand's frame at the palm, if it is known.
+    """Find the camera; the pose of the board in the hand's frame at the palm is found, too, or given.
 
     Raises:
         PerceptionError: If images are too few, contradict each other, or do not tell the pose.
@@ -185,17 +155,6 @@ def calibrate(views: Sequence[HandView], intrinsics: Intrinsics, board: Pose | N
     )
 
 
-def pose_matrix(pos: Sequence[float], quat: Sequence[float]) -> Pose:
-    """Homogeneous matrix of a position [m] and an orientation (w, x, y, z), a unit quaternion.
-
-    Raises:
-        InvalidValueError: If it is none.
-    """
-    if abs(np.linalg.norm(quat) - 1.0) > 1e-3:
-        raise InvalidValueError(f"{tuple(quat)} is no unit quaternion (w, x, y, z); divide it by its norm.")
-    return _pose(Rotation.from_quat(quat, scalar_first=True).as_matrix(), np.array(pos))
-
-
 def _pose(rotation: np.ndarray, pos: np.ndarray) -> Pose:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, pos
@@ -218,10 +177,11 @@ def _first_guess(corners: _Corners, board: Pose | None) -> tuple[Pose, Pose]:
     """
     boards: dict[int, Pose] = {}
     for i in range(len(corners.palms)):
-        rows = corners.owner == i
-        pose = _board_in_camera(corners.points[rows], corners.pixels[rows], corners.matrix)
-        if pose is not None:
-            boards[i] = pose
+        points, pixels = (each[corners.owner == i] for each in (corners.points, corners.pixels))
+        lens = (corners.matrix, np.zeros(4))
+        is_found, turn, pos = cv2.solvePnP(points, pixels[:, None], *lens, flags=cv2.SOLVEPNP_IPPE)
+        if is_found:
+            boards[i] = _pose(cv2.Rodrigues(turn)[0], pos.ravel())
     num_drawn = 3 if board is None else 1
     if len(boards) < num_drawn:
         raise PerceptionError("no image tells where the board is: take images nearer and sharper.")
@@ -234,17 +194,12 @@ def _first_guess(corners: _Corners, board: Pose | None) -> tuple[Pose, Pose]:
     return min(guesses, key=lambda guess: guess[0])[1]
 
 
-def _board_in_camera(points: np.ndarray, pixels: np.ndarray, matrix: np.ndarray) -> Pose | None:
-    """Pose of a plane from its corners, None if they do not tell it."""
-    is_found, turn, pos = cv2.solvePnP(points, pixels[:, None], matrix, np.zeros(4), flags=cv2.SOLVEPNP_IPPE)
-    return _pose(cv2.Rodrigues(turn)[0], pos.ravel()) if is_found else None
-
-
 def _solve(palms: Sequence[Pose], boards: Sequence[Pose], board: Pose | None) -> tuple[Pose, Pose]:
     """Camera X and board Y from some images: A Y = X B, first the rotations, then the positions.
 
     The rotations are the singular vector of the smallest singular value of (1 ⊗ A) vec Y - (Bᵀ ⊗ 1) vec X,
-    which is zero for exact ones. OpenCV 5.0 has no binding of its `calibrateRobotWorldHandEye`.
+    which is zero for exact ones; they are brought to the nearest rotations. OpenCV 5.0 has no binding of its
+    `calibrateRobotWorldHandEye`.
     """
     if board is not None:
         return palms[0] @ board @ np.linalg.inv(boards[0]), board
@@ -254,17 +209,12 @@ def _solve(palms: Sequence[Pose], boards: Sequence[Pose], board: Pose | None) ->
         for palm, seen in zip(palms, boards, strict=True)
     ]
     vector = np.linalg.svd(np.vstack(rows))[2][-1]
-    in_hand, camera = (_rotation(half.reshape(3, 3, order="F")) for half in np.split(vector, 2))
+    halves = [half.reshape(3, 3, order="F") for half in np.split(vector, 2)]
+    in_hand, camera = (polar(np.sign(np.linalg.det(half)) * half)[0] for half in halves)
     sides = [np.hstack((one, -palm[:3, :3])) for palm in palms]
     values = [palm[:3, 3] - camera @ seen[:3, 3] for palm, seen in zip(palms, boards, strict=True)]
     places = np.linalg.lstsq(np.vstack(sides), np.concatenate(values))[0]
     return _pose(camera, places[:3]), _pose(in_hand, places[3:])
-
-
-def _rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a multiple of a matrix."""
-    left, _, right = np.linalg.svd(np.sign(np.linalg.det(matrix)) * matrix)
-    return left @ right
 
 
 def _fit(corners: _Corners, camera: Pose, board: Pose, *, is_board_free: bool, loss: str) -> _Fit:

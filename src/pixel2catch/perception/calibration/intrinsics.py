@@ -6,6 +6,8 @@ ROS and OpenCV call the middle of the first pixel (0, 0), this project (0.5, 0.5
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,33 +17,26 @@ from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.calibration.target import Board, View, read_image
 from pixel2catch.perception.rosbag_images import first_camera_info
-from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
+from pixel2catch.scene.constants import PIXEL_CENTER
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
 """Lens models of ROS that are OpenCV's; no name stands for no distortion."""
 
-MIN_VIEWS = 10
-"""Images of a board that a lens takes. Source: OpenCV's tutorial asks for at least 10."""
+MIN_VIEWS = 10  #: Images of a board that a lens takes. Source: OpenCV's tutorial asks for at least 10.
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Intrinsics:
-    """A lens: a pinhole and its distortion.
+    """A lens: a pinhole and its distortion."""
 
-    Attributes:
-        size: Width and height of the image [px].
-        matrix: Focal lengths and optical axis [px].
-        distortion: As in OpenCV; none if the images are rectified.
-        focal_std: Standard deviation of the focal length, relative to it; None if unknown.
-        rms: Root mean square distance of seen and computed corners [px]; None if it was not measured here.
-    """
-
-    size: tuple[int, int]
-    matrix: Float[np.ndarray, "3 3"]
-    distortion: tuple[float, ...] = ()
+    size: tuple[int, int]  #: Width and height of the image [px].
+    matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
+    distortion: tuple[float, ...] = ()  #: As in OpenCV; none if the images are rectified.
+    #: Standard deviation of the focal length, relative to it; None if unknown.
     focal_std: float | None = None
+    #: Root mean square distance of seen and computed corners [px]; None if it was not measured here.
     rms: float | None = None
 
     def undistorted(self, pixels: Float[np.ndarray, "num_points 2"]) -> Float[np.ndarray, "num_points 2"]:
@@ -74,25 +69,20 @@ def read_intrinsics(
         camera = known.camera
         return Intrinsics(
             size=(camera.width, camera.height),
-            matrix=camera_matrix(camera),
+            matrix=np.array(camera.matrix),
             distortion=known.distortion,
             focal_std=known.focal_std,
         )
     if path.suffix in (".yaml", ".yml"):
         return _of_camera_info(path, _of_yaml(path), is_rectified)
     if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists():
-        return _of_camera_info(path, _of_bag(path, topic), is_rectified)
+        return _of_camera_info(path, first_camera_info(path, topic), is_rectified)
     if path.is_dir():
         return intrinsics_of_images(path, board)
     raise PerceptionError(
         f"{path}: not there, or of no known kind; give a .yaml of camera_calibration, a rosbag2, a camera "
         "file (.json), or a folder with images of the board."
     )
-
-
-def camera_matrix(camera: CameraSpec) -> Float[np.ndarray, "3 3"]:
-    """Focal lengths and optical axis of a pinhole [px], as OpenCV takes them."""
-    return np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
 
 
 def intrinsics_of_images(folder: Path, board: Board) -> Intrinsics:
@@ -134,58 +124,40 @@ def intrinsics_of_views(views: Sequence[View], size: tuple[int, int]) -> Intrins
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _CameraInfo:
-    """What ROS says of a camera: size [px], lens model and its numbers, K and P row by row [px]."""
-
-    size: tuple[int, int]
-    model: str
-    distortion: Sequence[float]
-    matrix: Sequence[float]
-    projection: Sequence[float]
-
-
-def _of_camera_info(path: Path, info: _CameraInfo, is_rectified: bool) -> Intrinsics:
-    """What ROS says, in our image coordinates; refuse what is no lens of OpenCV's."""
-    if info.model not in LENS_MODELS or len(info.distortion) not in LENS_SIZES:
+def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> Intrinsics:
+    """What a CameraInfo of ROS says, in our image coordinates; refuse what is no lens of OpenCV's."""
+    if info.distortion_model not in LENS_MODELS or len(info.d) not in LENS_SIZES:
         raise PerceptionError(
-            f"{path}: lens model '{info.model}' with {len(info.distortion)} numbers is not read; "
+            f"{path}: lens model '{info.distortion_model}' with {len(info.d)} numbers is not read; "
             "record rectified images and give --rectified, or calibrate with plumb_bob."
         )
-    flat, columns = (info.projection, 4) if is_rectified else (info.matrix, 3)
+    flat, columns = (info.p, 4) if is_rectified else (info.k, 3)
     matrix = np.array(flat, dtype=np.float64)
     matrix = matrix.reshape(3, columns)[:, :3] if len(matrix) == 3 * columns else np.zeros((3, 3))
-    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(info.size) <= 0:
+    size = (int(info.width), int(info.height))
+    if not np.isfinite(matrix).all() or matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or min(size) <= 0:
         raise PerceptionError(f"{path}: no focal length or image size; the camera is not calibrated yet.")
     matrix[:2, 2] += PIXEL_CENTER
-    lens = () if is_rectified else tuple(map(float, info.distortion))
-    return Intrinsics(size=info.size, matrix=matrix, distortion=lens)
+    lens = () if is_rectified else tuple(map(float, info.d))
+    return Intrinsics(size=size, matrix=matrix, distortion=lens)
 
 
-def _of_yaml(path: Path) -> _CameraInfo:
-    """Read a file as `camera_calibration` writes it; OpenCV's parser only misses a first line."""
-    names = ("camera_matrix", "distortion_coefficients", "projection_matrix")
+def _of_yaml(path: Path) -> SimpleNamespace:
+    """What a file of `camera_calibration` says, by the names of a CameraInfo.
+
+    It is read by OpenCV's parser, which only misses a first line.
+    """
+    names = {"k": "camera_matrix", "d": "distortion_coefficients", "p": "projection_matrix"}
     reading = cv2.FileStorage_READ | cv2.FileStorage_MEMORY
     try:
         file = cv2.FileStorage(f"%YAML:1.0\n---\n{path.read_text(encoding='utf-8')}", reading)
         width, height = (int(file.getNode(name).real()) for name in ("image_width", "image_height"))
-        rows = [file.getNode(name).getNode("data") for name in names]
-        matrix, lens, projection = ([row.at(i).real() for i in range(row.size())] for row in rows)
+        rows = {short: file.getNode(name).getNode("data") for short, name in names.items()}
+        numbers = {short: [row.at(i).real() for i in range(row.size())] for short, row in rows.items()}
         model = file.getNode("distortion_model").string()
     except (OSError, UnicodeDecodeError, cv2.error, SystemError) as error:
         raise PerceptionError(
             f"{path}: not a file of camera_calibration ({' '.join(str(error).split())}); it has image_width, "
             "image_height, camera_matrix, distortion_model, distortion_coefficients, projection_matrix."
         ) from None
-    return _CameraInfo(
-        size=(width, height), model=model, distortion=lens, matrix=matrix, projection=projection
-    )
-
-
-def _of_bag(path: Path, topic: str | None) -> _CameraInfo:
-    """Read the first CameraInfo of a bag."""
-    info = first_camera_info(path, topic)
-    size = (int(info.width), int(info.height))
-    return _CameraInfo(
-        size=size, model=info.distortion_model, distortion=[*info.d], matrix=[*info.k], projection=[*info.p]
-    )
+    return SimpleNamespace(width=width, height=height, distortion_model=model, **numbers)

@@ -20,29 +20,20 @@ SQUARES = (3, 4)
 """Columns and rows of the printed board. Source: ours; of the boards tried that fit on A4 (3 x 4, 4 x 5 and
 5 x 7 squares, rendered at 640 x 480), the one that is found from the farthest, 1.5 m."""
 
-SQUARE = 0.06
-"""Edge of a printed square [m]."""
-
-MARKER_SHARE = 0.75
-"""Edge of a marker over that of its square."""
-
-PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4
-"""A4 [mm]."""
+SQUARE = 0.06  #: Edge of a printed square [m].
+MARKER_SHARE = 0.75  #: Edge of a marker over that of its square.
+PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4  #: A4 [mm].
 
 SQUARE_PIXELS = 480
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What one image shows of a board.
+    """What one image shows of a board."""
 
-    Attributes:
-        points: Corners in the frame of the board [m], or [squares] where its size is not known.
-        pixels: Where they are in the image [px].
-    """
-
+    #: Corners in the frame of the board [m], or [squares] where its size is not known.
     points: Float[np.ndarray, "num_points 3"]
-    pixels: Float[np.ndarray, "num_points 2"]
+    pixels: Float[np.ndarray, "num_points 2"]  #: Where they are in the image [px].
 
 
 class Board(ABC):

@@ -1,5 +1,6 @@
 """The Allegro hand of Wonik Robotics: index, middle and ring finger, and a thumb; left or right."""
 
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -15,20 +16,16 @@ reduction of about 1:369, and it keeps a finger struck by the object from being 
 """
 
 
-def _joint(name: str, lower: float, upper: float, home: float = 0.0) -> JointSpec:
-    """Make a joint; the servo is the same in all of them."""
-    return JointSpec(
-        name=name,
-        lower=lower,
-        upper=upper,
-        home=home,
-        stiffness=3.0,
-        damping=0.1,
-        frictionloss=0.01,
-        armature=ARMATURE,
-        effort_limit=0.5,
-        velocity_limit=7.0,
-    )
+_joint = partial(
+    JointSpec,
+    home=0.0,
+    stiffness=3.0,
+    damping=0.1,
+    frictionloss=0.01,
+    armature=ARMATURE,
+    effort_limit=0.5,
+    velocity_limit=7.0,
+)
 
 
 HAND = JointGroup(
@@ -36,14 +33,14 @@ HAND = JointGroup(
     role="hand",
     joints=(
         *(
-            _joint(f"{finger}_joint_{i}", lower, upper)
+            _joint(name=f"{finger}_joint_{i}", lower=lower, upper=upper)
             for finger in ("index", "middle", "ring")
             for i, lower, upper in ((1, -0.196, 1.610), (2, -0.174, 1.709), (3, -0.227, 1.618))
         ),
-        _joint("thumb_joint_0", 0.263, 1.396, home=0.263),
-        _joint("thumb_joint_1", -0.105, 1.163),
-        _joint("thumb_joint_2", -0.189, 1.644),
-        _joint("thumb_joint_3", -0.162, 1.719),
+        _joint(name="thumb_joint_0", lower=0.263, upper=1.396, home=0.263),
+        _joint(name="thumb_joint_1", lower=-0.105, upper=1.163),
+        _joint(name="thumb_joint_2", lower=-0.189, upper=1.644),
+        _joint(name="thumb_joint_3", lower=-0.162, upper=1.719),
     ),
     command="absolute",
     gain_range=(0.7, 1.3),

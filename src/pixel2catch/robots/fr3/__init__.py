@@ -2,39 +2,33 @@
 
 from pathlib import Path
 
-from pixel2catch.robots.spec import JointGroup, JointSpec, Range, RobotSpec
-
-
-def _joint(
-    number: int, limits: Range, home: float, armature: float, loss: float, effort: float, speed: float
-) -> JointSpec:
-    """Make a joint; the servo is that of UR's shoulder, scaled by its torque."""
-    stiffness = 2500.0 if effort > 50.0 else 2000.0
-    return JointSpec(
-        name=f"fr3_joint{number}",
-        lower=limits[0],
-        upper=limits[1],
-        home=home,
-        stiffness=stiffness,
-        damping=0.13 * stiffness,
-        frictionloss=loss,
-        armature=armature,
-        effort_limit=effort,
-        velocity_limit=speed,
-    )
-
+from pixel2catch.robots.spec import JointGroup, JointSpec, RobotSpec
 
 ARM = JointGroup(
     name="arm",
     role="arm",
-    joints=(
-        _joint(1, (-1.2, 1.2), 0.0, 0.195, 1.137, 87.0, 2.62),
-        _joint(2, (-1.8361, 1.8361), 0.018, 0.195, 1.137, 87.0, 2.62),
-        _joint(3, (-0.6, 0.6), 0.0, 0.195, 1.137, 87.0, 2.62),
-        _joint(4, (-3.0770, -0.1169), -2.357, 0.195, 1.137, 87.0, 2.62),
-        _joint(5, (-0.6, 0.6), 0.0, 0.074, 0.763, 12.0, 5.26),
-        _joint(6, (0.4398, 4.6216), 3.737, 0.074, 0.44, 12.0, 4.18),
-        _joint(7, (-0.6, 0.6), 0.0, 0.074, 0.248, 12.0, 5.26),
+    joints=tuple(
+        JointSpec(
+            name=f"fr3_joint{number}",
+            lower=lower,
+            upper=upper,
+            home=home,
+            stiffness=stiffness,
+            damping=0.13 * stiffness,
+            frictionloss=loss,
+            armature=armature,
+            effort_limit=effort,
+            velocity_limit=speed,
+        )
+        for number, lower, upper, home, stiffness, armature, loss, effort, speed in (
+            (1, -1.2, 1.2, 0.0, 2500.0, 0.195, 1.137, 87.0, 2.62),
+            (2, -1.8361, 1.8361, 0.018, 2500.0, 0.195, 1.137, 87.0, 2.62),
+            (3, -0.6, 0.6, 0.0, 2500.0, 0.195, 1.137, 87.0, 2.62),
+            (4, -3.0770, -0.1169, -2.357, 2500.0, 0.195, 1.137, 87.0, 2.62),
+            (5, -0.6, 0.6, 0.0, 2000.0, 0.074, 0.763, 12.0, 5.26),
+            (6, 0.4398, 4.6216, 3.737, 2000.0, 0.074, 0.44, 12.0, 4.18),
+            (7, -0.6, 0.6, 0.0, 2000.0, 0.074, 0.248, 12.0, 5.26),
+        )
     ),
     command="relative",
     gain_range=(0.8, 1.2),
@@ -46,8 +40,8 @@ ARM = JointGroup(
 Source: limits of joints 2, 4 and 6, torques and speeds: the maker's description; armature and friction:
 published identification of the arm (MuJoCo Menagerie's figures). Limits of joints 1, 3, 5 and 7 are narrowed
 to what catching needs, as the release does with the UR5e's pan and wrists (ours); start pose: the palm is
-where the UR5e holds it, looking up (ours); servo: ours, damped like the UR5e's. Command, gains and noise of
-actions: as the UR5e's.
+where the UR5e holds it, looking up (ours); servo: ours, scaled from that of UR's shoulder by torque, and
+damped alike. Command, gains and noise of actions: as the UR5e's.
 """
 
 FR3 = RobotSpec(

@@ -1,25 +1,20 @@
 """The right LEAP hand (Shaw, Agarwal and Pathak 2023): three fingers and a thumb of four joints each."""
 
+from functools import partial
 from pathlib import Path
 
-from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, PalmSpec, Range, RobotSpec
+from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, PalmSpec, RobotSpec
 
-
-def _joint(name: str, limits: Range, home: float = 0.0) -> JointSpec:
-    """Make a joint; the servo is the same in all of them."""
-    return JointSpec(
-        name=f"leap_{name}",
-        lower=limits[0],
-        upper=limits[1],
-        home=home,
-        stiffness=3.0,
-        damping=0.1,
-        frictionloss=0.01,
-        armature=1e-3,
-        effort_limit=0.5,
-        velocity_limit=8.0,
-    )
-
+_joint = partial(
+    JointSpec,
+    home=0.0,
+    stiffness=3.0,
+    damping=0.1,
+    frictionloss=0.01,
+    armature=1e-3,
+    effort_limit=0.5,
+    velocity_limit=8.0,
+)
 
 FINGERS = ("index", "middle", "ring")
 
@@ -28,19 +23,19 @@ HAND = JointGroup(
     role="hand",
     joints=(
         *(
-            _joint(f"{finger}_{name}", limits)
+            _joint(name=f"leap_{finger}_{name}", lower=lower, upper=upper)
             for finger in FINGERS
-            for name, limits in (
-                ("mcp", (-0.314, 2.23)),
-                ("rot", (-0.35, 0.35)),
-                ("pip", (-0.506, 1.885)),
-                ("dip", (-0.366, 2.042)),
+            for name, lower, upper in (
+                ("mcp", -0.314, 2.23),
+                ("rot", -0.35, 0.35),
+                ("pip", -0.506, 1.885),
+                ("dip", -0.366, 2.042),
             )
         ),
-        _joint("thumb_cmc", (-0.349, 2.094)),
-        _joint("thumb_axl", (-0.349, 2.094)),
-        _joint("thumb_mcp", (-0.47, 2.443)),
-        _joint("thumb_ipl", (-1.34, 1.88)),
+        _joint(name="leap_thumb_cmc", lower=-0.349, upper=2.094),
+        _joint(name="leap_thumb_axl", lower=-0.349, upper=2.094),
+        _joint(name="leap_thumb_mcp", lower=-0.47, upper=2.443),
+        _joint(name="leap_thumb_ipl", lower=-1.34, upper=1.88),
     ),
     command="absolute",
     gain_range=(0.7, 1.3),
