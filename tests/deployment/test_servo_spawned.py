@@ -14,9 +14,9 @@ from wire_lab import WireLab
 from domains import own_domain
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock, Transport, make_transport
+from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.process import RunningServo, ServoSetup, start_servo
-from pixel2catch.servo.state import Mode
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
 RATE = 0.1
