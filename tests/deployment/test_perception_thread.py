@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from loop_lab import BOX, HOME, RED, new_pipeline, picture, remembering
 
+from domains import PATIENCE
 from pixel2catch.deployment.perception_thread import LONGEST_WAIT, CallerExecutor, ConcurrentPerception
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.stepped import StepClock, perception_times
@@ -86,7 +87,7 @@ class HeldUp(Segmenter):
 
     def _wait(self) -> None:
         self.has_begun.set()
-        assert self.may_go_on.wait(60.0)
+        assert self.may_go_on.wait(PATIENCE)
         self.may_go_on.clear()
 
 
@@ -103,7 +104,7 @@ class Threaded:
         self.clock.time = stamp
         self.perception.offer(CameraFrame(image=picture(), stamp=stamp))
         assert self.perception.go_on() is None
-        assert self.segmenter.has_begun.wait(60.0)
+        assert self.segmenter.has_begun.wait(PATIENCE)
         self.segmenter.has_begun.clear()
 
     def end(self) -> bool:

@@ -13,7 +13,7 @@ import pytest
 from loop_lab import PROFILE
 from networks import dds_nodes
 
-from domains import own_domain
+from domains import PATIENCE, own_domain
 from pixel2catch.deployment.operator import SWITCH_TIME, OperatorConsole, operate_by_keys
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.deployment.switches import DROPPED, EVENT, KEY, SYNC, Keys, Press, Switches
@@ -188,7 +188,7 @@ def test_the_command_speaks_over_dds_until_its_end(device: Device, monkeypatch: 
         device.press(HOLD)
         said = until(queue, 3)
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE) == 0
         assert said[:3] == [True, True, True]
         while said[-1]:
             said += until(queue, 1)
@@ -198,7 +198,7 @@ def test_the_command_speaks_over_dds_until_its_end(device: Device, monkeypatch: 
 def until(queue: Subscription, num: int) -> list[bool]:
     """What has come when so many messages have."""
     said: list[bool] = []
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + PATIENCE
     while len(said) < num:
         assert time.monotonic() < end
         said += taken(queue)

@@ -11,7 +11,7 @@ import pytest
 import torch
 from twin_bench import PROFILE, Bench
 
-from domains import free_port
+from domains import PATIENCE, free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robots.geometry import bare_model, first_chain
@@ -51,7 +51,7 @@ def shown() -> Iterator[Shown]:
 
 def test_the_page_is_there_for_this_machine(shown: Shown):
     assert shown.page.address.startswith("http://127.0.0.1:")
-    with urllib.request.urlopen(shown.page.address, timeout=10) as answer:
+    with urllib.request.urlopen(shown.page.address, timeout=PATIENCE) as answer:
         assert b"<html" in answer.read()
 
 

@@ -31,10 +31,10 @@ POLL = 0.005
 STEP_TIME = 10.0
 """Time in which each step of a throw must be done [s]. Source: ours."""
 
-START_TIME = 120.0
+START_TIME = 600.0
 """Real time in which both processes must be there [s]: on loaded machines imports are slow. Source: ours."""
 
-END_TIME = 30.0
+END_TIME = 120.0
 """Real time in which a process must have ended [s]."""
 
 
