@@ -24,6 +24,7 @@ from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.stepped import HOP, rehearse_stepped
+from pixel2catch.workcells import find_workcell
 
 POLICY, _ = load_policy(Path("proposed"))
 TASK = task_of(POLICY, physics_hz=120.0)
@@ -152,6 +153,17 @@ def test_a_policy_that_knows_ages_catches_as_often_where_it_makes_nothing_of_the
     """At 10 ms boxes are as old as the younger ones of its training, in every step."""
     report = rehearsed(replace(ONE, throws=10, seed=0), knowing_ages(POLICY))
     assert report["success_rate"] >= 0.7
+
+
+@pytest.mark.parametrize("name", ["ur5e_allegro_right"])
+def test_another_work_cell_is_rehearsed(name: str):
+    """With a policy that has learnt nothing: it is armed, runs, and the throw is judged."""
+    torch.manual_seed(0)
+    policy = Policy(contract_of(find_method("proposed"), find_workcell(name))).eval()
+    report = rehearsed(replace(ONE, seed=0), policy, task_of(policy, physics_hz=120.0))
+    (throw,) = report["throws"]
+    assert (throw["problem"], throw["object"] is not None) == ("", True)
+    assert report["deploy"]["num_steps"] > 30
 
 
 def test_what_was_recorded_is_decided_once_more(out: Path, capsys: pytest.CaptureFixture[str]):

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from pixel2catch.errors import DeploymentError
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import Profile, RobotPart, StatusTopics
+from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart, StatusTopics
 from pixel2catch.ros2.transport import Topic, Transport
 from pixel2catch.twin.drivers import CYCLE, ArmDriver, Camera, Driver, HandDriver, Motion
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
@@ -34,7 +34,7 @@ ROUNDING = 1e-9
 Joints = Float[np.ndarray, " num_joints"]
 
 PROFILE = "ur5e_allegro_v4"
-"""Robot profile that the twin speaks, for robots with the same joints."""
+"""Robot profile that the twin speaks, and whose drivers are the pattern of those of other robots."""
 
 STATUS_CYCLES = 5
 """Cycles between two messages of the speed scaling: 100 Hz. Source: ours."""
@@ -43,18 +43,29 @@ STATUS_CYCLES = 5
 def twin_profile(workcell: WorkcellSpec) -> Profile:
     """The profile that the twin of a work cell speaks.
 
-    Raises:
-        DeploymentError: No profile has the joints of its robots.
+    Where joints are called otherwise than in `PROFILE`, each joint group has a driver like the one of its
+    role there, with the spec's names and order.
     """
     profile = replace(Profile.load(PROFILE), workcell=workcell.name)
     theirs = {joint for part in profile.robots for joint in part.joints}
-    ours = {joint.name for joint in workcell.joints}
-    if theirs != ours:
-        raise DeploymentError(
-            f"the twin speaks the profile '{PROFILE}', and the work cell '{workcell.name}' has other joints "
-            f"than it: {', '.join(sorted(theirs ^ ours))}. Take a policy for a work cell with its joints."
+    if theirs == {joint.name for joint in workcell.joints}:
+        return profile
+    likes = {part.name: part for part in profile.robots}
+    parts = [
+        replace(
+            likes[group.role],
+            name=group.name,
+            joints={
+                joint.name: DriverJoint(name_in_state=joint.name, index_in_command=place)
+                for place, joint in enumerate(group.joints)
+            },
+            command_topic=Topic(name=f"/{group.name}_controller/commands", type=messages.FLOAT_ARRAY),
+            command_size=len(group.joints),
+            held={},
         )
-    return profile
+        for group in workcell.groups
+    ]
+    return replace(profile, name=f"twin_of_{workcell.name}", robots=tuple(parts))
 
 
 class PartTopics:
