@@ -159,7 +159,8 @@ def test_a_policy_that_knows_ages_catches_as_often_where_it_makes_nothing_of_the
 def test_another_work_cell_is_rehearsed(name: str):
     """With a policy that has learnt nothing: it is armed, runs, and the throw is judged."""
     torch.manual_seed(0)
-    policy = Policy(contract_of(find_method("proposed"), find_workcell(name))).eval()
+    workcell = find_workcell(name)
+    policy = Policy(contract_of(find_method("proposed", workcell), workcell)).eval()
     report = rehearsed(replace(ONE, seed=0), policy, task_of(policy, physics_hz=120.0))
     (throw,) = report["throws"]
     assert (throw["problem"], throw["object"] is not None) == ("", True)

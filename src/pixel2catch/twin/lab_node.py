@@ -46,10 +46,10 @@ def twin_profile(workcell: WorkcellSpec) -> Profile:
     Where joints are called otherwise than in `PROFILE`, each joint group has a driver like the one of its
     role there, with the spec's names and order.
     """
-    profile = replace(Profile.load(PROFILE), workcell=workcell.name)
+    profile = Profile.load(PROFILE)
     theirs = {joint for part in profile.robots for joint in part.joints}
     if theirs == {joint.name for joint in workcell.joints}:
-        return profile
+        return replace(profile, workcell=workcell.name)
     likes = {part.name: part for part in profile.robots}
     parts = [
         replace(
@@ -65,7 +65,8 @@ def twin_profile(workcell: WorkcellSpec) -> Profile:
         )
         for group in workcell.groups
     ]
-    return replace(profile, name=f"twin_of_{workcell.name}", robots=tuple(parts))
+    name = f"twin_of_{workcell.name}"
+    return replace(profile, name=name, workcell=workcell.name, robots=tuple(parts))
 
 
 class PartTopics:
