@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -124,11 +125,8 @@ class Deploy:
                 say(f"{clock.now() - begin:7.1f} s  {line}")
 
         with StopRequest() as stop:
-            control_loop.run(lambda: stop.is_set or self._is_late(clock.now() - begin), report)
-
-    def _is_late(self, time: float) -> bool:
-        """Whether it is time to end."""
-        return self.seconds is not None and time > self.seconds
+            end = begin + (inf if self.seconds is None else self.seconds)
+            control_loop.run(lambda: stop.is_set or clock.now() > end, report)
 
 
 def sentence(status: dict[str, Any]) -> str:

@@ -59,8 +59,7 @@ class DecisionDelay:
     def __init__(self, longest: float) -> None:
         """Wait for nothing yet: the first looks, which are slow, count no more than others.
 
-        Args:
-            longest: Age up to which waiting costs nothing [s].
+        Waiting costs nothing up to the longest age [s].
         """
         self._longest = longest
         self.age = 0.0  #: How old an image is when it is decided on [s]; the quantile of the ages so far.
@@ -115,15 +114,7 @@ class ControlLoop:
         topics: OperatorTopics,
         executor: Executor | None = None,
     ) -> None:
-        """Announce and listen.
-
-        Args:
-            pipeline: Perception and policy.
-            images: The camera.
-            connection: Network, servo, clock and recording.
-            topics: Topics of the operator.
-            executor: Who looks at images, at one at a time; the caller itself if absent.
-        """
+        """Announce and listen; the executor looks at images, at one at a time, or else the caller itself."""
         self.statistics = RunStatistics()
         self._pipeline, self._images = pipeline, images
         self._connection, self._clock = connection, connection.clock

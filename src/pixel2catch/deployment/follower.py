@@ -32,7 +32,7 @@ class TrajectoryFollower:
             targets: The targets of all joints, in joint order [rad], by the time since its beginning [s].
             duration: When it ends [s].
             ramp_time: How long it waits at its first target, in which the servo goes there [s].
-            connection: Network, servo, clock and recording.
+            connection: The robot.
         """
         self.statistics = RunStatistics()
         self.is_done = False  #: Whether the trajectory was followed to its end.

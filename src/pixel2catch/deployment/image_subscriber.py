@@ -42,13 +42,9 @@ class ImageSubscriber:
     ) -> None:
         """Begin to listen.
 
-        Args:
-            transport: The node.
-            profile: The camera's driver.
-            camera: What the policy and the laboratory agree that the camera is.
-            clock: Whose `stamp` the images have.
-            assumes_age: Whether images of a camera without sound stamps are taken to be `ASSUMED_AGE` control
-                steps old when they arrive; else they are as old as they say, and the servo refuses them.
+        The camera is what policy and laboratory agree on; images have stamps of the clock. Those of a camera
+        without sound stamps are taken to be `ASSUMED_AGE` control steps old when they arrive, if that is to
+        be assumed; else they are as old as they say, and the servo refuses them.
         """
         self._profile, self._camera, self._clock = profile, camera, clock
         self._images = transport.subscription(profile.image, DEPTH)

@@ -77,13 +77,7 @@ class ConcurrentPerception:
     """
 
     def __init__(self, pipeline: PolicyPipeline, executor: Executor, clock: Clock) -> None:
-        """Look at nothing yet.
-
-        Args:
-            pipeline: Perception, and what remembers.
-            executor: Who looks, at one image at a time.
-            clock: The clock of the images' stamps.
-        """
+        """Look at nothing yet; the executor looks at one image at a time, the clock is of their stamps."""
         self._pipeline, self._executor, self._clock = pipeline, executor, clock
         self._waiting: tuple[CameraFrame, float] | None = None
         self._work: tuple[CameraFrame, float, Future[Extraction]] | None = None
@@ -95,11 +89,7 @@ class ConcurrentPerception:
         return self._work is None
 
     def begin(self, prompt: Prompt | None) -> None:
-        """A new throw begins; what is looked at now still belongs to the one before.
-
-        Args:
-            prompt: Where the operator points, if he does.
-        """
+        """A new throw begins; what is looked at now still belongs to the one before."""
         self._pipeline.forget()
         point = partial(self._pipeline.point, prompt)
         if self.is_free:

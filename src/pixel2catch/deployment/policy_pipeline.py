@@ -166,13 +166,7 @@ class PolicyPipeline:
     """
 
     def __init__(self, controller: Controller, extractor: PixelFeatureExtractor, person: Prompter) -> None:
-        """Begin before the first throw.
-
-        Args:
-            controller: The policy.
-            extractor: The perception.
-            person: What tells the extractor's prompter where the operator points.
-        """
+        """Begin before the first throw, with a person that tells perception where the operator points."""
         self._controller, self._extractor, self._person = controller, extractor, person
         #: Whether the policy is told how old the boxes are. One that is not gets all of the same age.
         self.knows_age = controller.method.knows_age
@@ -196,11 +190,9 @@ class PolicyPipeline:
             self._person.give(prompt)
 
     def perceive(self, frame: CameraFrame | None, now: float) -> Extraction:
-        """Look at the newest image: what takes most of the time.
+        """Look at the newest image, be it the same as before: what takes most of the time.
 
-        Args:
-            frame: The newest image, be it the same as before; none before the first.
-            now: The time [s], of the clock of the image's stamp.
+        Now is a time [s] of the clock of the image's stamp.
 
         Raises:
             PerceptionError: The first image has the wrong size.
@@ -226,12 +218,8 @@ class PolicyPipeline:
         In training it acts in the very moment in which the joints are measured. Positions that are as old as
         the perception takes cost `proposed` 5 of 100 throws (experiments/LOG.md).
 
-        Args:
-            joint_pos: Newest joint positions, in joint order [rad]; NaN where unknown.
-            now: The time [s].
-
-        Returns:
-            What the servo is told; nothing before the object is seen, nor without joint positions.
+        The newest joint positions are in joint order [rad], and NaN where unknown. Nothing is decided before
+        the object is seen, nor without joint positions.
 
         Raises:
             NonFiniteError: A joint position is infinite.

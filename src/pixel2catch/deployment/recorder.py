@@ -2,12 +2,12 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock, Thread
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from rosbags.interfaces import Connection as BagConnection
@@ -35,7 +35,8 @@ class _Entry(NamedTuple):
     convert: Convert
 
 
-class BagRecorder:
+@final
+class BagRecorder(AbstractContextManager["BagRecorder"]):
     """Writes messages in a thread of its own; use it as a context manager, which ends the file properly.
 
     A slow or full disk never holds up the caller: what cannot be written is dropped and counted. After a kill
@@ -82,10 +83,6 @@ class BagRecorder:
             self.problem = self.problem or str(error)
             with suppress(OSError):
                 self._writer.abort()
-
-    def __enter__(self) -> "BagRecorder":
-        """Return the recorder itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""

@@ -3,10 +3,10 @@
 Nothing moves: the images and joint positions are those of then, whatever is decided now.
 """
 
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -30,16 +30,14 @@ from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 
 
-class BagPlayer:
+@final
+class BagPlayer(AbstractContextManager["BagPlayer"]):
     """Publishes a rosbag2 on a network; use it as a context manager. JPEG images go out raw, as they were."""
 
     def __init__(self, path: Path, node: Transport, topics: set[Topic]) -> None:
-        """Announce those topics that are played, and open a recording.
+        """Announce what is played, and open a recording: the bag's folder, or its .mcap or .db3 file.
 
-        Args:
-            path: The bag's folder, or its .mcap or .db3 file.
-            node: The node that publishes.
-            topics: What is played; the rest of the recording is passed over.
+        The rest of the recording is passed over.
 
         Raises:
             PerceptionError: It cannot be read.
@@ -50,10 +48,6 @@ class BagPlayer:
         self.start = 1e-9 * reader.start_time  #: Time of the first message, since the epoch [s].
         self._messages = reader.messages()
         self._next = self._read()
-
-    def __enter__(self) -> "BagPlayer":
-        """Return the player itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close the recording."""
@@ -99,15 +93,10 @@ def replay(
     pipeline: PolicyPipeline,
     perception_time: float = 0.01,
 ) -> RunStatistics:
-    """Replay a deployment, and return what happened.
+    """Replay the recording of a deployment, and return what happened.
 
-    Args:
-        recording: The recording of a deployment, with images.
-        out: New folder for the recording of this one, without images.
-        profile: The robot of then.
-        camera: Its camera.
-        pipeline: Perception and policy.
-        perception_time: Time that perception takes for an image [s].
+    It must have images; out is a new folder for a recording of this deployment, without them. Profile and
+    camera are those of then; perception takes so long for an image [s].
 
     Raises:
         PerceptionError: The recording cannot be read.

@@ -4,8 +4,10 @@ import errno
 import os
 import struct
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import final
 
 from pixel2catch.errors import DeploymentError
 
@@ -45,7 +47,8 @@ class Press:
     is_down: bool
 
 
-class Switches:
+@final
+class Switches(AbstractContextManager["Switches"]):
     """The keys of an input device; a device that is gone has none pressed."""
 
     def __init__(self, device: Path) -> None:
@@ -93,17 +96,9 @@ class Switches:
         for *_, kind, code, value in EVENT.iter_unpack(data[: len(data) // EVENT.size * EVENT.size]):
             yield kind, code, value
 
-    def close(self) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Close the device."""
         os.close(self._file)
-
-    def __enter__(self) -> "Switches":
-        """Return the switches themselves."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Close them."""
-        self.close()
 
 
 def _advice(error: OSError) -> str:

@@ -335,11 +335,6 @@ def start_servo(
     """Start a servo process; it is heard of over the link as soon as it ticks.
 
     At the end it stops the robot and is waited for; one that hangs is killed.
-
-    Args:
-        setup: What it is the servo of.
-        make_transport: Joins the network there.
-        clock_rate: Rate of its clock.
     """
     loop, servo = link()
     with closing(servo):

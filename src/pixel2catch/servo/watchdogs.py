@@ -78,13 +78,7 @@ def bits(flags: Mapping[AnyFlag, Flags]) -> Bits:
 
 
 def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) -> Bits:
-    """What is wrong with robot, operator and clock: all that can be known without the state of the servo.
-
-    Args:
-        inputs: What the servo is told.
-        limits: What it keeps to.
-        last_tick: Time of the tick before [s].
-    """
+    """What is wrong with robot, operator and clock, by the inputs and the time of the tick before [s]."""
     now = inputs.now
     elapsed = now - last_tick
     is_joint_measured = is_recent(now[:, None], inputs.joint_stamp, limits.joints.position_age)

@@ -1,5 +1,6 @@
 """The laboratory behind the wires: simulated robot, object and thrower, and what of it is true."""
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf, pi
@@ -101,7 +102,7 @@ class Phase(StrEnum):
 
 
 @final
-class SimulatedLab:
+class SimulatedLab(AbstractContextManager["SimulatedLab"]):
     """The simulation in steps of its physics; nothing here knows real time.
 
     Throws, dynamics and the noise of the encoders are those of the task. Its errors of actions and its delays
@@ -245,10 +246,6 @@ class SimulatedLab:
     def close(self) -> None:
         """Free the simulation."""
         self._world.close()
-
-    def __enter__(self) -> "SimulatedLab":
-        """Return the lab itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""

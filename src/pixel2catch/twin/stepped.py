@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from typing import Any
 
 import numpy as np
@@ -79,14 +79,6 @@ class SteppedRehearsal:
         self._open.close()
         self.lab.close()
         self._robot.close()
-
-    def __enter__(self) -> "SteppedRehearsal":
-        """Return the rehearsal itself."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Close it."""
-        self.close()
 
     def _wait(self, moment: float) -> None:
         """Let happen what happens until a moment [s], or shortly after."""
@@ -174,7 +166,7 @@ def in_step(
             robot = make_robot_mask(scene.camera, scene.workcell)
         controller = Controller(policy, workcell, scene.camera)
         pipeline = make_pipeline(controller, segmenter, Prompter(), scene.camera, robot)
-        yield stack.enter_context(SteppedRehearsal(cfg, task, draw, pipeline, limits))
+        yield stack.enter_context(closing(SteppedRehearsal(cfg, task, draw, pipeline, limits)))
 
 
 def plain_image(lab: SimulatedLab, _: Exposure) -> Image:
