@@ -21,10 +21,11 @@ import torch
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.files import write_atomically
-from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.objects import select_objects
-from pixel2catch.servo.limits import JointLimits, ServoLimits
-from pixel2catch.twin.stepped import SteppedRehearsalCfg, rehearse_stepped
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.twin.config import RehearsalCfg
+from pixel2catch.twin.stepped import rehearse_stepped
+from pixel2catch.workcells import find_workcell
 
 SHARD = 10
 """Throws that a process makes before it takes others."""
@@ -33,29 +34,24 @@ WIDE = {"speed": 19.0, "step": 0.038, "acceleration": 1e4, "lead": 1e3, "trackin
 """Limits of all joints that hold nothing back of what the UR's driver takes."""
 
 
-def wide_limits() -> ServoLimits:
-    """A servo that holds back next to nothing but what leaves the workspace."""
-    joints = JointLimits.of(JointDynamics.nominal())
-    wide = {name: np.full_like(joints.lag, value) for name, value in WIDE.items()}
-    return ServoLimits(joints=replace(joints, **wide))
-
-
-def settings(task: Any) -> dict[str, SteppedRehearsalCfg]:
-    """What is compared, by name."""
-    boxes = SteppedRehearsalCfg(task=task, throws=SHARD, is_plain=True)
-    images = replace(boxes, is_plain=False)
-    free = wide_limits()
+def settings(task: Any) -> dict[str, tuple[RehearsalCfg, ServoLimits]]:
+    """What is compared, by name; a free servo holds back next to nothing but what leaves the workspace."""
+    boxes = RehearsalCfg(throws=SHARD, plain=True)
+    images = replace(boxes, plain=False)
+    limits = ServoLimits.of(find_workcell(task.scene.workcell))
+    wide = {name: np.full(limits.num_joints, value) for name, value in WIDE.items()}
+    free = replace(limits, joints=replace(limits.joints, **wide))
     return {
-        "boxes": boxes,
-        "boxes, servo without limits": replace(boxes, limits=free),
-        "boxes, ramp of 0.1 s": replace(boxes, limits=ServoLimits(ramp_time=0.1)),
-        "boxes, both": replace(boxes, limits=replace(free, ramp_time=0.1)),
-        "boxes, perception 0 ms": replace(boxes, perception_time=0.0),
-        "boxes, perception 20 ms": replace(boxes, perception_time=0.02),
-        "boxes, perception 30 ms": replace(boxes, perception_time=0.03),
-        "images": images,
-        "images, servo without limits": replace(images, limits=free),
-        "images, perception 20 ms": replace(images, perception_time=0.02),
+        "boxes": (boxes, limits),
+        "boxes, servo without limits": (boxes, free),
+        "boxes, ramp of 0.1 s": (boxes, replace(limits, ramp_time=0.1)),
+        "boxes, both": (boxes, replace(free, ramp_time=0.1)),
+        "boxes, perception 0 ms": (replace(boxes, perception_ms=0.0), limits),
+        "boxes, perception 20 ms": (replace(boxes, perception_ms=20.0), limits),
+        "boxes, perception 30 ms": (replace(boxes, perception_ms=30.0), limits),
+        "images": (images, limits),
+        "images, servo without limits": (images, free),
+        "images, perception 20 ms": (replace(images, perception_ms=20.0), limits),
     }
 
 
@@ -73,8 +69,9 @@ def throw(shard: Shard) -> list[dict[str, Any]]:
     torch.set_num_threads(1)
     policy, _ = load_policy(shard.policy)
     task = replace(task_of(policy), objects=select_objects(("seen",)))
-    cfg = replace(settings(task)[shard.name], seed=shard.seed)
-    return rehearse_stepped(cfg, policy, lambda _: None)["throws"]
+    cfg, limits = settings(task)[shard.name]
+    cfg = replace(cfg, seed=shard.seed)
+    return rehearse_stepped(cfg, task, policy, lambda _: None, limits)["throws"]
 
 
 def row(name: str, throws: list[dict[str, Any]]) -> dict[str, Any]:

@@ -1,26 +1,53 @@
 """A DDS domain for the tests of this process: no other test is on it, nor any program of this machine."""
 
+import fcntl
 import os
 import socket
+import tempfile
 from functools import cache
+from pathlib import Path
 
 FIRST_PORT, PORTS = 7410, 250
 """Port of the first participant of domain 0, and how many ports a domain has. Source: DDS-RTPS."""
 
+DOMAINS = range(1, 201)
+"""Those that tests take; programs are on 0 where nothing is said."""
+
+PATIENCE = 600.0
+"""Time after which something that another process does counts as failed [s], be the machine busy."""
+
 
 @cache
 def own_domain() -> str:
-    """A ROS_DOMAIN_ID whose first ports are free; others that look at the same time begin elsewhere."""
-    for number in range(200):
-        domain = 1 + (os.getpid() + 7 * number) % 200
-        try:
-            for port in range(4):
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-                    free.bind(("127.0.0.1", FIRST_PORT + PORTS * domain + port))
-        except OSError:
-            continue
-        return str(domain)
+    """A ROS_DOMAIN_ID that this process has alone until its end: it holds a lock on a file of that number."""
+    first = os.getpid() % len(DOMAINS)
+    for domain in (*DOMAINS[first:], *DOMAINS[:first]):
+        if _is_locked(domain) and _is_quiet(domain):
+            return str(domain)
     raise RuntimeError("no DDS domain is free")
+
+
+def _is_locked(domain: int) -> bool:
+    """Whether the lock of a domain is ours now; the system takes it back when this process ends."""
+    path = Path(tempfile.gettempdir()) / f"pixel2catch-test-domain-{domain}-{os.getuid()}.lock"
+    file = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(file)
+        return False
+    return True
+
+
+def _is_quiet(domain: int) -> bool:
+    """Whether nobody listens on the ports of the first participants, be it a program that knows no lock."""
+    try:
+        for port in range(4):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+                free.bind(("127.0.0.1", FIRST_PORT + PORTS * domain + port))
+    except OSError:
+        return False
+    return True
 
 
 def free_port() -> int:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from pixel2catch.servo.core import Mode, Output
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
-from pixel2catch.servo.state import Mode, Output
 from pixel2catch.servo.watchdogs import Fault, ServoInputs
 from pixel2catch.servo.workspace import Workspace
 
@@ -126,7 +126,7 @@ def widened(workspace: Workspace) -> Workspace:
     """The workspace, and room for rounding."""
     lower, upper = np.array(workspace.lower) - ROUNDING, np.array(workspace.upper) + ROUNDING
     return Workspace(
-        table=workspace.table,
+        workcell=workspace.workcell,
         clearance=workspace.clearance - ROUNDING,
         lower=tuple(lower.tolist()),
         upper=tuple(upper.tolist()),

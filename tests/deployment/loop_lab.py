@@ -22,8 +22,8 @@ from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.scene.constants import JOINTS
+from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import ServoEnd, ServoStatus, link
-from pixel2catch.servo.state import Mode
 from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])

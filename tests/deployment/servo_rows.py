@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from pixel2catch.scene.constants import CONTROL_DT, JOINTS
-from pixel2catch.servo.core import ServoCore
+from pixel2catch.servo.core import Output, ServoCore, ServoState
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.state import Output, ServoState
 from pixel2catch.servo.watchdogs import ServoInputs
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 HOME = np.array([joint.home for joint in JOINTS])
-LIMITS = ServoLimits(ramp_time=0.1)
+LIMITS = replace(ServoLimits.of(UR5E_ALLEGRO), ramp_time=0.1)
 """Those of the robot, with a ramp that makes tests short."""
 
 

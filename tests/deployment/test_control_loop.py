@@ -1,6 +1,7 @@
 """The loop between camera, servo and operator, in memory."""
 
 import json
+from concurrent.futures import Executor
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,17 +22,16 @@ from loop_lab import (
 
 from pixel2catch.deployment.control_loop import ControlLoop, read_prompt
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
-from pixel2catch.deployment.perception_thread import CallerWorker, Worker
+from pixel2catch.deployment.perception_thread import CallerExecutor
 from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.sensing import ASSUMED_AGE
-from pixel2catch.perception.extractor import Extraction
 from pixel2catch.ros2 import messages
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
-from pixel2catch.servo.state import Mode
+from pixel2catch.servo.core import Mode
 from pixel2catch.servo.watchdogs import Fault
 from pixel2catch.workcells import find_workcell
 
@@ -42,7 +42,7 @@ class LedLoop:
     def __init__(
         self,
         around: Surroundings,
-        worker: Worker[Extraction] | None = None,
+        executor: Executor | None = None,
         controller: Controller | None = None,
     ) -> None:
         self.around = around
@@ -50,7 +50,7 @@ class LedLoop:
         images = ImageSubscriber(
             around.connection.transport, camera, RGB_CAMERA, around.clock, assumes_age=pipeline.knows_age
         )
-        self.control_loop = ControlLoop(pipeline, images, around.connection, PROFILE.operator, worker)
+        self.control_loop = ControlLoop(pipeline, images, around.connection, PROFILE.operator, executor)
         self._prompts = around.lab.publisher(PROFILE.operator.prompt)
         self.statuses = around.lab.subscription(PROFILE.operator.status, 100)
 
@@ -128,7 +128,7 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
         def move(_: float) -> None:
             around.servo.send(servo_status(Mode.ARMED, time=around.clock.now(), joint_pos=moved))
 
-        led = LedLoop(around, CallerWorker(StepClock(move), lambda: 0.01))
+        led = LedLoop(around, CallerExecutor(StepClock(move), lambda: 0.01))
         led.say(Mode.ARMED)
         around.show(picture())
         led.point(json.dumps({"box": BOX}))
@@ -140,7 +140,7 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
 def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without():
     """The servo is told of the newest image; the age of the box is from the image that was looked at."""
     with surroundings() as around:
-        led = LedLoop(around, CallerWorker(around.clock, lambda: 0.01), remembering())
+        led = LedLoop(around, CallerExecutor(around.clock, lambda: 0.01), remembering())
         led.say(Mode.ARMED)
         led.point(json.dumps({"box": BOX}))
         stamps, taken = list[float](), 0.0

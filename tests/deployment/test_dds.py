@@ -19,16 +19,13 @@ from cyclonedds.topic import Topic as DdsTopic
 from networks import dds_nodes
 from rosbags.typesys import Stores, get_typestore
 
-from domains import own_domain
+from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.dds import LOOPBACK, MESSAGE, dds_type
 from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
-PATIENCE = 60.0
-"""Time in which another process has answered, be the machine busy [s]."""
-
 MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)
 
 
@@ -89,7 +86,7 @@ def discovery(store) -> bytes:
     participant = DomainParticipant(int(own_domain()))
     topic = DdsTopic(participant, "ros_discovery_info", dds_type(MESSAGE, store))
     qos = Qos(Policy.Durability.TransientLocal, Policy.Reliability.Reliable(0), Policy.History.KeepLast(1))
-    return DataReader(participant, topic, qos).take_one(timeout=10**9).cdr
+    return DataReader(participant, topic, qos).take_one(timeout=round(1e9 * PATIENCE)).cdr
 
 
 @pytest.mark.parametrize("hours", [-1.0, 1.0])

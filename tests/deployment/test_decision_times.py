@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pixel2catch.deployment.timing import QUANTILE, SHIFT, STEP, DecisionDelay, DecisionTimer
+from pixel2catch.deployment.control_loop import QUANTILE, SHIFT, STEP, DecisionDelay, DecisionTimer
 from pixel2catch.scene.constants import CONTROL_DT
 
 

@@ -12,7 +12,7 @@ from loop_lab import PROFILE, RED
 from servo_rows import LIMITS
 
 from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
-from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
+from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.prompt import Prompter
@@ -49,7 +49,7 @@ class Watcher:
         )
         nodes = Nodes(servo=self.broker.node(self.clock), loop=self.broker.node(self.clock), clock=self.clock)
         setup = ServoSetup(profile=PROFILE, limits=LIMITS)
-        self.robot = SteppedDeployment(setup, RGB_CAMERA, nodes, pipeline, PerceptionTime(0.01))
+        self.robot = SteppedDeployment(setup, RGB_CAMERA, nodes, pipeline, perception_times(0.01))
         self.does_policy_hang = self.is_laboratory_gone = False
 
     def start_laboratory(self) -> None:

@@ -19,7 +19,7 @@ def images_in(around: Surroundings, *, assumes_age: bool = False) -> ImageSubscr
     )
 
 
-def test_the_newest_image_counts_and_the_others_are_counted():
+def test_the_newest_image_counts():
     with surroundings() as around:
         images = images_in(around)
         assert images.newest() is None
@@ -28,7 +28,6 @@ def test_the_newest_image_counts_and_the_others_are_counted():
         frame = images.newest()
         assert frame is not None
         assert frame.image[110, 310].tolist() == [200, 30, 20]
-        assert images.num_lost == 2
         assert images.newest() is None
 
 

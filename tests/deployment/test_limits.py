@@ -10,13 +10,16 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.limits import JointLimits, ServoLimits
+from pixel2catch.servo.workspace import Workspace
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NOMINAL = JointDynamics.nominal()
+WORKSPACE = Workspace(workcell=UR5E_ALLEGRO)
 
 
 def test_numbers_by_hand():
     """Pan: damping over stiffness 342 / 2504 s; its lead makes 0.9 of 2.79253 rad/s."""
-    limits = JointLimits.of(NOMINAL)
+    limits = JointLimits.of(UR5E_ALLEGRO)
     assert limits.lag[0] == pytest.approx(0.13658, abs=1e-5)
     assert limits.lead[0] == pytest.approx(0.34327, abs=1e-5)
     assert limits.tracking_error[0] == pytest.approx(0.25745, abs=1e-5)
@@ -29,13 +32,13 @@ def test_numbers_by_hand():
 
 def test_identified_latency_and_filter_make_the_lead_longer():
     slow = NOMINAL.with_values(latency=0.02, filter_gain=300.0, filter_lookahead=0.1)
-    longer = JointLimits.of(slow).lead - JointLimits.of(NOMINAL).lead
+    longer = JointLimits.of(UR5E_ALLEGRO, dynamics=slow).lead - JointLimits.of(UR5E_ALLEGRO).lead
     np.testing.assert_allclose(longer, [0.9 * joint.velocity_limit * 0.12 for joint in JOINTS])
 
 
 def test_half_of_the_speed():
     """Speeds are halved, and with them how far a command leads; brakes stay what they are."""
-    full, half = JointLimits.of(NOMINAL), JointLimits.of(NOMINAL, 0.5)
+    full, half = JointLimits.of(UR5E_ALLEGRO), JointLimits.of(UR5E_ALLEGRO, 0.5)
     for name in ("speed", "lead", "tracking_error"):
         np.testing.assert_allclose(getattr(half, name), 0.5 * getattr(full, name))
     np.testing.assert_array_equal(half.acceleration, full.acceleration)
@@ -44,21 +47,23 @@ def test_half_of_the_speed():
 def test_no_step_is_above_what_ur_takes():
     """UR ignores steps above 0.04 rad in 2 ms, at any rate at which commands are sent."""
     for dt in (0.002, 0.004, 0.01):
-        limits = ServoLimits(dt=dt)
+        limits = replace(ServoLimits.of(UR5E_ALLEGRO), dt=dt)
         assert (limits.motion.speed[:6] * dt < 0.04).all()
 
 
 @pytest.mark.parametrize("share", [0.0, -0.5, 1.01, np.nan])
 def test_a_share_of_the_speed_that_is_none_is_refused(share: float):
     with pytest.raises(InvalidValueError, match="share"):
-        JointLimits.of(NOMINAL, share)
+        JointLimits.of(UR5E_ALLEGRO, share)
 
 
 def test_limits_that_are_none_are_refused():
-    limits = JointLimits.of(NOMINAL)
+    limits = JointLimits.of(UR5E_ALLEGRO)
     with pytest.raises(InvalidValueError, match="acceleration"):
         replace(limits, acceleration=0.0 * limits.acceleration)
     with pytest.raises(InvalidValueError, match="lower"):
         replace(limits, lower=limits.upper)
     with pytest.raises(InvalidValueError, match=r"braking takes up to 0\.502 s"):
-        ServoLimits(joints=replace(limits, acceleration=0.0 * limits.acceleration + 40.0))
+        ServoLimits(
+            joints=replace(limits, acceleration=0.0 * limits.acceleration + 40.0), workspace=WORKSPACE
+        )

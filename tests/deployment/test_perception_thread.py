@@ -1,21 +1,18 @@
 """Perception beside the decisions: one image at a time, the newest; nobody waits for it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
 from threading import Event
 
 import numpy as np
 import pytest
 from loop_lab import BOX, HOME, RED, new_pipeline, picture, remembering
 
-from pixel2catch.deployment.perception_thread import (
-    LONGEST_WAIT,
-    CallerWorker,
-    ConcurrentPerception,
-    ThreadWorker,
-)
+from domains import PATIENCE
+from pixel2catch.deployment.perception_thread import LONGEST_WAIT, CallerExecutor, ConcurrentPerception
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
-from pixel2catch.deployment.stepped import PerceptionTime, StepClock
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.deployment.stepped import StepClock, perception_times
+from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.plausibility import Verdict
@@ -31,7 +28,7 @@ def looks(took: Callable[[], float], seconds: float) -> list[tuple[float, float]
     """Stamps and ends of looks at a camera of 30 Hz [s], by a loop of 500 Hz."""
     clock = StepClock(lambda _: pytest.fail("nobody waits"))
     pipeline = new_pipeline(controller=remembering())
-    perception = ConcurrentPerception(pipeline, CallerWorker(clock, took), clock)
+    perception = ConcurrentPerception(pipeline, CallerExecutor(clock, took), clock)
     perception.begin(PROMPT)
     found: list[tuple[float, float]] = []
     num_images = 0
@@ -49,7 +46,7 @@ def looks(took: Callable[[], float], seconds: float) -> list[tuple[float, float]
 
 @pytest.mark.parametrize(("took", "every"), [(0.01, 1), (0.03, 1), (0.06, 2), (0.098, 3)])
 def test_of_so_many_images_one_is_looked_at_as_soon_as_it_comes(took: float, every: int):
-    stamps, ends = np.transpose(looks(PerceptionTime(took), 2.0))
+    stamps, ends = np.transpose(looks(perception_times(took), 2.0))
     assert np.diff(stamps) == pytest.approx(every * CONTROL_DT)
     assert (ends - stamps).max() <= LATENCY + took + 2.0 * TICK
 
@@ -57,18 +54,18 @@ def test_of_so_many_images_one_is_looked_at_as_soon_as_it_comes(took: float, eve
 def test_an_image_that_waits_for_too_long_is_passed_over():
     """A look of 40 ms ends in time for the image that has come meanwhile, one of 56 ms does not."""
     for took, most in ((0.04, LONGEST_WAIT), (0.056, 2.0 * TICK)):
-        stamps, ends = np.transpose(looks(PerceptionTime(took), 2.0))
+        stamps, ends = np.transpose(looks(perception_times(took), 2.0))
         waited = ends - stamps - took - LATENCY
         assert waited.max() <= most + 2.0 * TICK
 
 
 def test_perception_times_are_drawn_from_a_range_by_a_seed():
-    drawn = [PerceptionTime(0.06, 0.01, seed=3) for _ in range(2)]
+    drawn = [perception_times(0.06, 0.01, seed=3) for _ in range(2)]
     times = np.array([[time() for _ in range(200)] for time in drawn])
     assert np.array_equal(times[0], times[1])
     assert 0.06 <= times.min() < 0.061 < 0.069 < times.max() <= 0.07
     with pytest.raises(InvalidValueError, match="-10 ms more"):
-        PerceptionTime(0.06, -0.01)
+        perception_times(0.06, -0.01)
 
 
 class HeldUp(Segmenter):
@@ -90,39 +87,42 @@ class HeldUp(Segmenter):
 
     def _wait(self) -> None:
         self.has_begun.set()
-        assert self.may_go_on.wait(60.0)
+        assert self.may_go_on.wait(PATIENCE)
         self.may_go_on.clear()
 
 
 class Threaded:
     """A look in a thread, which ends when it is told to."""
 
-    def __init__(self, worker: ThreadWorker) -> None:
+    def __init__(self, executor: Executor) -> None:
         self.clock = StepClock(lambda _: None)
         self.segmenter = HeldUp()
         self.pipeline: PolicyPipeline = new_pipeline(self.segmenter, remembering())
-        self.perception = ConcurrentPerception(self.pipeline, worker, self.clock)
-        self._worker = worker
+        self.perception = ConcurrentPerception(self.pipeline, executor, self.clock)
 
     def show(self, stamp: float) -> None:
         self.clock.time = stamp
         self.perception.offer(CameraFrame(image=picture(), stamp=stamp))
         assert self.perception.go_on() is None
-        assert self.segmenter.has_begun.wait(60.0)
+        assert self.segmenter.has_begun.wait(PATIENCE)
         self.segmenter.has_begun.clear()
 
     def end(self) -> bool:
         """End the look; return whether it was at an image of this throw."""
         self.segmenter.may_go_on.set()
-        while not self._worker.is_free:
+        while not self.perception.is_free:
             if self.perception.go_on():
                 return True
         return False
 
 
-def test_decisions_go_on_while_a_thread_looks_and_boxes_get_older():
-    worker = ThreadWorker()
-    lab = Threaded(worker)
+@pytest.fixture
+def lab() -> Iterator[Threaded]:
+    with ThreadPoolExecutor(1) as executor:
+        yield Threaded(executor)
+
+
+def test_decisions_go_on_while_a_thread_looks_and_boxes_get_older(lab: Threaded):
     lab.perception.begin(PROMPT)
     lab.show(1.0)
     assert lab.pipeline.decide(HOME, 1.01) is None
@@ -136,13 +136,10 @@ def test_decisions_go_on_while_a_thread_looks_and_boxes_get_older():
     policy_command = lab.pipeline.decide(HOME, 1.2)
     assert policy_command is not None
     assert policy_command.image_stamp == 1.1
-    worker.close()
 
 
-def test_a_look_that_ends_after_a_new_throw_began_is_forgotten():
+def test_a_look_that_ends_after_a_new_throw_began_is_forgotten(lab: Threaded):
     """And where the operator points is known when the next image is looked at."""
-    worker = ThreadWorker()
-    lab = Threaded(worker)
     lab.perception.begin(PROMPT)
     lab.show(1.0)
     lab.perception.begin(None)
@@ -152,19 +149,11 @@ def test_a_look_that_ends_after_a_new_throw_began_is_forgotten():
     lab.show(1.1)
     assert lab.end()
     assert lab.pipeline.decide(HOME, 1.2)
-    worker.close()
 
 
-def test_what_goes_wrong_in_the_thread_is_told_to_who_asks():
-    worker = ThreadWorker[int]()
-
-    def fail() -> int:
-        raise OSError("no camera")
-
-    worker.start(fail)
-    with pytest.raises(OSError, match="no camera"):
-        worker.finish()
-    assert worker.is_free
-    worker.start(lambda: 7)
-    assert worker.finish() == 7
-    worker.close()
+def test_what_goes_wrong_in_the_thread_is_told_to_who_asks(lab: Threaded):
+    lab.perception.begin(PROMPT)
+    lab.perception.offer(CameraFrame(image=picture()[:100], stamp=0.0))
+    lab.perception.go_on()
+    with pytest.raises(PerceptionError, match="480"):
+        lab.end()

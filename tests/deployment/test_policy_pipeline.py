@@ -11,7 +11,7 @@ from pixel2catch.deployment.policy_pipeline import BOX_AGE, LONGEST_LOOK, Contro
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.scene.constants import CONTROL_DT
@@ -30,17 +30,22 @@ def frame(stamp: float, by: float = 0.0) -> CameraFrame:
     return CameraFrame(image=picture(moved(by)), stamp=stamp)
 
 
+def see(pipeline: PolicyPipeline, frame: CameraFrame, now: float) -> Extraction:
+    seen = pipeline.perceive(frame, now)
+    pipeline.remember(frame, seen)
+    return seen
+
+
 def think(
     pipeline: PolicyPipeline, frame: CameraFrame, joint_pos: np.ndarray, now: float
 ) -> PolicyCommand | None:
-    pipeline.see(frame, now)
+    see(pipeline, frame, now)
     return pipeline.decide(joint_pos, now)
 
 
 def test_nothing_is_ordered_before_the_object_is_pointed_out():
     pipeline = new_pipeline()
-    pipeline.begin()
-    assert pipeline.see(frame(1.0), 1.01).verdict is Verdict.NO_PROMPT
+    assert see(pipeline, frame(1.0), 1.01).verdict is Verdict.NO_PROMPT
     assert pipeline.decide(HOME, 1.01) is None
 
 
@@ -53,7 +58,7 @@ def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, 
     pipeline = new_pipeline()
     policy, _ = load_policy(Path("proposed"))
     controller = Controller(policy, find_workcell(PROFILE.workcell))
-    pipeline.begin(PROMPT)
+    pipeline.point(PROMPT)
     joint_pos = torch.from_numpy(HOME[None]).float()
     for step in range(4):
         now = 1.0 + step * CONTROL_DT
@@ -68,10 +73,10 @@ def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, 
 
 def test_a_missing_image_repeats_the_box_and_keeps_its_stamp():
     pipeline = new_pipeline()
-    pipeline.begin(PROMPT)
+    pipeline.point(PROMPT)
     shown = frame(1.0)
     think(pipeline, shown, HOME, 1.01)
-    assert pipeline.see(shown, 1.01 + CONTROL_DT).verdict is Verdict.REPEATED
+    assert see(pipeline, shown, 1.01 + CONTROL_DT).verdict is Verdict.REPEATED
     again = pipeline.decide(HOME, 1.01 + CONTROL_DT)
     assert again is not None
     assert again.image_stamp == 1.0
@@ -79,7 +84,7 @@ def test_a_missing_image_repeats_the_box_and_keeps_its_stamp():
 
 def test_unknown_joints_give_no_orders():
     pipeline = new_pipeline()
-    pipeline.begin(PROMPT)
+    pipeline.point(PROMPT)
     unknown = np.where(np.arange(len(HOME)) == 3, np.nan, HOME)
     assert think(pipeline, frame(1.0), unknown, 1.01) is None
     assert think(pipeline, frame(1.03), HOME, 1.04) is not None
@@ -88,11 +93,12 @@ def test_unknown_joints_give_no_orders():
 def test_a_new_throw_forgets_the_old_one():
     """Its first orders are those of a fresh control loop."""
     used, fresh = new_pipeline(), new_pipeline()
-    used.begin(PROMPT)
+    used.point(PROMPT)
     for step in range(3):
         think(used, frame(step * CONTROL_DT, 9.0 * step), HOME, step * CONTROL_DT)
     for pipeline in (used, fresh):
-        pipeline.begin(PROMPT)
+        pipeline.forget()
+        pipeline.point(PROMPT)
     assert used.decide(HOME, 9.0) is None
     first, expected = (think(pipeline, frame(9.0), HOME, 9.01) for pipeline in (used, fresh))
     assert first is not None
@@ -109,11 +115,11 @@ def test_a_policy_that_knows_ages_gets_what_was_measured_when_it_was_measured():
     """Nothing between two images, and no box of an image in which nothing was found."""
     controller = remembering()
     pipeline = new_pipeline(controller=controller)
-    pipeline.begin(PROMPT)
+    pipeline.point(PROMPT)
     stamps = [1.0, 1.0 + CONTROL_DT, 1.0 + 4.0 * CONTROL_DT]
     for step, stamp in enumerate(stamps):
         assert think(pipeline, frame(stamp, 4.0 * step), HOME, stamp + 0.06)
-    pipeline.see(CameraFrame(image=picture(None), stamp=1.0 + 5.0 * CONTROL_DT), 1.0 + 6.0 * CONTROL_DT)
+    see(pipeline, CameraFrame(image=picture(None), stamp=1.0 + 5.0 * CONTROL_DT), 1.0 + 6.0 * CONTROL_DT)
     now = 1.0 + 6.5 * CONTROL_DT
     policy_command = pipeline.decide(HOME, now)
     assert policy_command is not None
@@ -127,9 +133,9 @@ def test_a_policy_that_knows_ages_gets_what_was_measured_when_it_was_measured():
 def test_as_many_boxes_are_kept_as_the_policy_remembers(memory: str):
     controller = remembering(f"shared_reward+{memory}")
     pipeline = new_pipeline(controller=controller)
-    pipeline.begin(PROMPT)
+    pipeline.point(PROMPT)
     for step in range(30):
-        pipeline.see(frame(step * CONTROL_DT, step), step * CONTROL_DT)
+        see(pipeline, frame(step * CONTROL_DT, step), step * CONTROL_DT)
     pipeline.decide(HOME, 29.5 * CONTROL_DT)
     ages = seen_boxes(controller).age[0].tolist()
     assert ages == pytest.approx([0.5 + i for i in range(controller.method.num_boxes)], abs=1e-3)
@@ -138,11 +144,11 @@ def test_as_many_boxes_are_kept_as_the_policy_remembers(memory: str):
 def test_a_perception_that_hangs_is_said_and_gives_no_orders():
     """A policy that knows ages may act on an old box, but only while images are looked at."""
     pipeline = new_pipeline(controller=remembering())
-    pipeline.begin(PROMPT)
-    pipeline.see(frame(1.0), 1.02)
+    pipeline.point(PROMPT)
+    see(pipeline, frame(1.0), 1.02)
     for step in range(1, 40):
         stamp = 1.0 + step * CONTROL_DT
-        pipeline.see(CameraFrame(image=picture(None), stamp=stamp), stamp)
+        see(pipeline, CameraFrame(image=picture(None), stamp=stamp), stamp)
         assert pipeline.decide(HOME, stamp)
     with pytest.raises(DeploymentError, match=r"looked at is 0\.4 s old"):
         pipeline.decide(HOME, 1.0 + 39 * CONTROL_DT + LONGEST_LOOK + 0.01)

@@ -155,10 +155,10 @@ for i in range(10):
 while bag.num_written["/image"] < 10:
     time.sleep(0.01)
 print("written", flush=True)
-time.sleep(60.0)
+sys.stdin.read()
 """
     command = [sys.executable, "-c", script, str(tmp_path / "throw")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
         assert process.stdout.readline() == "written\n"
         process.kill()

@@ -14,8 +14,8 @@ from wire_lab import WireLab
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, Images
-from pixel2catch.deployment.replay import RecordedTargets, ReplayCfg, compare, recorded_targets, replay
-from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
+from pixel2catch.deployment.replay import RecordedTargets, compare, recorded_targets, replay
+from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorThreshold
@@ -23,9 +23,11 @@ from pixel2catch.perception.prompt import Prompter
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.scene.constants import JOINTS, RGB_CAMERA
+from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import link
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 EPOCH = 1_790_000_000.0
 PERIOD = 17
@@ -54,8 +56,8 @@ def record(folder: Path, images: Images, pipeline: PolicyPipeline) -> None:
         lab.silent.add("brain")
         recording = DeploymentRecorder(recorder, node, PROFILE, clock, images)
         nodes = Nodes(servo=broker.node(clock), loop=node, clock=clock, recording=recording)
-        setup = ServoSetup(profile=PROFILE, is_dry_run=True)
-        robot = SteppedDeployment(setup, RGB_CAMERA, nodes, pipeline, PerceptionTime(0.01))
+        setup = ServoSetup(profile=PROFILE, limits=ServoLimits.of(UR5E_ALLEGRO), is_dry_run=True)
+        robot = SteppedDeployment(setup, RGB_CAMERA, nodes, pipeline, perception_times(0.01))
         stack.callback(robot.close)
         tick = 0
 
@@ -79,9 +81,8 @@ def record(folder: Path, images: Images, pipeline: PolicyPipeline) -> None:
 
 
 def replayed(recording: Path, out: Path, pipeline: PolicyPipeline) -> dict[str, Any]:
-    cfg = ReplayCfg(recording=recording, out=out, profile=PROFILE, camera=RGB_CAMERA)
-    replay(cfg, pipeline)
-    return compare(recorded_targets(recording), recorded_targets(out))
+    replay(recording, out, PROFILE, RGB_CAMERA, pipeline)
+    return compare(recorded_targets(recording), recorded_targets(out), UR5E_ALLEGRO)
 
 
 @pytest.mark.parametrize(
@@ -123,9 +124,9 @@ def test_differences_are_of_the_worst_joint_of_images_of_both():
     other[0, 1] += 0.25
     other[1, len(JOINTS) - 1] += 0.5
     now = RecordedTargets(time=np.array([1.001, 1.034]), target=other)
-    report = compare(then, now)
+    report = compare(then, now, UR5E_ALLEGRO)
     assert (report["num_then"], report["num_now"], report["num_both"]) == (3, 2, 2)
     assert report["arm"] == pytest.approx({"median": 0.125, "max": 0.25})
     assert report["hand"] == pytest.approx({"median": 0.25, "max": 0.5})
     late = replace(now, time=now.time + 10.0)
-    assert compare(then, late) == {"num_then": 3, "num_now": 2, "num_both": 0}
+    assert compare(then, late, UR5E_ALLEGRO) == {"num_then": 3, "num_now": 2, "num_both": 0}

@@ -7,11 +7,11 @@ import pytest
 from mishaps import MISHAPS, all_at_once
 from servo_rows import HOME, LIMITS, Lab, given
 
-from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CONTROL_DT, JOINTS
+from pixel2catch.servo.core import Clamp, Mode
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
-from pixel2catch.servo.state import Clamp, Mode
 from pixel2catch.servo.watchdogs import Fault, flag_names
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STEP_TICKS = round(CONTROL_DT / LIMITS.dt) + 1
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
@@ -190,7 +190,7 @@ def test_a_command_stays_near_its_joint():
 
 
 def test_the_share_of_the_speed_slows_the_joints():
-    limits = replace(LIMITS, joints=JointLimits.of(JointDynamics.nominal(), 0.5))
+    limits = replace(LIMITS, joints=JointLimits.of(UR5E_ALLEGRO, 0.5))
     lab = Lab(limits=limits).started()
     lab.target[0, 0] -= 1.0
     speeds = []

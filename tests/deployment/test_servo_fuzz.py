@@ -13,8 +13,7 @@ from mishaps import MISHAPS, one
 from servo_rows import LIMITS, Lab
 
 from pixel2catch.scene.constants import JOINTS
-from pixel2catch.servo.core import ServoCore
-from pixel2catch.servo.state import Clamp, Mode, ServoState
+from pixel2catch.servo.core import Clamp, Mode, ServoCore, ServoState
 from pixel2catch.servo.watchdogs import Fault
 
 

@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -61,10 +60,8 @@ def test_orders_and_decisions_arrive_as_they_were_sent(ends: tuple[LoopEnd, Serv
 def test_what_nobody_takes_is_dropped_and_counted(ends: tuple[LoopEnd, ServoEnd]):
     """At least 0.3 s of ticks fit; then the newest are lost, whole, and at once."""
     loop, servo = ends
-    begun = perf_counter()
     for tick in range(5000):
         servo.send(servo_status(float(tick)))
-    assert perf_counter() - begun < 60.0
     received = loop.receive()
     assert [each.time for each in received] == [float(tick) for tick in range(len(received))]
     assert len(received) > 150

@@ -12,9 +12,9 @@ from wire_lab import frozen, shuffled, twice, with_nan, without_elbow
 
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile, StatusTopics
+from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import LoopEnd, ServoEnd, link
-from pixel2catch.servo.state import Mode
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")

@@ -13,8 +13,8 @@ import pytest
 from loop_lab import PROFILE
 from networks import dds_nodes
 
-from domains import own_domain
-from pixel2catch.deployment.operator import SWITCH_TIME, KeyOperator, OperatorConsole
+from domains import PATIENCE, own_domain
+from pixel2catch.deployment.operator import SWITCH_TIME, OperatorConsole, operate_by_keys
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.deployment.switches import DROPPED, EVENT, KEY, SYNC, Keys, Press, Switches
 from pixel2catch.errors import DeploymentError
@@ -104,8 +104,8 @@ class Desk:
 
     def __init__(self, switches: Switches) -> None:
         self._clock, broker = StepClock(self._wait), Broker()
-        console = OperatorConsole(broker.node(self._clock), PROFILE.operator, self._clock)
-        self._operating = KeyOperator(console, switches, Keys())
+        self._console = OperatorConsole(broker.node(self._clock), PROFILE.operator, self._clock)
+        self._switches = switches
         node = broker.node(self._clock)
         self._heard = {
             name: node.subscription(getattr(PROFILE.operator, name), depth=100)
@@ -118,7 +118,14 @@ class Desk:
     def run(self, seconds: float) -> None:
         """Operate for a while."""
         end = self._clock.now() + seconds
-        self._operating.run(self._clock, lambda: self._clock.now() > end, lambda *_: None)
+        operate_by_keys(
+            self._console,
+            self._switches,
+            Keys(),
+            self._clock,
+            lambda: self._clock.now() > end,
+            lambda *_: None,
+        )
 
     def heard(self) -> dict[str, list[bool]]:
         """What was heard since the last call."""
@@ -181,7 +188,7 @@ def test_the_command_speaks_over_dds_until_its_end(device: Device, monkeypatch: 
         device.press(HOLD)
         said = until(queue, 3)
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE) == 0
         assert said[:3] == [True, True, True]
         while said[-1]:
             said += until(queue, 1)
@@ -191,7 +198,7 @@ def test_the_command_speaks_over_dds_until_its_end(device: Device, monkeypatch: 
 def until(queue: Subscription, num: int) -> list[bool]:
     """What has come when so many messages have."""
     said: list[bool] = []
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + PATIENCE
     while len(said) < num:
         assert time.monotonic() < end
         said += taken(queue)

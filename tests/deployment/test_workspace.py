@@ -47,13 +47,17 @@ def test_the_last_frame_is_the_palm_of_training():
     random = np.random.default_rng(0)
     arm_pos = random.uniform(LOWER[:6], UPPER[:6], (50, 6))
     palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(arm_pos))
-    np.testing.assert_allclose(Workspace().link_frames(arm_pos)[-1][:, :3, 3], palm_pos.numpy(), atol=1e-12)
+    np.testing.assert_allclose(
+        Workspace(workcell=UR5E_ALLEGRO).arms[0].link_frames(arm_pos)[-1][:, :3, 3],
+        palm_pos.numpy(),
+        atol=1e-12,
+    )
 
 
 def test_the_frames_are_where_the_links_of_the_model_are():
     model, data = model_of("ur5e_allegro")
     arm_pos = np.random.default_rng(1).uniform(LOWER[:6], UPPER[:6], (20, 6))
-    frames = Workspace().link_frames(arm_pos)
+    frames = Workspace(workcell=UR5E_ALLEGRO).arms[0].link_frames(arm_pos)
     for row, joints in enumerate(arm_pos):
         put(model, data, joints)
         for link, body in enumerate(ELBOW_AND_WRIST, start=1):
@@ -85,7 +89,7 @@ def test_no_pose_inside_touches_the_table():
     random = np.random.default_rng(3)
     lower, upper = np.array(LOWER), np.array(UPPER)
     lower[[1, 2, 3]], upper[[1, 2, 3]] = (-pi, 0.5, 2.1), (0.2, 2.9, 5.0)
-    workspace = Workspace(lower=(-2.0, -2.0, -2.0), upper=(2.0, 2.0, 2.0))
+    workspace = Workspace(workcell=UR5E_ALLEGRO, lower=(-2.0, -2.0, -2.0), upper=(2.0, 2.0, 2.0))
     num_inside = num_touching = 0
     for pose in random.uniform(lower, upper, (2000, len(JOINTS))):
         put(model, data, pose)
@@ -104,36 +108,44 @@ def _moves(model: mujoco.MjModel, contact: mujoco.MjContact) -> bool:
 
 def test_walls_by_hand():
     """At the start pose the palm is at (0.434, 0.133, 1.391); a wall beyond it is one too near."""
-    assert Workspace().contains(HOME).all()
+    assert Workspace(workcell=UR5E_ALLEGRO).contains(HOME).all()
     lower, upper = (-2.0, -2.0, -2.0), (2.0, 2.0, 2.0)
-    assert Workspace(lower=lower, upper=upper).contains(HOME).all()
+    assert Workspace(workcell=UR5E_ALLEGRO, lower=lower, upper=upper).contains(HOME).all()
     for axis, palm in enumerate((0.434, 0.133, 1.391)):
-        assert not Workspace(lower=_with(lower, axis, palm), upper=upper).contains(HOME).any()
-        assert not Workspace(lower=lower, upper=_with(upper, axis, palm)).contains(HOME).any()
+        assert (
+            not Workspace(workcell=UR5E_ALLEGRO, lower=_with(lower, axis, palm), upper=upper)
+            .contains(HOME)
+            .any()
+        )
+        assert (
+            not Workspace(workcell=UR5E_ALLEGRO, lower=lower, upper=_with(upper, axis, palm))
+            .contains(HOME)
+            .any()
+        )
 
 
 @pytest.mark.parametrize(("height", "is_inside"), [(1.23, True), (1.36, False)])
 def test_a_table_under_the_elbow_by_hand(height: float, is_inside: bool):
     """At the start pose the elbow is at (-0.131, 0, 1.388), with tubes of up to 5.5 cm about it."""
     table = TableSpec(center=(-0.131, 0.0, height), size=(0.02, 0.02), thickness=0.04)
-    assert Workspace(table=table).contains(HOME).all() == is_inside
+    assert Workspace(workcell=replace(UR5E_ALLEGRO, table=table)).contains(HOME).all() == is_inside
 
 
 def test_the_side_of_the_table_is_one():
     """Beside the table the hand may be lower than its top, over it not."""
     low = np.array([[pi, radians(-20.0), radians(60.0), pi, -pi / 2, pi]])
-    workspace = Workspace(lower=(-2.0, -2.0, -2.0))
+    workspace = Workspace(workcell=UR5E_ALLEGRO, lower=(-2.0, -2.0, -2.0))
     assert workspace.contains(low).all()
-    wider = replace(workspace.table, size=(3.0, 3.0))
-    assert not replace(workspace, table=wider).contains(low).any()
+    wider = replace(UR5E_ALLEGRO.table, size=(3.0, 3.0))
+    assert not replace(workspace, workcell=replace(UR5E_ALLEGRO, table=wider)).contains(low).any()
 
 
 def test_the_box_about_the_hand_and_the_table_are_apart_if_no_point_is_in_both():
     """Judged by a linear program: a point within the table's six planes and the box's."""
-    workspace, random = Workspace(), np.random.default_rng(5)
+    workspace, random = Workspace(workcell=UR5E_ALLEGRO), np.random.default_rng(5)
     middle = random.uniform((-0.7, -0.7, 0.6), (0.7, 0.7, 1.2), (300, 3))
     rotation = Rotation.random(300, rng=random).as_matrix()
-    found = workspace._is_box_clear(middle, rotation)
+    found = workspace._is_box_clear(workspace.arms[0], middle, rotation)
     near, far, top = workspace._sides
     half = (np.array(np.array(PALM.upper)) - np.array(np.array(PALM.lower))) / 2.0
     for place, turn, is_clear in zip(middle, rotation, found, strict=True):
@@ -156,6 +168,8 @@ def test_what_costs_in_training_is_what_the_servo_holds_back():
     arm_pos = HOME + random.uniform(-1.6, 1.6, (4000, 6))
     joint_pos = torch.from_numpy(np.pad(arm_pos, ((0, 0), (0, 13)))).float()
     depth = WorkcellGeometry(UR5E_ALLEGRO).depth_in_table(joint_pos)[:, 0].numpy()
-    is_clear = Workspace(lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, 9.0)).contains(arm_pos)
+    is_clear = Workspace(workcell=UR5E_ALLEGRO, lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, 9.0)).contains(
+        arm_pos
+    )
     assert not (depth[is_clear] > 0.0).any()
     assert (depth[~is_clear] > 0.0).mean() > 0.9

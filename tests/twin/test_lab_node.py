@@ -14,8 +14,7 @@ from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
-from pixel2catch.twin.camera import LATENCY
-from pixel2catch.twin.drivers import CYCLE
+from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.lab_node import LabNode
 
 TASK = CatchEnvCfg()

@@ -11,15 +11,16 @@ import pytest
 import torch
 from twin_bench import PROFILE, Bench
 
-from domains import free_port
+from domains import PATIENCE, free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.robots.geometry import bare_model, first_chain
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock
+from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.page import BOX_COLOR, Page, with_box
 from pixel2catch.twin.simulated_lab import Phase
-from pixel2catch.twin.stepped import SteppedRehearsalCfg, in_step
+from pixel2catch.twin.stepped import in_step
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
@@ -50,7 +51,7 @@ def shown() -> Iterator[Shown]:
 
 def test_the_page_is_there_for_this_machine(shown: Shown):
     assert shown.page.address.startswith("http://127.0.0.1:")
-    with urllib.request.urlopen(shown.page.address, timeout=10) as answer:
+    with urllib.request.urlopen(shown.page.address, timeout=PATIENCE) as answer:
         assert b"<html" in answer.read()
 
 
@@ -105,10 +106,10 @@ def test_the_operator_holds_arms_points_and_stops(shown: Shown):
 @pytest.mark.slow
 def test_one_button_throws_and_catches():
     policy, _ = load_policy(None)
-    cfg = SteppedRehearsalCfg(task=task_of(policy, physics_hz=120.0), throws=1, is_plain=True)
-    with in_step(cfg, policy) as rehearsal:
+    task = task_of(policy, physics_hz=120.0)
+    with in_step(RehearsalCfg(throws=1, plain=True), task, policy) as rehearsal:
         node = rehearsal.broker.node(rehearsal.clock)
-        page = Page(free_port(), cfg.task.scene, PROFILE, node, rehearsal.clock)
+        page = Page(free_port(), task.scene, PROFILE, node, rehearsal.clock)
         page.seed.value = 3
         page.catch()
         assert page.trial is not None

@@ -14,7 +14,10 @@ from pixel2catch.rendering.renderer import find_gl_backend
 def test_a_throw_is_rehearsed_and_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    """It may fail to catch on a busy machine; that it was thrown, judged, stopped and recorded may not."""
+    """Processes, network and report; `test_stepped` has what is thrown and caught, in time that is stepped.
+
+    On a busy machine images are late, and the robot may be stopped before the throw: then that is said.
+    """
     try:
         find_gl_backend()
     except DeviceUnavailableError as error:
@@ -26,12 +29,15 @@ def test_a_throw_is_rehearsed_and_reported(
     report = json.loads(capsys.readouterr().out)
     assert json.loads((out / "report.json").read_text()) == report
     (throw,) = report["throws"]
-    assert throw["object"] is not None, throw
     assert report["success_rate"] == float(throw["is_success"])
-    assert report["deploy"]["image_to_command_ms"]["count"] > 20
-    assert report["deploy"]["stops"]
+    assert report["deploy"]["num_ticks"] > 100
     assert report["twin"]["joint_speed"] < 2.8
     assert (recording / "tape.mcap").stat().st_size > 1_000_000
+    if throw["object"] is None:
+        assert "did not come within" in throw["problem"], throw["problem"]
+    else:
+        assert report["deploy"]["image_to_command_ms"]["count"] > 20
+        assert report["deploy"]["stops"]
 
 
 @pytest.mark.parametrize(

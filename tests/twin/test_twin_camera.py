@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pixel2catch.rendering.camera import Exposure, Image, Moment
-from pixel2catch.twin.camera import Camera
+from pixel2catch.twin.drivers import Camera
 
 
 class SlowDrawing:
@@ -34,7 +34,7 @@ def developed(camera: Camera, now: float) -> list[tuple[float, int]]:
 
 def test_an_image_comes_when_it_is_due_and_not_before():
     drawing = SlowDrawing()
-    camera = Camera(drawing, latency=0.015)
+    camera = Camera(drawing)
     camera.expose(exposure(0.1))
     drawing.finish(0)
     assert developed(camera, 0.114) == []
@@ -45,7 +45,7 @@ def test_an_image_comes_when_it_is_due_and_not_before():
 
 def test_a_clock_that_is_late_makes_images_older_and_no_later():
     drawing = SlowDrawing()
-    camera = Camera(drawing, latency=0.015, clock_error=0.02)
+    camera = Camera(drawing, clock_error=0.02)
     camera.expose(exposure(0.1))
     drawing.finish(0)
     assert developed(camera, 0.114) == []
@@ -54,7 +54,7 @@ def test_a_clock_that_is_late_makes_images_older_and_no_later():
 
 def test_a_late_image_keeps_its_time_and_is_counted():
     drawing = SlowDrawing()
-    camera = Camera(drawing, latency=0.015)
+    camera = Camera(drawing)
     camera.expose(exposure(0.1))
     camera.expose(exposure(0.2))
     assert developed(camera, 0.13) == []

@@ -14,7 +14,7 @@ from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock
 from pixel2catch.scene.constants import JOINTS
-from pixel2catch.twin.camera import Camera
+from pixel2catch.twin.drivers import Camera
 from pixel2catch.twin.lab_node import COMMAND, STATE, LabNode
 from pixel2catch.twin.simulated_lab import SimulatedLab
 

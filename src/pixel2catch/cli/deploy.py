@@ -2,8 +2,10 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -83,7 +85,6 @@ class Deploy:
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
             from pixel2catch.deployment.image_subscriber import ImageSubscriber
-            from pixel2catch.deployment.perception_thread import ThreadWorker
             from pixel2catch.servo.process import CONTROL_LOOP, set_niceness
         set_niceness(CONTROL_LOOP)
         self.vision.perception.prepare()
@@ -93,13 +94,15 @@ class Deploy:
         for note in notes:
             say(note)
         with ExitStack() as stack:
-            worker = stack.enter_context(closing(ThreadWorker())) if pipeline.knows_age else None
+            executor = None
+            if pipeline.knows_age:
+                executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
             connection = self.link.connect(profile, self.record, self.record_images, stack)
             clock = connection.clock
             images = ImageSubscriber(
                 connection.transport, profile.camera, camera, clock, assumes_age=pipeline.knows_age
             )
-            control_loop = ControlLoop(pipeline, images, connection, profile.operator, worker)
+            control_loop = ControlLoop(pipeline, images, connection, profile.operator, executor)
             self._loop(control_loop, clock)
         print(
             json.dumps({"summary": control_loop.statistics.summary()})
@@ -123,11 +126,8 @@ class Deploy:
                 say(f"{clock.now() - begin:7.1f} s  {line}")
 
         with StopRequest() as stop:
-            control_loop.run(lambda: stop.is_set or self._is_late(clock.now() - begin), report)
-
-    def _is_late(self, time: float) -> bool:
-        """Whether it is time to end."""
-        return self.seconds is not None and time > self.seconds
+            end = begin + (inf if self.seconds is None else self.seconds)
+            control_loop.run(lambda: stop.is_set or clock.now() > end, report)
 
 
 def sentence(status: dict[str, Any]) -> str:

@@ -104,9 +104,9 @@ class Link(Network):
 
     def _setup(self, profile: "Profile") -> "ServoSetup":
         """What the servo is the servo of."""
-        from pixel2catch.robots.joint_dynamics import JointDynamics
-        from pixel2catch.servo.limits import JointLimits, ServoLimits
+        from pixel2catch.servo.limits import ServoLimits
         from pixel2catch.servo.process import ServoSetup
+        from pixel2catch.workcells import find_workcell
 
-        joints = JointLimits.of(JointDynamics.nominal(), self.speed)
-        return ServoSetup(profile=profile, limits=ServoLimits(joints=joints), is_dry_run=self.dry_run)
+        limits = ServoLimits.of(find_workcell(profile.workcell), self.speed)
+        return ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)

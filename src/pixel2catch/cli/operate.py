@@ -34,34 +34,26 @@ class Operate:
     def run(self) -> None:
         """Operate until Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
+        from pixel2catch.cli.deploy import sentence
         from pixel2catch.cli.extras import needs_extra
         from pixel2catch.interruption import StopRequest
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.operator import KeyOperator, OperatorConsole
+            from pixel2catch.deployment.operator import OperatorConsole, operate_by_keys
             from pixel2catch.deployment.switches import Switches
         profile = self.network.robot.load()
-        teller = _Teller()
+        said = ""
+
+        def tell(presses: "list[Press]", status: dict[str, Any]) -> None:
+            nonlocal said
+            for press in presses:
+                say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
+            if status and (line := sentence(status)) != said:
+                said = line
+                say(line)
+
         with Switches(self.device) as switches, self.network.join("pixel2catch_operator") as (node, clock):
             console = OperatorConsole(node, profile.operator, clock)
             say(f"listening to {self.device}; Ctrl-C ends it, and stops the robot")
             with StopRequest() as stop:
-                KeyOperator(console, switches, self.keys).run(clock, lambda: stop.is_set, teller.tell)
-
-
-class _Teller:
-    """Says what is pressed, and what the deployment does."""
-
-    def __init__(self) -> None:
-        self._said = ""
-
-    def tell(self, presses: "list[Press]", status: dict[str, Any]) -> None:
-        """Say what is new."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.cli.deploy import sentence
-
-        for press in presses:
-            say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
-        if status and (line := sentence(status)) != self._said:
-            self._said = line
-            say(line)
+                operate_by_keys(console, switches, self.keys, clock, lambda: stop.is_set, tell)

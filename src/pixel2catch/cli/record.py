@@ -51,7 +51,7 @@ class Record:
         with ExitStack() as stack:
             connection = self.link.connect(profile, self.out, "none", stack)
             targets = whole_robot(trajectory)
-            follower = TrajectoryFollower(targets, trajectory.duration, ServoLimits().ramp_time, connection)
+            follower = TrajectoryFollower(targets, trajectory.duration, ServoLimits.ramp_time, connection)
             say(f"{trajectory.duration:.0f} s of motion; waiting to be armed")
             self._follow(follower)
         done = "followed to its end" if follower.is_done else "not followed to its end"

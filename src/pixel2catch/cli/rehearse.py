@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.cli.twin import TaskArgs
+from pixel2catch.twin.config import RehearsalCfg
 
 if TYPE_CHECKING:
-    from pixel2catch.twin.rehearsal import Outcome, RehearsalCfg
+    from pixel2catch.twin.rehearsal import Outcome
 
 REPORT = "report.json"
 """The report's file in the folder that it writes; the processes' words lie beside it."""
@@ -29,34 +29,13 @@ class Rehearse:
 
     Attributes:
         policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-        throws: How many throws.
-        task: What is thrown at which robot.
-        seed: Of the first throw; the next has the next.
-        clock: Seconds of twin and deployment in a real second, at most 1.
-        domain: DDS domain (ROS_DOMAIN_ID), one that nobody else uses.
-        lockstep: One process whose time goes on when it has nothing to do, instead of real time.
-        perception_ms: With --lockstep: least time that perception takes for an image.
-        perception_jitter_ms: With --lockstep: how much longer it may take, drawn for each image.
-        clock_error_ms: With --lockstep: how much older images are by their stamps than they are; negative:
-            younger.
-        plain: With --lockstep: images that show nothing but the object's box; they need no OpenGL.
-        record: New folder for a rosbag2 (MCAP) of all that `deploy` saw, decided and commanded.
+        rehearsal: What is rehearsed, and in what time.
         out: New or empty folder for report.json and what both processes print.
         json: Print the report as one JSON object.
     """
 
     policy: Positional[str | None] = None
-    throws: int = 10
-    task: TaskArgs = field(default_factory=TaskArgs)
-    seed: int = 0
-    clock: float = 1.0
-    domain: int = 77
-    lockstep: bool = False
-    perception_ms: float = 10.0
-    perception_jitter_ms: float = 0.0
-    clock_error_ms: float = 0.0
-    plain: bool = False
-    record: Path | None = None
+    rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)
     out: Path = Path("rehearsal")
     json: bool = False
 
@@ -68,81 +47,54 @@ class Rehearse:
 
         with needs_extra("deployment"):
             from pixel2catch.twin.rehearsal import rehearse
-        self._refuse_nonsense()
+        cfg = self.rehearsal
+        _refuse_nonsense(cfg)
         require_free_folder(self.out)
         self.out.mkdir(parents=True, exist_ok=True)
 
         def show(outcome: "Outcome") -> None:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
-        if self.lockstep:
+        if cfg.lockstep:
             report = self._in_step(show)
         else:
-            say(f"starting twin and deployment; clock {self.clock:g}")
-            report = rehearse(self._cfg(), show)
+            say(f"starting twin and deployment; clock {cfg.clock:g}")
+            report = rehearse(cfg, self.policy, self.out, show)
         write_atomically({self.out / REPORT: f"{json.dumps(report, indent=2)}\n".encode()})
         print(json.dumps(report) if self.json else "\n".join(_lines(report)))
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")
-
-    def _refuse_nonsense(self) -> None:
-        """Refuse what cannot be rehearsed, before anything starts."""
-        from pixel2catch.errors import InvalidValueError
-        from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.ros2.transport import RealClock
-
-        RealClock(self.clock)  # refuses what is no rate
-        if self.throws < 1:
-            raise InvalidValueError(f"throws is {self.throws}; it must be 1 or more")
-        for name in ("perception_ms", "perception_jitter_ms"):
-            if not 0.0 <= (value := getattr(self, name)) < inf:
-                raise InvalidValueError(f"{name} is {value:g}; it must be a number, 0 or more")
-        if (self.perception_jitter_ms or self.clock_error_ms) and not self.lockstep:
-            raise InvalidValueError("--perception-jitter-ms and --clock-error-ms go with --lockstep: add it")
-        if self.lockstep and self.clock != 1.0:
-            raise InvalidValueError("--clock is for real time; leave it out, or --lockstep")
-        if self.plain and not self.lockstep:
-            raise InvalidValueError("--plain goes with --lockstep: add it")
-        if not self.plain:
-            find_gl_backend()
 
     def _in_step(self, show: Callable[["Outcome"], None]) -> dict[str, Any]:
         """The report of a rehearsal in lockstep."""
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.twin.stepped import SteppedRehearsalCfg, rehearse_stepped
+        from pixel2catch.twin.stepped import rehearse_stepped
 
         prepare("cpu")
         policy, _ = load_policy(Path(self.policy) if self.policy else None)
-        cfg = SteppedRehearsalCfg(
-            task=self.task.make(policy),
-            throws=self.throws,
-            seed=self.seed,
-            perception_time=1e-3 * self.perception_ms,
-            perception_jitter=1e-3 * self.perception_jitter_ms,
-            clock_error=1e-3 * self.clock_error_ms,
-            is_plain=self.plain,
-            record=self.record,
-        )
-        return rehearse_stepped(cfg, policy, show)
+        return rehearse_stepped(self.rehearsal, self.rehearsal.task.make(policy), policy, show)
 
-    def _cfg(self) -> "RehearsalCfg":
-        """What is rehearsed."""
-        from pixel2catch.twin.rehearsal import RehearsalCfg
 
-        twin = ["--objects", *self.task.objects]
-        twin += ["--policy", self.policy] if self.policy else []
-        twin += ["--dynamics", str(self.task.dynamics)] if self.task.dynamics else []
-        deploy = [self.policy] if self.policy else []
-        deploy += ["--record", str(self.record)] if self.record else []
-        return RehearsalCfg(
-            throws=self.throws,
-            seed=self.seed,
-            clock=self.clock,
-            domain=self.domain,
-            twin=tuple(twin),
-            deploy=tuple(deploy),
-            logs=self.out,
-        )
+def _refuse_nonsense(cfg: RehearsalCfg) -> None:
+    """Refuse what cannot be rehearsed, before anything starts."""
+    from pixel2catch.errors import InvalidValueError
+    from pixel2catch.rendering.renderer import find_gl_backend
+    from pixel2catch.ros2.transport import RealClock
+
+    RealClock(cfg.clock)  # refuses what is no rate
+    if cfg.throws < 1:
+        raise InvalidValueError(f"throws is {cfg.throws}; it must be 1 or more")
+    for name in ("perception_ms", "perception_jitter_ms"):
+        if not 0.0 <= (value := getattr(cfg, name)) < inf:
+            raise InvalidValueError(f"{name} is {value:g}; it must be a number, 0 or more")
+    if (cfg.perception_jitter_ms or cfg.clock_error_ms) and not cfg.lockstep:
+        raise InvalidValueError("--perception-jitter-ms and --clock-error-ms go with --lockstep: add it")
+    if cfg.lockstep and cfg.clock != 1.0:
+        raise InvalidValueError("--clock is for real time; leave it out, or --lockstep")
+    if cfg.plain and not cfg.lockstep:
+        raise InvalidValueError("--plain goes with --lockstep: add it")
+    if not cfg.plain:
+        find_gl_backend()
 
 
 def in_words(outcome: "Outcome") -> str:

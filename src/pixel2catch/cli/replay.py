@@ -42,21 +42,18 @@ class Replay:
         from pixel2catch.cli.extras import needs_extra
 
         with needs_extra("deployment"):
-            from pixel2catch.deployment.replay import ReplayCfg, compare, recorded_targets, replay
+            from pixel2catch.deployment.replay import compare, recorded_targets, replay
+            from pixel2catch.workcells import find_workcell
         self.vision.perception.prepare()
         notes: list[str] = []
         profile, camera = self.robot.load(), self.vision.perception.camera_spec(notes)
-        cfg = ReplayCfg(
-            recording=self.recording,
-            out=self.out,
-            profile=profile,
-            camera=camera,
-            perception_time=1e-3 * self.perception_ms,
-        )
-        statistics = replay(cfg, self.vision.make_pipeline(self.policy, profile, camera))
+        pipeline = self.vision.make_pipeline(self.policy, profile, camera)
+        perception_time = 1e-3 * self.perception_ms
+        statistics = replay(self.recording, self.out, profile, camera, pipeline, perception_time)
+        then, now = recorded_targets(self.recording), recorded_targets(self.out)
         report = {
             "deploy": statistics.summary(),
-            "decided": compare(recorded_targets(self.recording), recorded_targets(self.out)),
+            "decided": compare(then, now, find_workcell(profile.workcell)),
         }
         print(json.dumps(report) if self.json else "\n".join([*notes, *_lines(report)]))
 
@@ -68,7 +65,7 @@ def _lines(report: dict[str, Any]) -> Iterator[str]:
     yield from lines(report["deploy"])
     same = report["decided"]
     yield f"decided on {same['num_then']} images then, {same['num_now']} now, {same['num_both']} both times"
-    for part in ("arm", "hand"):
-        if part in same:
-            median, most = same[part]["median"], same[part]["max"]
+    for part, differs in same.items():
+        if not part.startswith("num_"):
+            median, most = differs["median"], differs["max"]
             yield f"{part}: targets differ by {median:.4f} rad in the median, {most:.4f} at most"

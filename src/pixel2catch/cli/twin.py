@@ -1,34 +1,14 @@
 """`pixel2catch twin`: the lab on the wire, without a lab."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pixel2catch.twin.config import TwinCfg
+
 if TYPE_CHECKING:
-    from pixel2catch.envs.cfg import CatchEnvCfg
-    from pixel2catch.policy import Policy
     from pixel2catch.twin.lab_node import LabNode
     from pixel2catch.twin.realtime import ClockStats
-
-
-@dataclass(frozen=True, kw_only=True)
-class TaskArgs:
-    """What is thrown at which robot.
-
-    Attributes:
-        dynamics: Dynamics file of the robot that the twin is. Default: the nominal robot.
-        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
-    """
-
-    dynamics: Path | None = None
-    objects: tuple[str, ...] = ("seen",)
-
-    def make(self, policy: "Policy") -> "CatchEnvCfg":
-        """The task in which a policy is to catch."""
-        from pixel2catch.evaluation.loading import task_of
-        from pixel2catch.scene.objects import select_objects
-
-        return replace(task_of(policy, dynamics=self.dynamics), objects=select_objects(self.objects))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,18 +20,12 @@ class Twin:
 
     Attributes:
         policy: Policy whose hand and camera the twin has. Default: catch_alone+fit.
-        task: What is thrown at which robot.
-        clock: Seconds of the twin in a real second, at most 1; `deploy` must be given the same.
-        seed: Seed of the room and of all noise; a throw has a seed of its own.
-        web: Port of a page that shows the twin and has buttons to throw. Default: no page.
+        twin: How the twin runs.
         domain: DDS domain. Default: ROS_DOMAIN_ID, or 0.
     """
 
     policy: Path | None = None
-    task: TaskArgs = field(default_factory=TaskArgs)
-    clock: float = 1.0
-    seed: int = 0
-    web: int | None = None
+    twin: TwinCfg = field(default_factory=TwinCfg)
     domain: int | None = None
 
     def run(self) -> None:
@@ -65,12 +39,12 @@ class Twin:
         from pixel2catch.interruption import StopRequest
 
         with needs_extra("twin"):
-            from pixel2catch.twin.realtime import TwinCfg, serve
+            from pixel2catch.twin.realtime import serve
         prepare("cpu")
         if self.domain is not None:
             os.environ["ROS_DOMAIN_ID"] = str(self.domain)
         policy, _ = load_policy(self.policy)
-        cfg = TwinCfg(task=self.task.make(policy), seed=self.seed, clock=self.clock, web=self.web)
+        task = self.twin.task.make(policy)
         last = ""
 
         def report(lab_node: "LabNode", stats: "ClockStats") -> bool:
@@ -80,8 +54,8 @@ class Twin:
                 last = now
             return not stop.is_set
 
-        say(f"opening the lab; clock {self.clock:g}; Ctrl-C ends it")
+        say(f"opening the lab; clock {self.twin.clock:g}; Ctrl-C ends it")
         with StopRequest() as stop:
-            stats = serve(cfg, report)
+            stats = serve(self.twin, task, report)
         late = f"{stats.num_late:,} of them late, the worst by {1000 * stats.worst:.0f} ms"
         say(f"{stats.num_cycles:,} cycles, {late}")

@@ -1,32 +1,31 @@
-"""The loop of a deployment: images and servo statuses come in, commands, a status and a recording go out."""
+"""The loop of a deployment: images and servo statuses come in, commands, a status and a recording go out.
+
+Control steps are equally long, as in training, and nearly all images come in time.
+"""
 
 import json
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
-from functools import partial
+from math import floor, inf
 from typing import Any
 
 import numpy as np
 
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
-from pixel2catch.deployment.perception_thread import (
-    CallerWorker,
-    ConcurrentPerception,
-    PerceptionResult,
-    Worker,
-)
+from pixel2catch.deployment.perception_thread import CallerExecutor, ConcurrentPerception, PerceptionResult
 from pixel2catch.deployment.policy_pipeline import BOX_AGE, PolicyPipeline
-from pixel2catch.deployment.recorder import ORDERS, SERVO, Connection
+from pixel2catch.deployment.recorder import ORDERS, Connection
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
-from pixel2catch.deployment.timing import DecisionDelay, DecisionTimer
 from pixel2catch.errors import DeploymentError, NonFiniteError
 from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
-from pixel2catch.scene.constants import CONTROL_DT, JOINTS
+from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import PolicyCommand
-from pixel2catch.servo.state import Mode
 
 POLL = 0.002
 """Longest time between two looks at servo and network [s], in real time; an image ends it. Source: ours."""
@@ -37,15 +36,74 @@ LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
 PATIENCE = 1.5 * CONTROL_DT
 """Time after an image from which the next one is missing [s]. Source: ours."""
 
+QUANTILE = 0.9
+"""Share of the images that are looked at in time. Source: ours."""
+
+STEP = 0.0005
+"""How fast the time is adapted, for each image [s]. Source: ours."""
+
+NUM_LOOKS = 60
+"""Looks that a timer learns from: two to four seconds. Source: ours."""
+
+SHIFT = 0.0005
+"""How far a control step may be longer or shorter than it should be [s]. Source: ours."""
+
+
+class DecisionDelay:
+    """Learns how old images are when they have been looked at, and waits for those that are done sooner.
+
+    What the policy sees of the object's speed is what has changed since the last control step. In training
+    steps are equally long; perception takes now less and now more.
+    """
+
+    def __init__(self, longest: float) -> None:
+        """Wait for nothing yet: the first looks, which are slow, count no more than others.
+
+        Waiting costs nothing up to the longest age [s].
+        """
+        self._longest = longest
+        self.age = 0.0  #: How old an image is when it is decided on [s]; the quantile of the ages so far.
+
+    def moment(self, stamp: float, now: float) -> float:
+        """When to decide on an image that was taken then and has been looked at now [s]; it may be over."""
+        age = now - stamp
+        change = QUANTILE if age > self.age else QUANTILE - 1.0
+        self.age = min(self.age + STEP * change, self._longest)
+        return stamp + self.age
+
+
+class DecisionTimer:
+    """Says when to decide, once in every control step, whether there is a new image or not.
+
+    Where images come as regularly, it decides as long after their exposure as nine of ten of the last looks
+    took, or whole control steps later: perception may take longer than a step.
+    """
+
+    def __init__(self, begin: float) -> None:
+        """Decide first at this time [s]."""
+        self.due = begin  #: When to decide next [s].
+        self._ages: deque[float] = deque(maxlen=NUM_LOOKS)
+        self._moment = begin
+
+    def learn(self, stamp: float, end: float) -> None:
+        """Learn from a look at an image that was taken at one time and had been looked at, at another [s]."""
+        self._ages.append(end - stamp)
+        self._moment = stamp + float(np.quantile(self._ages, QUANTILE))
+
+    def advance(self, now: float, *, is_even: bool) -> None:
+        """A decision is made now [s]: set the time of the next one; it has to be even with others or not."""
+        num_steps = max(floor((now - self.due) / CONTROL_DT), 0) + 1  # what is over is left out
+        self.due += num_steps * CONTROL_DT
+        error = (self._moment - self.due + 0.5 * CONTROL_DT) % CONTROL_DT - 0.5 * CONTROL_DT
+        most = SHIFT if is_even else inf
+        self.due += min(max(error, -most), most)
+
 
 class ControlLoop:
     """Runs a control loop.
 
     A policy that knows how old its boxes are decides at even times, while images are looked at. One that does
     not decides on each image when it has been looked at, and when the box is as old as in its training.
-
-    Attributes:
-        statistics: What has happened.
     """
 
     def __init__(
@@ -54,28 +112,19 @@ class ControlLoop:
         images: ImageSubscriber,
         connection: Connection,
         topics: OperatorTopics,
-        worker: Worker[Extraction] | None = None,
+        executor: Executor | None = None,
     ) -> None:
-        """Announce and listen.
-
-        Args:
-            pipeline: Perception and policy.
-            images: The camera.
-            connection: Network, servo, clock and recording.
-            topics: Topics of the operator.
-            worker: Who looks at images; the caller itself if absent.
-        """
+        """Announce and listen; the executor looks at images, at one at a time, or else the caller itself."""
         self.statistics = RunStatistics()
         self._pipeline, self._images = pipeline, images
-        self._servo, self._clock, self._recording = connection.servo, connection.clock, connection.recording
-        self._servo_dt = connection.servo_dt
-        self._transport = connection.transport
+        self._connection, self._clock = connection, connection.clock
+        self._recording = connection.recording
         self._prompts = connection.transport.subscription(topics.prompt)
         self._status = connection.transport.publisher(topics.status)
-        self._joint_pos = np.full(len(JOINTS), np.nan)
+        self._joint_pos = np.full(pipeline.num_joints, np.nan)
         self._mode = int(Mode.IDLE)
-        self._worker = worker or CallerWorker(connection.clock)
-        self._perception = ConcurrentPerception(pipeline, self._worker, connection.clock)
+        executor = executor or CallerExecutor(connection.clock)
+        self._perception = ConcurrentPerception(pipeline, executor, connection.clock)
         self._frame: CameraFrame | None = None
         self._look: PerceptionResult | None = None
         self._seen: Extraction | None = None
@@ -83,11 +132,7 @@ class ControlLoop:
         self._message, self._delay, self._timer = "", DecisionDelay(LONGEST_AGE), DecisionTimer(self._due)
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
-        """Go from control step to control step.
-
-        Args:
-            is_over: Asked all the time whether to end.
-            on_status: Gets the status of every control step.
+        """Go from control step to control step, with the status of each, until it is over.
 
         Raises:
             DeploymentError: The servo process is gone, or the camera is another one.
@@ -98,18 +143,10 @@ class ControlLoop:
             if status is not None:
                 on_status(status)
             elif (left := self._due - self._clock.now()) > 0.0:
-                self._transport.wait(min(POLL, left))
+                self._connection.transport.wait(min(POLL, left))
 
     def poll(self) -> dict[str, Any] | None:
-        """Make a control step if it is time.
-
-        Returns:
-            Its status; none if there was nothing to do.
-
-        Raises:
-            DeploymentError: As `run` does.
-            PerceptionError: As `run` does.
-        """
+        """Make a control step if it is time, and return its status; it raises what `run` does."""
         self._hear()
         frame = self._images.newest()
         if self._recording:
@@ -122,20 +159,13 @@ class ControlLoop:
 
     def _hear(self) -> None:
         """Take what servo and operator have said."""
-        for servo_status in self._servo.receive():
-            self.statistics.note_status(servo_status, self._servo_dt)
+        for servo_status in self._connection.hear():
+            self.statistics.note_status(servo_status, self._connection.servo_dt)
             self._images.remember(servo_status.time, servo_status.joint_pos)
             self._joint_pos = servo_status.joint_pos
             if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
                 self._perception.begin(None)
             self._mode = servo_status.mode
-            if self._recording:
-                self._recording.record_row(SERVO, servo_status.row, servo_status.time)
-        if self._servo.is_closed:
-            raise DeploymentError(
-                "the servo process has ended, and nothing guards the robot: press its stop. What the process "
-                "said of the reason is above."
-            )
         for message in self._prompts.take():
             self._point(message.data)
 
@@ -171,11 +201,11 @@ class ControlLoop:
         is_missed = frame is None
         begin = self._clock.now()
         self._frame = frame or self._frame
-        look = partial(self._pipeline.perceive, self._frame, begin)
         if frame:
-            self._worker.start(look)
-        self._seen = self._worker.finish() if frame else look()
-        self._pipeline.remember(self._frame, self._seen)
+            self._seen = self._perception.look_now(frame, begin)
+        else:
+            self._seen = self._pipeline.perceive(self._frame, begin)
+            self._pipeline.remember(self._frame, self._seen)
         looked = self._clock.now()
         if frame:
             self._clock.sleep_until(self._delay.moment(frame.stamp, looked))
@@ -190,7 +220,7 @@ class ControlLoop:
     ) -> dict[str, Any]:
         """Send a command, and publish and record what happened in a control step that began at a time [s]."""
         if policy_command and self._mode in ACTIVE:
-            self._servo.send(policy_command)
+            self._connection.servo.send(policy_command)
         end, seen = self._clock.now(), self._seen
         if self._mode in ACTIVE:
             self.statistics.count_step(took=end - began, is_missed=is_missed)

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from pixel2catch.deployment.recorder import ORDERS, SERVO, Connection
+from pixel2catch.deployment.recorder import ORDERS, Connection
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
+from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.motion import Joints
-from pixel2catch.servo.state import Mode
 
 PERIOD = 0.01
 """Time between two commands [s]. Source: ours."""
@@ -21,10 +21,6 @@ class TrajectoryFollower:
     """Gives the servo the targets that are due; the operator arms, and the servo guards, as with a policy.
 
     The servo moves evenly to a new target within a control step. What it sent is what a recording has.
-
-    Attributes:
-        statistics: What has happened.
-        is_done: Whether the trajectory was followed to its end.
     """
 
     def __init__(
@@ -36,20 +32,17 @@ class TrajectoryFollower:
             targets: The targets of all joints, in joint order [rad], by the time since its beginning [s].
             duration: When it ends [s].
             ramp_time: How long it waits at its first target, in which the servo goes there [s].
-            connection: Network, servo, clock and recording.
+            connection: The robot.
         """
-        self.statistics, self.is_done = RunStatistics(), False
+        self.statistics = RunStatistics()
+        self.is_done = False  #: Whether the trajectory was followed to its end.
         self._targets, self._duration, self._ramp_time = targets, duration, ramp_time
         self._connection = connection
         self._armed_at = np.inf
         self._mode = int(Mode.IDLE)
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
-        """Follow it once.
-
-        Args:
-            is_over: Asked all the time whether to end before.
-            on_status: Gets a status with every command.
+        """Follow it once, or until it is over before, with a status for every command.
 
         Raises:
             DeploymentError: The servo process is gone, or it has stopped the robot.
@@ -66,15 +59,9 @@ class TrajectoryFollower:
     def _hear(self) -> None:
         """Take what the servo has said, and record everything."""
         connection = self._connection
-        for servo_status in connection.servo.receive():
+        for servo_status in connection.hear():
             self.statistics.note_status(servo_status, connection.servo_dt)
             self._follow(servo_status)
-            if connection.recording:
-                connection.recording.record_row(SERVO, servo_status.row, servo_status.time)
-        if connection.servo.is_closed:
-            raise DeploymentError(
-                "the servo process has ended, and nothing guards the robot: press its stop."
-            )
         if connection.recording:
             connection.recording.record_messages()
 
@@ -94,9 +81,8 @@ class TrajectoryFollower:
         if not np.isfinite(self._armed_at):
             return
         elapsed = now - self._armed_at - self._ramp_time
-        policy_command = PolicyCommand(
-            joint_pos_target=self._targets(elapsed), target_stamp=now, image_stamp=now
-        )
+        target = self._targets(elapsed)
+        policy_command = PolicyCommand(joint_pos_target=target, target_stamp=now, image_stamp=now)
         self._connection.servo.send(policy_command)
         if self._connection.recording:
             self._connection.recording.record_row(ORDERS, policy_command.row, now)
@@ -106,13 +92,11 @@ class TrajectoryFollower:
         """Have the servo stop, and record that, too."""
         connection = self._connection
         if np.isfinite(self._armed_at):
-            now = connection.clock.now()
-            still = self._targets(self._duration)
-            connection.servo.send(
-                PolicyCommand(
-                    joint_pos_target=still, target_stamp=now, image_stamp=now, is_stop_requested=True
-                )
+            now, still = connection.clock.now(), self._targets(self._duration)
+            stop = PolicyCommand(
+                joint_pos_target=still, target_stamp=now, image_stamp=now, is_stop_requested=True
             )
+            connection.servo.send(stop)
         connection.clock.sleep_until(connection.clock.now() + STOP_TIME)
         if connection.recording:
             connection.recording.record_messages()

@@ -29,14 +29,7 @@ EARLIEST, LATEST = -0.05, 0.5
 
 
 class ImageSubscriber:
-    """Takes images from the network.
-
-    Attributes:
-        stamp: When the newest good image was taken [s].
-        received: The messages of the last call of `newest`, for a recording.
-        num_lost: Images that came while another was looked at.
-        message: Why the last image was no good; empty if it was.
-    """
+    """Takes images from the network."""
 
     def __init__(
         self,
@@ -49,20 +42,17 @@ class ImageSubscriber:
     ) -> None:
         """Begin to listen.
 
-        Args:
-            transport: The node of the network.
-            profile: The camera's driver.
-            camera: What the policy and the laboratory agree that the camera is.
-            clock: Whose `stamp` the images have.
-            assumes_age: Whether images of a camera without sound stamps are taken to be `ASSUMED_AGE` control
-                steps old when they arrive; else they are as old as they say, and the servo refuses them.
+        The camera is what policy and laboratory agree on; images have stamps of the clock. Those of a camera
+        without sound stamps are taken to be `ASSUMED_AGE` control steps old when they arrive, if that is to
+        be assumed; else they are as old as they say, and the servo refuses them.
         """
         self._profile, self._camera, self._clock = profile, camera, clock
         self._images = transport.subscription(profile.image, DEPTH)
         self._lens = transport.subscription(profile.info) if profile.info else None
         self._joints: deque[tuple[float, Joints]] = deque()
-        self.received: list[Message] = []
-        self.num_lost, self.message, self.stamp = 0, "", -inf
+        self.received: list[Message] = []  #: What the last call of `newest` took, for a recording.
+        self.message = ""  #: Why the last image was no good; empty if it was.
+        self.stamp = -inf  #: When the newest good image was taken [s].
         self._assumes_age, self._is_stamped, self._notices = assumes_age, False, list[str]()
 
     def remember(self, time: float, joint_pos: Joints) -> None:
@@ -79,7 +69,6 @@ class ImageSubscriber:
         """
         self._check_lens()
         self.received = self._images.take()
-        self.num_lost += max(len(self.received) - 1, 0)
         if not self.received:
             return None
         try:
@@ -122,13 +111,10 @@ class ImageSubscriber:
         """Compare what the camera says of its lens with the calibration."""
         for message in self._lens.take() if self._lens else ():
             lens, camera = messages.read_camera_info(message.data).camera, self._camera
-            pairs = (
-                (lens.fx, camera.fx, camera.fx),
-                (lens.fy, camera.fy, camera.fy),
-                (lens.cx, camera.cx, camera.width),
-                (lens.cy, camera.cy, camera.width),
-            )
-            if any(abs(found - known) > LENS_TOLERANCE * scale for found, known, scale in pairs):
+            found = np.array((lens.fx, lens.fy, lens.cx, lens.cy))
+            known = np.array((camera.fx, camera.fy, camera.cx, camera.cy))
+            scale = np.array((camera.fx, camera.fy, camera.width, camera.width))
+            if (np.abs(found - known) > LENS_TOLERANCE * scale).any():
                 raise DeploymentError(
                     f"the camera says fx, fy, cx, cy are {lens.fx:.1f}, {lens.fy:.1f}, {lens.cx:.1f}, "
                     f"{lens.cy:.1f}, the policy's are {camera.fx:.1f}, {camera.fy:.1f}, {camera.cx:.1f}, "

@@ -18,12 +18,7 @@ DEPTH = 64
 
 
 class OperatorConsole:
-    """What an operator has at hand; call `watch` more often than `SWITCH_TIME`.
-
-    Attributes:
-        holds: Whether the dead-man's switch is held.
-        status: Newest status of the deployment; empty before the first.
-    """
+    """What an operator has at hand; call `watch` more often than `SWITCH_TIME`."""
 
     def __init__(self, transport: Transport, topics: OperatorTopics, clock: Clock) -> None:
         """Announce and listen, with the switch let go."""
@@ -33,8 +28,8 @@ class OperatorConsole:
         )
         self._statuses = transport.subscription(topics.status, DEPTH)
         self._said, self._next_switch = False, -inf
-        self.holds = False
-        self.status: dict[str, Any] = {}
+        self.holds = False  #: Whether the dead-man's switch is held.
+        self.status: dict[str, Any] = {}  #: Newest status of the deployment; empty before the first.
 
     @property
     def mode(self) -> str:
@@ -63,12 +58,7 @@ class OperatorConsole:
 
 
 def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
-    """The newest message of a topic of JSON; what is known where there is none.
-
-    Args:
-        subscription: Of a topic of texts.
-        known: The message before.
-    """
+    """The newest message of a topic of JSON; the known one before where there is none."""
     received = subscription.take()
     return json.loads(messages.read_text(received[-1].data)) if received else known
 
@@ -77,42 +67,34 @@ POLL = 0.005
 """Time between two looks at the keys [s]. Source: ours."""
 
 
-class KeyOperator:
-    """Holds, arms and stops as the keys say."""
+def operate_by_keys(
+    console: OperatorConsole,
+    switches: Switches,
+    keys: Keys,
+    clock: Clock,
+    is_over: Callable[[], bool],
+    report: Callable[[list[Press], dict[str, Any]], None],
+) -> None:
+    """Hold, arm and stop as the keys say until it is over, and let go of the switch then.
 
-    def __init__(self, console: OperatorConsole, switches: Switches, keys: Keys) -> None:
-        """Begin with the switch let go, whatever is pressed already."""
-        self._console, self._switches, self._keys = console, switches, keys
+    It begins with the switch let go, whatever is pressed already. What was pressed and the newest status are
+    reported all the time.
 
-    def run(
-        self, clock: Clock, is_over: Callable[[], bool], report: Callable[[list[Press], dict[str, Any]], None]
-    ) -> None:
-        """Look at the keys until it is over, and let go of the switch then.
-
-        Args:
-            clock: The clock of the deployment.
-            is_over: Asked all the time whether to end.
-            report: Gets what was pressed and the newest status, all the time.
-
-        Raises:
-            DeploymentError: The device is gone.
-        """
-        try:
-            while not is_over():
-                report(self._look(), self._console.status)
-                clock.sleep_until(clock.now() + POLL)
-        finally:
-            self._console.holds = False
-            self._console.watch()
-
-    def _look(self) -> list[Press]:
-        console, keys = self._console, self._keys
-        presses = self._switches.poll()
-        down = {press.code for press in presses if press.is_down}
-        console.holds = not self._switches.pressed.isdisjoint(keys.hold)
+    Raises:
+        DeploymentError: The device is gone.
+    """
+    try:
+        while not is_over():
+            presses = switches.poll()
+            down = {press.code for press in presses if press.is_down}
+            console.holds = not switches.pressed.isdisjoint(keys.hold)
+            console.watch()
+            if not down.isdisjoint(keys.stop):
+                console.stop()
+            elif not down.isdisjoint(keys.arm):
+                console.arm()
+            report(presses, console.status)
+            clock.sleep_until(clock.now() + POLL)
+    finally:
+        console.holds = False
         console.watch()
-        if not down.isdisjoint(keys.stop):
-            console.stop()
-        elif not down.isdisjoint(keys.arm):
-            console.arm()
-        return presses

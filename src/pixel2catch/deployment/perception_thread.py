@@ -1,11 +1,10 @@
 """Perception beside the decisions: it looks at one image at a time, and nobody waits for it."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import partial
-from typing import Generic, TypeVar, final
+from typing import Any, final
 
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.perception.extractor import CameraFrame, Extraction
@@ -16,110 +15,6 @@ from pixel2catch.scene.constants import CONTROL_DT
 ROUNDING = 1e-9
 """Difference of two times that is none [s]."""
 
-Result = TypeVar("Result")
-
-
-class Worker(ABC, Generic[Result]):
-    """Does one task at a time; give it the next when the result of the last one was fetched."""
-
-    @property
-    @abstractmethod
-    def is_free(self) -> bool:
-        """Whether there is no task whose result was not fetched."""
-
-    @abstractmethod
-    def start(self, task: Callable[[], Result]) -> None:
-        """Begin with a task."""
-
-    @abstractmethod
-    def fetch(self) -> Result | None:
-        """The result of the task if it is done, once; what the task raised is raised here."""
-
-    @abstractmethod
-    def finish(self) -> Result:
-        """Wait for the result of the task and fetch it."""
-
-    def close(self) -> None:
-        """Wait for what is in work, and end."""
-
-
-@final
-class CallerWorker(Worker[Result]):
-    """Does a task at once, in the caller's thread; on the clock it takes as long as is said.
-
-    For clocks that go on only while somebody waits, and for real ones where a task takes no longer than it
-    takes.
-    """
-
-    def __init__(self, clock: Clock, seconds: Callable[[], float] = float) -> None:
-        """Wait for tasks.
-
-        Args:
-            clock: Whose time it takes.
-            seconds: How much of it, asked for each task [s]; none if absent.
-        """
-        self._clock, self._seconds = clock, seconds
-        self._result: Result | None = None
-        self._due = 0.0
-
-    @property
-    def is_free(self) -> bool:
-        """See `Worker.is_free`."""
-        return self._result is None
-
-    def start(self, task: Callable[[], Result]) -> None:
-        """See `Worker.start`."""
-        self._due = self._clock.now() + self._seconds()
-        self._result = task()
-
-    def fetch(self) -> Result | None:
-        """See `Worker.fetch`."""
-        if self._clock.now() < self._due - ROUNDING:
-            return None
-        result, self._result = self._result, None
-        return result
-
-    def finish(self) -> Result:
-        """See `Worker.finish`."""
-        self._clock.sleep_until(self._due)
-        result, self._result = self._result, None
-        assert result is not None, "start a task first"
-        return result
-
-
-@final
-class ThreadWorker(Worker[Result]):
-    """Does a task in a thread of its own, while the caller goes on."""
-
-    def __init__(self) -> None:
-        """Start the thread."""
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="perception")
-        self._future: Future[Result] | None = None
-
-    @property
-    def is_free(self) -> bool:
-        """See `Worker.is_free`."""
-        return self._future is None
-
-    def start(self, task: Callable[[], Result]) -> None:
-        """See `Worker.start`."""
-        self._future = self._thread.submit(task)
-
-    def fetch(self) -> Result | None:
-        """See `Worker.fetch`."""
-        return self.finish() if self._future and self._future.done() else None
-
-    def finish(self) -> Result:
-        """See `Worker.finish`."""
-        future, self._future = self._future, None
-        assert future is not None, "start a task first"
-        return future.result()
-
-    def close(self) -> None:
-        """See `Worker.close`."""
-        self._thread.shutdown()
-
-
 LONGEST_WAIT = 0.25 * CONTROL_DT
 """Time after which an image that waits is passed over for the next one [s].
 
@@ -128,21 +23,50 @@ than with half a control step, and up to 22 ms younger than where whatever waits
 """
 
 
+@final
+class _TimedResult(Future[Any]):
+    """A result that is there when a clock says so [s]."""
+
+    def __init__(self, result: object, due: float, clock: Clock) -> None:
+        super().__init__()
+        self.set_result(result)
+        self._due, self._clock = due, clock
+
+    def done(self) -> bool:
+        return self._clock.now() >= self._due - ROUNDING
+
+    def result(self, timeout: float | None = None) -> Any:
+        if not self.done():
+            self._clock.sleep_until(self._due)
+        return super().result(timeout)
+
+
+@final
+class CallerExecutor(Executor):
+    """Does a task at once, in the caller's thread; on the clock it takes as long as is said.
+
+    For clocks that go on only while somebody waits, and for real ones where a task takes no longer than it
+    takes.
+    """
+
+    def __init__(self, clock: Clock, seconds: Callable[[], float] = float) -> None:
+        """Take so much time of a clock, asked for each task [s]; none if nothing is said."""
+        self._clock, self._seconds = clock, seconds
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """See `Executor.submit`; what the task raises is raised here."""
+        due = self._clock.now() + self._seconds()
+        return _TimedResult(fn(*args, **kwargs), due, self._clock)
+
+
 @dataclass(frozen=True, kw_only=True)
 class PerceptionResult:
-    """One look at an image.
-
-    Attributes:
-        frame: The image.
-        seen: What was seen.
-        took: How long it took [s].
-        end: When it was done [s].
-    """
+    """One look at an image."""
 
     frame: CameraFrame
     seen: Extraction
-    took: float
-    end: float
+    took: float  #: How long it took [s].
+    end: float  #: When it was done [s].
 
 
 class ConcurrentPerception:
@@ -152,31 +76,32 @@ class ConcurrentPerception:
     second one of a camera of 30 Hz is looked at, as soon as it arrives.
     """
 
-    def __init__(self, pipeline: PolicyPipeline, worker: Worker[Extraction], clock: Clock) -> None:
-        """Look at nothing yet.
-
-        Args:
-            pipeline: Perception, and what remembers.
-            worker: Who looks.
-            clock: The clock of the images' stamps.
-        """
-        self._pipeline, self._worker, self._clock = pipeline, worker, clock
+    def __init__(self, pipeline: PolicyPipeline, executor: Executor, clock: Clock) -> None:
+        """Look at nothing yet; the executor looks at one image at a time, the clock is of their stamps."""
+        self._pipeline, self._executor, self._clock = pipeline, executor, clock
         self._waiting: tuple[CameraFrame, float] | None = None
-        self._work: tuple[CameraFrame, float] | None = None
+        self._work: tuple[CameraFrame, float, Future[Extraction]] | None = None
         self._later: Callable[[], None] | None = None
 
-    def begin(self, prompt: Prompt | None) -> None:
-        """A new throw begins; what is looked at now still belongs to the one before.
+    @property
+    def is_free(self) -> bool:
+        """Whether no image is looked at."""
+        return self._work is None
 
-        Args:
-            prompt: Where the operator points, if he does.
-        """
+    def begin(self, prompt: Prompt | None) -> None:
+        """A new throw begins; what is looked at now still belongs to the one before."""
         self._pipeline.forget()
         point = partial(self._pipeline.point, prompt)
-        if self._worker.is_free:
+        if self.is_free:
             point()
         else:
             self._later = point
+
+    def look_now(self, frame: CameraFrame, now: float) -> Extraction:
+        """Look at an image, and wait for what is seen; nothing else may be looked at."""
+        seen = self._executor.submit(self._pipeline.perceive, frame, now).result()
+        self._pipeline.remember(frame, seen)
+        return seen
 
     def offer(self, frame: CameraFrame) -> None:
         """Have an image that has just arrived looked at, if no newer one comes before its turn."""
@@ -195,19 +120,19 @@ class ConcurrentPerception:
         now = self._clock.now()
         if self._waiting and now - self._waiting[1] > LONGEST_WAIT:
             self._waiting = None
-        if self._waiting and self._worker.is_free:
+        if self._waiting and self.is_free:
             frame, _ = self._waiting
-            self._waiting, self._work = None, (frame, now)
-            self._worker.start(partial(self._pipeline.perceive, frame, now))
+            self._waiting = None
+            self._work = (frame, now, self._executor.submit(self._pipeline.perceive, frame, now))
         return look
 
     def _done(self) -> PerceptionResult | None:
         """The look that is done; the pipeline remembers it."""
-        seen = self._worker.fetch()
-        if seen is None or self._work is None:
+        if self._work is None or not self._work[2].done():
             return None
-        frame, begin = self._work
+        frame, begin, future = self._work
         self._work = None
+        seen = future.result()
         if self._later:
             self._later()
             self._later = None

@@ -41,29 +41,20 @@ class _Past:
 
 
 class Controller:
-    """A policy at its control rate: call `reset` before a throw, then `step` in every control step.
-
-    Attributes:
-        method: The method that the policy was trained with.
-    """
+    """A policy at its control rate: call `reset` before a throw, then `step` in every control step."""
 
     def __init__(self, policy: Policy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
-        """Take over a policy.
-
-        Args:
-            policy: The policy.
-            workcell: The robots of the laboratory.
-            camera: The camera of the laboratory.
+        """Take over a policy, for the robots and the camera of the laboratory.
 
         Raises:
             PolicyMismatchError: It was trained for another robot or camera, or needs what no camera
                 sees.
         """
-        self.method = method_of(policy.contract)
+        self.method = method_of(policy.contract)  #: What the policy was trained with.
         policy.contract.require(contract_of(self.method, workcell, camera))
         self._policy = policy
         self._action_map = ActionMap.of(commands_of(workcell), torch.device("cpu"))
-        self._geometry, self._joints = WorkcellGeometry(workcell), workcell.joints
+        self._geometry, self.joints = WorkcellGeometry(workcell), workcell.joints
         self._past: _Past | None = None
         self._held: Tensor | None = None
         nowhere = BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), self.method.num_boxes)
@@ -71,11 +62,7 @@ class Controller:
         _refuse_trackers(self.method, at_zero)
 
     def reset(self, joint_pos_target: Float[Tensor, "1 num_joints"] | None = None) -> None:
-        """Begin a new throw: the next step is the first of an episode.
-
-        Args:
-            joint_pos_target: Where the joints are held [rad]; where they are measured if absent.
-        """
+        """Begin a new throw, with joints that are held here [rad], or where they are measured."""
         self._past, self._held = None, joint_pos_target
         self._policy.reset()
 
@@ -87,14 +74,11 @@ class Controller:
     def step(
         self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory
     ) -> Float[Tensor, "1 num_joints"]:
-        """Decide on the next control step.
+        """Decide where the joints shall be at the end of the next control step [rad].
 
         Args:
             joint_pos: Joint encoders in joint order [rad].
             boxes: The last measured boxes of the object, as many as the method remembers.
-
-        Returns:
-            Where the joints shall be at its end [rad].
 
         Raises:
             NonFiniteError: There is a NaN or an infinity; nothing is remembered of it.
@@ -112,7 +96,7 @@ class Controller:
 
     def _refuse_non_finite(self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory) -> None:
         is_good = joint_pos.isfinite()[0].tolist()
-        bad = [joint.name for joint, good in zip(self._joints, is_good, strict=True) if not good]
+        bad = [joint.name for joint, good in zip(self.joints, is_good, strict=True) if not good]
         bad += [] if boxes.box.isfinite().all() else ["the object's box"]
         bad += [] if boxes.age.isfinite().all() else ["the age of the object's box"]
         if bad:
@@ -179,30 +163,18 @@ class PolicyPipeline:
     """Perception and policy, without a network and without a clock.
 
     Only `perceive` may run in another thread than the rest; nothing else of perception may run meanwhile.
-
-    Attributes:
-        knows_age: Whether the policy is told how old the boxes are. One that is not gets all of the same age.
     """
 
     def __init__(self, controller: Controller, extractor: PixelFeatureExtractor, person: Prompter) -> None:
-        """Begin before the first throw.
-
-        Args:
-            controller: The policy.
-            extractor: The perception.
-            person: What tells the extractor's prompter where the operator points.
-        """
+        """Begin before the first throw, with a person that tells perception where the operator points."""
         self._controller, self._extractor, self._person = controller, extractor, person
+        #: Whether the policy is told how old the boxes are. One that is not gets all of the same age.
         self.knows_age = controller.method.knows_age
+        self.num_joints = len(controller.joints)
         num_boxes = max(MEMORY, controller.method.num_boxes)
         self._looked = -inf
         self._stamps: deque[float] = deque(maxlen=num_boxes)
         self._boxes: deque[Float[Tensor, " 4"]] = deque(maxlen=num_boxes)
-
-    def begin(self, prompt: Prompt | None = None) -> None:
-        """A new throw begins: nothing is known of the object but where the operator points."""
-        self.forget()
-        self.point(prompt)
 
     def forget(self) -> None:
         """A new throw begins for the policy: nothing is known of the object."""
@@ -217,18 +189,10 @@ class PolicyPipeline:
         if prompt is not None:
             self._person.give(prompt)
 
-    def see(self, frame: CameraFrame | None, now: float) -> Extraction:
-        """Look at the newest image, and remember its box: `perceive` and `remember`."""
-        seen = self.perceive(frame, now)
-        self.remember(frame, seen)
-        return seen
-
     def perceive(self, frame: CameraFrame | None, now: float) -> Extraction:
-        """Look at the newest image: what takes most of the time.
+        """Look at the newest image, be it the same as before: what takes most of the time.
 
-        Args:
-            frame: The newest image, be it the same as before; none before the first.
-            now: The time [s], of the clock of the image's stamp.
+        Now is a time [s] of the clock of the image's stamp.
 
         Raises:
             PerceptionError: The first image has the wrong size.
@@ -239,11 +203,7 @@ class PolicyPipeline:
         """Keep the box of an image for the policy.
 
         Where nothing was seen, the last box gets older for a policy that knows it; for another one it is also
-        the box of this image, as in its training.
-
-        Args:
-            frame: The image, be it the same as before; none before the first.
-            seen: What was seen in it.
+        the box of this image, as in its training. The image may be the same as before.
         """
         if frame is None or not seen.is_valid or frame.stamp <= self._looked:
             return
@@ -258,12 +218,8 @@ class PolicyPipeline:
         In training it acts in the very moment in which the joints are measured. Positions that are as old as
         the perception takes cost `proposed` 5 of 100 throws (experiments/LOG.md).
 
-        Args:
-            joint_pos: Newest joint positions, in joint order [rad]; NaN where unknown.
-            now: The time [s].
-
-        Returns:
-            Orders for the servo; none before the object is seen, nor without joint positions.
+        The newest joint positions are in joint order [rad], and NaN where unknown. Nothing is decided before
+        the object is seen, nor without joint positions.
 
         Raises:
             NonFiniteError: A joint position is infinite.
@@ -306,12 +262,8 @@ def make_pipeline(
 ) -> PolicyPipeline:
     """Put perception and policy together.
 
-    Args:
-        controller: The policy.
-        segmenter: What finds the object.
-        prompter: What points it out, and where the operator points it out.
-        camera: The camera.
-        robot: The robot, whose motion is not the object's; None where that does no harm.
+    The prompter points the object out, and is told where the operator does. The motion of a robot that is
+    given is not the object's.
     """
     extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot, camera=camera, waits=True)
     return PolicyPipeline(controller, extractor, prompter)

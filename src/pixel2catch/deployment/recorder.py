@@ -1,13 +1,13 @@
 """What a deployment saw and did, as a rosbag2 (MCAP) for `identify`, `track` and ROS's tools."""
 
 from collections import Counter
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock, Thread
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 from rosbags.interfaces import Connection as BagConnection
@@ -18,7 +18,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
-from pixel2catch.servo.link import LoopEnd
+from pixel2catch.servo.link import LoopEnd, ServoStatus
 
 MOST_WAITING = 128 * 2**20
 """Messages that wait to be written [bytes]: 4 s of images. Source: ours."""
@@ -35,30 +35,23 @@ class _Entry(NamedTuple):
     convert: Convert
 
 
-class BagRecorder:
+@final
+class BagRecorder(AbstractContextManager["BagRecorder"]):
     """Writes messages in a thread of its own; use it as a context manager, which ends the file properly.
 
     A slow or full disk never holds up the caller: what cannot be written is dropped and counted. After a kill
     the file has all but the last moments, and `mcap recover` makes it readable.
-
-    Attributes:
-        num_written: Messages written, by topic.
-        num_dropped: Messages lost, by topic.
-        problem: What keeps messages from being written; empty if nothing does.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Begin a recording.
-
-        Args:
-            folder: The rosbag2, a folder that does not exist.
+        """Begin a recording, a new folder.
 
         Raises:
             DeploymentError: It exists, or cannot be made.
         """
-        self.num_written: Counter[str] = Counter()
-        self.num_dropped: Counter[str] = Counter()
-        self.problem = ""
+        self.num_written: Counter[str] = Counter()  #: Messages written, by topic.
+        self.num_dropped: Counter[str] = Counter()  #: Messages lost, by topic.
+        self.problem = ""  #: What keeps messages from being written; empty if nothing does.
         self._connections: dict[Topic, BagConnection] = {}
         self._waiting, self._lock = 0, Lock()
         self._queue: SimpleQueue[_Entry | None] = SimpleQueue()
@@ -67,13 +60,9 @@ class BagRecorder:
         self._thread.start()
 
     def record(self, topic: Topic, data: bytes, stamp: float, convert: Convert = bytes) -> None:
-        """Keep a message; any thread may call this.
+        """Keep a message of this time, `Clock.stamp` [s]; any thread may call this.
 
-        Args:
-            topic: What it is written as.
-            data: Its CDR.
-            stamp: When it was sent or received, `Clock.stamp` [s].
-            convert: Called in the recorder's thread; a message that it refuses is dropped.
+        It is converted in the recorder's thread; if that is refused, it is dropped.
         """
         with self._lock:
             if self.problem or self._waiting + len(data) > MOST_WAITING:
@@ -94,10 +83,6 @@ class BagRecorder:
             self.problem = self.problem or str(error)
             with suppress(OSError):
                 self._writer.abort()
-
-    def __enter__(self) -> "BagRecorder":
-        """Return the recorder itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""
@@ -166,14 +151,8 @@ class DeploymentRecorder:
         self._recorder, self._clock = recorder, clock
         self._profile, self._images = profile, images
         self._last: dict[Topic, float] = {}
-        operator = profile.operator
-        topics = {topic for part in profile.robots for topic in (part.state_topic, part.command_topic)} | {
-            operator.arm,
-            operator.dead_man,
-            operator.stop,
-            operator.prompt,
-            operator.status,
-        }
+        topics = {topic for part in profile.robots for topic in (part.state_topic, part.command_topic)}
+        topics |= {*vars(profile.operator).values()}
         topics |= {topic for topic in vars(profile.status).values() if topic}
         self._subscriptions = [(topic, transport.subscription(topic, DEPTH)) for topic in topics]
 
@@ -205,18 +184,26 @@ class DeploymentRecorder:
 
 @dataclass(frozen=True, kw_only=True)
 class Connection:
-    """Network, servo, clock and recording.
+    """Network, servo, clock and recording."""
 
-    Attributes:
-        transport: The node of the network.
-        servo: The control loop's end of the link to the servo process.
-        servo_dt: Time between two ticks of the servo [s].
-        clock: The clock.
-        recording: The recording, if there is one.
-    """
-
-    transport: Transport
-    servo: LoopEnd
-    servo_dt: float
+    transport: Transport  #: The node of the network.
+    servo: LoopEnd  #: The control loop's end of the link to the servo process.
+    servo_dt: float  #: Time between two ticks of the servo [s].
     clock: Clock
     recording: DeploymentRecorder | None
+
+    def hear(self) -> Iterator[ServoStatus]:
+        """Yield what the servo has said since the last call, and record it.
+
+        Raises:
+            DeploymentError: The servo process is gone.
+        """
+        for servo_status in self.servo.receive():
+            if self.recording:
+                self.recording.record_row(SERVO, servo_status.row, servo_status.time)
+            yield servo_status
+        if self.servo.is_closed:
+            raise DeploymentError(
+                "the servo process has ended, and nothing guards the robot: press its stop. What the process "
+                "said of the reason is above."
+            )

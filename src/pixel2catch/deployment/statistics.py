@@ -8,8 +8,8 @@ import numpy as np
 
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.servo.core import Clamp, Mode
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
-from pixel2catch.servo.state import Clamp, Mode
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
 MEMORY = 40_000
@@ -23,27 +23,18 @@ ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))
 
 @dataclass(kw_only=True)
 class RunStatistics:
-    """Counts what happens, from control step to control step.
+    """Counts what happens, from control step to control step."""
 
-    Attributes:
-        num_steps: Control steps in which the robot was armed or moved; only these count.
-        num_missed: Control steps for which no new image had come, or been looked at, in time.
-        num_overruns: Control steps whose image took longer than one.
-        stops: How often the robot was stopped, by the reasons.
-        refusals: How often it could not be armed, by the reasons.
-        clamps: Servo ticks in which a command was held back, by what.
-        num_ticks: Servo ticks heard of.
-        num_late_ticks: Servo ticks that came more than a tick late.
-    """
-
-    num_steps: int = 0
-    num_missed: int = 0
-    num_overruns: int = 0
-    stops: Counter[str] = field(default_factory=Counter)
+    num_steps: int = 0  #: Control steps in which the robot was armed or moved; only these count.
+    num_missed: int = 0  #: Control steps for which no new image had come, or been looked at, in time.
+    num_overruns: int = 0  #: Control steps whose image took longer than one.
+    stops: Counter[str] = field(default_factory=Counter)  #: How often the robot was stopped, by the reasons.
+    #: How often it could not be armed, by the reasons.
     refusals: Counter[str] = field(default_factory=Counter)
+    #: Servo ticks in which a command was held back, by what.
     clamps: Counter[str] = field(default_factory=Counter)
-    num_ticks: int = 0
-    num_late_ticks: int = 0
+    num_ticks: int = 0  #: Servo ticks heard of.
+    num_late_ticks: int = 0  #: Servo ticks that came more than a tick late.
     _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _thinking: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
     _ticks: deque[float] = field(default_factory=lambda: deque(maxlen=SERVO_MEMORY))
@@ -53,12 +44,7 @@ class RunStatistics:
     _clamped: int = 0
 
     def count_step(self, *, took: float, is_missed: bool) -> None:
-        """Note a control step of an armed robot.
-
-        Args:
-            took: For perception and policy, without waiting [s].
-            is_missed: Whether there was no new image.
-        """
+        """Note a control step of an armed robot: what perception and policy took, without waiting [s]."""
         self.num_steps += 1
         self.num_missed += is_missed
         if not is_missed:

@@ -10,7 +10,7 @@ from typing import final
 
 from pixel2catch.deployment.control_loop import ControlLoop
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
-from pixel2catch.deployment.perception_thread import CallerWorker
+from pixel2catch.deployment.perception_thread import CallerExecutor
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import Connection, DeploymentRecorder
 from pixel2catch.errors import InvalidValueError
@@ -22,18 +22,10 @@ from pixel2catch.servo.process import Servo, ServoSetup
 
 @final
 class StepClock(Clock):
-    """Time that goes on only while somebody waits; time of day is the same.
-
-    Attributes:
-        time: The time [s].
-    """
+    """Time that goes on only while somebody waits; time of day is the same."""
 
     def __init__(self, wait: Callable[[float], None]) -> None:
-        """Begin at 0.
-
-        Args:
-            wait: Lets happen what happens until a moment [s].
-        """
+        """Begin at 0, with what lets happen what happens until a moment [s]."""
         self.time, self._wait = 0.0, wait
 
     def now(self) -> float:
@@ -49,57 +41,38 @@ class StepClock(Clock):
         self._wait(moment)
 
 
-@final
-class PerceptionTime:
-    """How long perception takes for each image, drawn evenly from a range."""
+def perception_times(least: float, jitter: float = 0.0, seed: int = 0) -> Callable[[], float]:
+    """What draws how long perception takes for an image [s], evenly from a range.
 
-    def __init__(self, least: float, jitter: float = 0.0, seed: int = 0) -> None:
-        """Begin to draw.
+    Args:
+        least: The least time [s].
+        jitter: How much more it may be [s].
+        seed: Of the draws.
 
-        Args:
-            least: The least time [s].
-            jitter: How much more it may be [s].
-            seed: Of the draws.
-
-        Raises:
-            InvalidValueError: A time is negative.
-        """
-        if least < 0.0 or jitter < 0.0:
-            raise InvalidValueError(
-                f"perception takes {1e3 * least:g} ms, and up to {1e3 * jitter:g} ms more; neither can be "
-                "less than 0"
-            )
-        self._least, self._jitter = least, jitter
-        self._random = Random(seed)
-
-    def __call__(self) -> float:
-        """The time for the next image [s]."""
-        return self._least + self._jitter * self._random.random()
+    Raises:
+        InvalidValueError: A time is negative.
+    """
+    if least < 0.0 or jitter < 0.0:
+        raise InvalidValueError(
+            f"perception takes {1e3 * least:g} ms, and up to {1e3 * jitter:g} ms more; neither can be less "
+            "than 0"
+        )
+    random = Random(seed)
+    return lambda: least + jitter * random.random()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Nodes:
-    """How a deployment hears of its robot.
+    """How a deployment hears of its robot."""
 
-    Attributes:
-        servo: The servo's node.
-        loop: The control loop's node; it may be the same.
-        clock: The clock of both.
-        recording: The recording, if there is one.
-    """
-
-    servo: Transport
-    loop: Transport
-    clock: Clock
-    recording: DeploymentRecorder | None = None
+    servo: Transport  #: The servo's node.
+    loop: Transport  #: The control loop's node; it may be the same.
+    clock: Clock  #: The clock of both.
+    recording: DeploymentRecorder | None = None  #: The recording, if there is one.
 
 
 class SteppedDeployment:
-    """Servo and control loop, each of which does what it has to do when it is told to.
-
-    Attributes:
-        control_loop: The control loop's loop.
-    """
+    """Servo and control loop, each of which does what it has to do when it is told to."""
 
     def __init__(
         self,
@@ -107,30 +80,22 @@ class SteppedDeployment:
         camera: CameraSpec,
         nodes: Nodes,
         pipeline: PolicyPipeline,
-        perception_time: PerceptionTime,
+        perception_time: Callable[[], float],
     ) -> None:
-        """Put both in place.
-
-        Args:
-            setup: What the servo is the servo of.
-            camera: The camera of the laboratory.
-            nodes: How they hear of it.
-            pipeline: What catches.
-            perception_time: How long it looks at an image.
-        """
-        brain_end, servo_end = link()
-        self._ends, clock = (brain_end, servo_end), nodes.clock
+        """Put both in place; the perception takes so long [s] for an image."""
+        loop_end, servo_end = link()
+        self._ends, clock = (loop_end, servo_end), nodes.clock
         self._servo = Servo(servo_end, nodes.servo, setup, clock)
         connection = Connection(
             transport=nodes.loop,
-            servo=brain_end,
+            servo=loop_end,
             servo_dt=setup.limits.dt,
             clock=clock,
             recording=nodes.recording,
         )
-        profile, worker = setup.profile, CallerWorker(clock, perception_time)
+        profile, executor = setup.profile, CallerExecutor(clock, perception_time)
         images = ImageSubscriber(nodes.loop, profile.camera, camera, clock, assumes_age=pipeline.knows_age)
-        self.control_loop = ControlLoop(pipeline, images, connection, profile.operator, worker)
+        self.control_loop = ControlLoop(pipeline, images, connection, profile.operator, executor)
         self._is_thinking = False
 
     def tick(self) -> None:

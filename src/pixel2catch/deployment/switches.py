@@ -4,8 +4,10 @@ import errno
 import os
 import struct
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import final
 
 from pixel2catch.errors import DeploymentError
 
@@ -27,44 +29,30 @@ DEVICES = Path("/dev/input/by-id")
 
 @dataclass(frozen=True, kw_only=True)
 class Keys:
-    """Codes of the keys, of which any one does it.
-
-    Attributes:
-        hold: Of the dead-man's switch. Default: space bar, first button of a gamepad or joystick.
-        arm: To ask to arm. Default: enter, start button.
-        stop: To ask to stop. Default: escape, second button.
-    """
+    """Codes of the keys, of which any one does it."""
 
     hold: tuple[int, ...] = (57, 288, 304)
+    """Of the dead-man's switch. Default: space bar, first button of a gamepad or joystick."""
     arm: tuple[int, ...] = (28, 296, 315)
+    """To ask to arm. Default: enter, start button."""
     stop: tuple[int, ...] = (1, 289, 305)
+    """To ask to stop. Default: escape, second button."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Press:
-    """A key that has just been pressed or released.
-
-    Attributes:
-        code: Its code.
-        is_down: Whether it was pressed.
-    """
+    """A key that has just been pressed or released."""
 
     code: int
     is_down: bool
 
 
-class Switches:
-    """The keys of an input device; a device that is gone has none pressed.
-
-    Attributes:
-        pressed: Codes of the keys that are pressed.
-    """
+@final
+class Switches(AbstractContextManager["Switches"]):
+    """The keys of an input device; a device that is gone has none pressed."""
 
     def __init__(self, device: Path) -> None:
-        """Open the device.
-
-        Args:
-            device: Such as /dev/input/by-id/usb-…-event-kbd.
+        """Open a device such as /dev/input/by-id/usb-…-event-kbd.
 
         Raises:
             DeploymentError: It cannot be opened.
@@ -75,7 +63,7 @@ class Switches:
             raise DeploymentError(
                 f"{device} cannot be opened ({error.strerror}); {_advice(error)}"
             ) from error
-        self.pressed: set[int] = set()
+        self.pressed: set[int] = set()  #: Codes of the keys that are pressed.
 
     def poll(self) -> list[Press]:
         """What has happened since the last call.
@@ -108,17 +96,9 @@ class Switches:
         for *_, kind, code, value in EVENT.iter_unpack(data[: len(data) // EVENT.size * EVENT.size]):
             yield kind, code, value
 
-    def close(self) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Close the device."""
         os.close(self._file)
-
-    def __enter__(self) -> "Switches":
-        """Return the switches themselves."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Close them."""
-        self.close()
 
 
 def _advice(error: OSError) -> str:

@@ -1,13 +1,14 @@
 """What the servo keeps to: limits of the joints, and how old its inputs may be."""
 
-from dataclasses import dataclass, field, fields
-from math import pi
+from dataclasses import dataclass, fields
+from math import isclose, pi
 
 import numpy as np
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.scene.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS, JOINTS, SPEED_MARGIN
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.constants import CONTROL_DT, SPEED_MARGIN
 from pixel2catch.servo.motion import Joints, MotionLimits
 from pixel2catch.servo.workspace import Workspace
 
@@ -18,11 +19,12 @@ RETURN_TIME = 0.2
 """Part of it in which they go back to where the joints are [s]; the rest is for braking. Source: ours."""
 
 TRAVEL_MARGIN = 0.05
-"""Distance that commands of the arm keep from the ends of its joints' travel [rad]. Source: ours."""
+"""Distance that commands of an arm keep from the ends of its joints' travel [rad]. Source: ours."""
 
 
-def _arm_and_hand(arm: float, hand: float) -> Joints:
-    return np.array([arm] * len(ARM_JOINTS) + [hand] * len(HAND_JOINTS))
+def steady_lag(dynamics: JointDynamics) -> Joints:
+    """How far each joint is behind its command in a steady motion, per speed [s]."""
+    return dynamics.latency + dynamics.filter_lookahead + dynamics.damping / dynamics.stiffness
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,45 +33,35 @@ class JointLimits:
 
     Speed and acceleration are those of the commands, which run ahead of the joints: a joint follows through
     its servo, and at a steady speed it is `lag` behind. Its own speed is therefore limited by `lead`.
-
-    Attributes:
-        lower: Lowest command [rad].
-        upper: Highest command [rad].
-        speed: Largest speed of a command [rad/s].
-        acceleration: Largest acceleration of a command [rad/s²].
-        step: Largest change of a command in a tick [rad].
-        lag: How long a joint is behind its command [s].
-        lead: How far a command goes ahead of its joint [rad].
-        tracking_error: Distance of a joint from where its servo should have it that is a fault [rad].
-        moved_error: Distance of a joint from a stopped command from which somebody else has moved it [rad].
-        start_error: Largest distance of a joint from the first command [rad].
-        start_distance: Largest distance of the policy's first target from the first command [rad].
-        position_age: Age of a measured position that is a fault [s].
     """
 
-    lower: Joints
-    upper: Joints
-    speed: Joints
-    acceleration: Joints
-    step: Joints
-    lag: Joints
-    lead: Joints
-    tracking_error: Joints
-    moved_error: Joints
-    start_error: Joints
-    start_distance: Joints
-    position_age: Joints
+    lower: Joints  #: Lowest command [rad].
+    upper: Joints  #: Highest command [rad].
+    speed: Joints  #: Largest speed of a command [rad/s].
+    acceleration: Joints  #: Largest acceleration of a command [rad/s²].
+    step: Joints  #: Largest change of a command in a tick [rad].
+    lag: Joints  #: How long a joint is behind its command [s].
+    lead: Joints  #: How far a command goes ahead of its joint [rad].
+    tracking_error: Joints  #: Distance of a joint from where its servo should have it that is a fault [rad].
+    moved_error: Joints  #: Distance from a stopped command from which somebody has moved the joint [rad].
+    start_error: Joints  #: Largest distance of a joint from the first command [rad].
+    start_distance: Joints  #: Largest distance of the policy's first target from the first command [rad].
+    position_age: Joints  #: Age of a measured position that is a fault [s].
 
     @classmethod
-    def of(cls, dynamics: JointDynamics, share: float = 1.0) -> "JointLimits":
-        """The limits of the robot.
+    def of(
+        cls, workcell: WorkcellSpec, share: float = 1.0, dynamics: JointDynamics | None = None
+    ) -> "JointLimits":
+        """The limits of the robots of a work cell.
 
         Args:
-            dynamics: Of all joints, for their lag.
+            workcell: The robots; joints of one role have the same limits where the spec does not say more.
             share: Share of the full speed, more than 0 and up to 1.
+            dynamics: Of all joints, for their lag; the nominal ones if absent.
 
         Sources:
-            lower, upper: those of training, and UR's ends of travel less `TRAVEL_MARGIN`.
+            lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
+                its travel (UR), and `TRAVEL_MARGIN` is kept from it.
             speed, acceleration: ours. In simulation the whole servo costs the shipped policies no success: of
                 100 throws `proposed`, `single_agent` and `only_center` catch 91, 93 and 96, without it 93, 92
                 and 94. A command stops in 36 ms. With 4 rad/s and 100 rad/s² `proposed` loses 8.
@@ -86,23 +78,28 @@ class JointLimits:
         """
         if not 0.0 < share <= 1.0:
             raise InvalidValueError(f"the share of the full speed is {share:g}; it must be in (0, 1]")
-        lag = dynamics.latency + dynamics.filter_lookahead + dynamics.damping / dynamics.stiffness
-        lead = share * SPEED_MARGIN * np.array([joint.velocity_limit for joint in JOINTS]) * lag
-        travel = _arm_and_hand(2 * pi - TRAVEL_MARGIN, np.inf)
-        travel[ELBOW] -= pi
+        roles = [group.role for group in workcell.groups for _ in group.joints]
+
+        def each(arm: float, hand: float) -> Joints:
+            return np.array([arm if role == "arm" else hand for role in roles])
+
+        lag = steady_lag(dynamics or JointDynamics.nominal(specs=workcell.joints))
+        lead = share * SPEED_MARGIN * np.array([joint.velocity_limit for joint in workcell.joints]) * lag
+        ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
+        margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
         return cls(
-            lower=np.maximum([joint.lower for joint in JOINTS], -travel),
-            upper=np.minimum([joint.upper for joint in JOINTS], travel),
-            speed=share * _arm_and_hand(10.0, 20.0),
-            acceleration=_arm_and_hand(300.0, 2000.0),
-            step=_arm_and_hand(0.03, 0.04),
+            lower=ends[0] + margin[0],
+            upper=ends[1] - margin[1],
+            speed=share * each(10.0, 20.0),
+            acceleration=each(300.0, 2000.0),
+            step=each(0.03, 0.04),
             lag=lag,
             lead=lead,
-            tracking_error=0.75 * lead * _arm_and_hand(1.0, np.inf),
-            moved_error=_arm_and_hand(0.06, np.inf),
-            start_error=_arm_and_hand(0.02, 0.2),
-            start_distance=_arm_and_hand(0.5, np.inf),
-            position_age=_arm_and_hand(0.02, 0.05),
+            tracking_error=0.75 * lead * each(1.0, np.inf),
+            moved_error=each(0.06, np.inf),
+            start_error=each(0.02, 0.2),
+            start_distance=each(0.5, np.inf),
+            position_age=each(0.02, 0.05),
         )
 
     def __post_init__(self) -> None:
@@ -114,34 +111,36 @@ class JointLimits:
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
 
 
-ELBOW = 2
-"""Column of the elbow, which turns by half of what the other joints of the arm do. Source: UR."""
+def _is_end_of_travel(limit: float) -> bool:
+    """Whether a limit [rad] is a whole number of half turns, and not one of the task."""
+    half_turns = round(limit / pi)
+    return half_turns != 0 and isclose(limit, half_turns * pi, abs_tol=1e-6)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ServoLimits:
-    """All that the servo keeps to. The ages are ours: two to three periods of what sends, if nothing is said.
+    """All that the servo keeps to. Source of the ages: ours, two to three periods of what sends."""
 
-    Attributes:
-        joints: Limits of the joints.
-        workspace: Where the robot may be.
-        dt: Time between two commands [s]. Source: UR's control cycle.
-        tick_age: Time since the last tick that is a fault [s]; UR's driver halts after 40 ms of silence.
-        image_age: Age of the newest image that is a fault [s].
-        target_age: Age of the newest targets that is a fault [s].
-        operator_age: Time since the operator last held the dead-man switch that is a fault [s], and up to
-            which a request to arm is heeded. Source: ours.
-        ramp_time: Time over which the policy takes over from the pose at the start [s]. Source: ours.
-    """
-
-    joints: JointLimits = field(default_factory=lambda: JointLimits.of(JointDynamics.nominal()))
-    workspace: Workspace = field(default_factory=Workspace)
+    joints: JointLimits
+    workspace: Workspace
+    #: Time between two commands [s]. Source: UR's control cycle.
     dt: float = 0.002
+    #: Time since the last tick that is a fault [s]; UR's driver halts after 40 ms of silence.
     tick_age: float = 0.02
+    #: Age of the newest image that is a fault [s].
     image_age: float = 0.1
+    #: Age of the newest targets that is a fault [s].
     target_age: float = 2.0 * CONTROL_DT
+    #: Time since the operator last held the dead-man switch that is a fault [s], and up to which a request
+    #: to arm is heeded. Source: ours.
     operator_age: float = 0.2
+    #: Time over which the policy takes over from the pose at the start [s]. Source: ours.
     ramp_time: float = 1.0
+
+    @classmethod
+    def of(cls, workcell: WorkcellSpec, share: float = 1.0) -> "ServoLimits":
+        """Those of a work cell, at a share of the full speed."""
+        return cls(joints=JointLimits.of(workcell, share), workspace=Workspace(workcell=workcell))
 
     def __post_init__(self) -> None:
         """Refuse limits under which a stop takes too long."""
@@ -151,6 +150,11 @@ class ServoLimits:
                 f"braking takes up to {slowest:.3f} s; raise the acceleration or lower the speed until it "
                 f"takes {STOP_TIME - RETURN_TIME:.1f} s"
             )
+
+    @property
+    def num_joints(self) -> int:
+        """How many joints the robots have."""
+        return len(self.joints.lower)
 
     @property
     def motion(self) -> MotionLimits:

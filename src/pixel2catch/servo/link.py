@@ -11,7 +11,6 @@ from typing import Any, Generic, TypeVar, final
 import numpy as np
 from jaxtyping import Float64
 
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.motion import Joints
 
 BUFFER_SIZE = 1 << 20
@@ -27,24 +26,17 @@ Row = Float64[np.ndarray, " size"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyCommand:
-    """What the control loop tells the servo; a row has the fields in their order.
+    """What the control loop tells the servo; a row has the fields in their order."""
 
-    Attributes:
-        target_stamp: When the targets were decided, `Clock.now` [s].
-        image_stamp: When the newest image was taken, `Clock.now` [s].
-        is_stop_requested: Whether the control loop asks to stop.
-        joint_pos_target: Targets of the policy in joint order [rad].
-    """
-
-    target_stamp: float
-    image_stamp: float
-    is_stop_requested: bool = False
-    joint_pos_target: Joints
+    target_stamp: float  #: When the targets were decided, `Clock.now` [s].
+    image_stamp: float  #: When the newest image was taken, `Clock.now` [s].
+    is_stop_requested: bool = False  #: Whether the control loop asks to stop.
+    joint_pos_target: Joints  #: Targets of the policy in joint order [rad].
 
     @classmethod
-    def none(cls) -> "PolicyCommand":
+    def none(cls, num_joints: int) -> "PolicyCommand":
         """What holds before anything was commanded."""
-        unknown = np.full(len(JOINTS), np.nan)
+        unknown = np.full(num_joints, np.nan)
         return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf)
 
     @classmethod
@@ -66,33 +58,19 @@ class PolicyCommand:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ServoStatus:
-    """What the servo tells the control loop in every tick; a row has the fields in their order.
+    """What the servo tells the control loop in every tick; a row has the fields in their order."""
 
-    Attributes:
-        time: When it was decided, `Clock.now` [s].
-        duration: How long the tick took [s], in real time.
-        target_stamp: When the newest targets were decided, `Clock.now` [s].
-        image_stamp: When their image was taken, `Clock.now` [s].
-        mode: A `Mode`.
-        stopped_by: `Fault` bits that a stop is for.
-        found: `Fault` bits found in this tick.
-        refused: `Fault` bits for which a request to arm was refused in this tick.
-        clamped: `Clamp` bits.
-        command: Commands in joint order [rad]; NaN while nothing is sent.
-        joint_pos: Newest measured joint positions [rad].
-    """
-
-    time: float
-    duration: float
-    target_stamp: float
-    image_stamp: float
-    mode: int
-    stopped_by: int
-    found: int
-    refused: int
-    clamped: int
-    command: Joints
-    joint_pos: Joints
+    time: float  #: When it was decided, `Clock.now` [s].
+    duration: float  #: How long the tick took [s], in real time.
+    target_stamp: float  #: When the newest targets were decided, `Clock.now` [s].
+    image_stamp: float  #: When their image was taken, `Clock.now` [s].
+    mode: int  #: A `Mode`.
+    stopped_by: int  #: `Fault` bits that a stop is for.
+    found: int  #: `Fault` bits found in this tick.
+    refused: int  #: `Fault` bits for which a request to arm was refused in this tick.
+    clamped: int  #: `Clamp` bits.
+    command: Joints  #: Commands in joint order [rad]; NaN while nothing is sent.
+    joint_pos: Joints  #: Newest measured joint positions [rad].
 
     @classmethod
     def of(cls, row: Row) -> "ServoStatus":

@@ -20,44 +20,26 @@ Bits = Int64[np.ndarray, " rows"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionLimits:
-    """What the motion of every joint's command keeps to.
+    """What the motion of every joint's command keeps to."""
 
-    Attributes:
-        lower: Lowest position [rad].
-        upper: Highest position [rad].
-        speed: Largest speed [rad/s].
-        acceleration: Largest acceleration [rad/s²].
-        dt: Length of a tick [s].
-    """
+    lower: Joints  #: Lowest position [rad].
+    upper: Joints  #: Highest position [rad].
+    speed: Joints  #: Largest speed [rad/s].
+    acceleration: Joints  #: Largest acceleration [rad/s²].
+    dt: float  #: Length of a tick [s].
 
-    lower: Joints
-    upper: Joints
-    speed: Joints
-    acceleration: Joints
-    dt: float
-
-    def only(self, joints: slice) -> "MotionLimits":
+    def only(self, joints: slice | Int64[np.ndarray, " some"]) -> "MotionLimits":
         """The limits of some joints."""
-        return MotionLimits(
-            lower=self.lower[joints],
-            upper=self.upper[joints],
-            speed=self.speed[joints],
-            acceleration=self.acceleration[joints],
-            dt=self.dt,
-        )
+        values = {name: value[joints] for name, value in vars(self).items() if name != "dt"}
+        return MotionLimits(**values, dt=self.dt)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Commands of the joints, one row per robot.
+    """Commands of the joints, one row per robot."""
 
-    Attributes:
-        position: Positions [rad].
-        velocity: Speeds of the tick that led there [rad/s].
-    """
-
-    position: Rows
-    velocity: Rows
+    position: Rows  #: Positions [rad].
+    velocity: Rows  #: Speeds of the tick that led there [rad/s].
 
     def only(self, rows: Int64[np.ndarray, " some"]) -> "Motion":
         """The commands of some rows."""
@@ -93,10 +75,8 @@ def towards(motion: Motion, wish: Rows, limits: MotionLimits) -> Motion:
     change = limits.acceleration * limits.dt
     room = np.array((motion.position - limits.lower, limits.upper - motion.position))
     below, above = np.minimum(fastest(np.maximum(room, 0.0), limits), limits.speed)
-    slowest, quickest = (
-        np.maximum(motion.velocity - change, -below),
-        np.minimum(motion.velocity + change, above),
-    )
+    slowest = np.maximum(motion.velocity - change, -below)
+    quickest = np.minimum(motion.velocity + change, above)
     return motion.moved(wish.clip(slowest, quickest), limits.dt)
 
 
@@ -115,19 +95,12 @@ def braked(motion: Motion, limits: MotionLimits, num_ticks: Int64[np.ndarray, "r
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TargetInterpolator:
-    """Even motion to the newest target, which is reached after a control step and held from then on.
+    """Even motion to the newest target, which is reached after a control step and held from then on."""
 
-    Attributes:
-        start: Where the motion began [rad].
-        end: The target [rad].
-        begun: When it began [s].
-        stamp: Stamp of the target [s]; an older one does not replace it.
-    """
-
-    start: Rows
-    end: Rows
-    begun: Times
-    stamp: Times
+    start: Rows  #: Where the motion began [rad].
+    end: Rows  #: The target [rad].
+    begun: Times  #: When it began [s].
+    stamp: Times  #: Stamp of the target [s]; an older one does not replace it.
 
     @classmethod
     def resting(cls, position: Rows) -> "TargetInterpolator":

@@ -1,29 +1,31 @@
 """The servo as a process of its own: 500 times a second it hears, decides and commands.
 
-It ends on SIGTERM, or when the control loop is gone, whatever ended it: first it stops the robot.
+It ends on SIGTERM, or when the control loop is gone, whatever ended it: first it stops the robot. A message
+that cannot be read counts as none: its sender falls silent, and that is what stops the robot.
 """
 
 import gc
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable
-from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, replace
 from math import ceil
 from multiprocessing.context import SpawnProcess
 from time import perf_counter
+from typing import TypeVar
 
 import numpy as np
 
-from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, RealClock, Transport
-from pixel2catch.scene.constants import JOINTS
-from pixel2catch.servo.core import ServoCore
+from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import OperatorTopics, Profile, RobotPart, StatusTopics
+from pixel2catch.ros2.transport import Clock, RealClock, Subscription, Topic, Transport
+from pixel2catch.servo.core import Mode, ServoCore, ServoState
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link
-from pixel2catch.servo.state import ServoState
-from pixel2catch.servo.subscriptions import ServoSubscriptions
+from pixel2catch.servo.watchdogs import ServoInputs
 
 SERVO, CONTROL_LOOP = -10, -8
 """Niceness of the servo, which is a real-time process where that is allowed, and of perception and policy.
@@ -50,20 +52,157 @@ def be_real_time() -> None:
 PATIENCE = 10.0
 """Time in which a servo process ends after its link is closed [s], in real time. Source: ours."""
 
+DEPTH = 16
+"""Messages that are kept from one tick to the next: several senders may share a topic. Source: ours."""
+
+POLL_TIME = 0.2
+"""Time between two counts of the other publishers [s]. Source: ours."""
+
+SCALING_DIGITS = 3
+"""Digits to which a share of the speed counts: the driver multiplies two fractions. Source: ours."""
+
+T = TypeVar("T")
+
+
+class JointStateSubscriber:
+    """The newest position of each joint, by name, from any number of senders.
+
+    Positions are in joint order [rad]. Their stamps are of the first arrival [s]: a message that repeats its
+    stamp is an old one.
+    """
+
+    def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
+        """Begin to listen."""
+        self.joint_pos = np.full(num_joints, np.nan)
+        self.joint_stamp = np.full(num_joints, -np.inf)
+        self._sent = np.full(num_joints, np.nan)
+        senders: dict[Topic, list[RobotPart]] = {}
+        for part in profile.robots:
+            senders.setdefault(part.state_topic, []).append(part)
+        self._senders = [(transport.subscription(topic, DEPTH), parts) for topic, parts in senders.items()]
+
+    def hear(self) -> None:
+        """Take what has arrived."""
+        for subscription, parts in self._senders:
+            for (ids, stamp), arrival in _read(
+                subscription, lambda data, parts=parts: self._merge(data, parts)
+            ):
+                self._sent[ids], self.joint_stamp[ids] = stamp, arrival
+
+    def _merge(self, data: bytes, parts: list[RobotPart]) -> tuple[np.ndarray, float]:
+        """Note the positions; return the joints of which they are new, and when they were measured."""
+        reading = messages.read_joint_state(data)
+        ids = np.concatenate([part.merge(reading, self.joint_pos) for part in parts])
+        return ids[self._sent[ids] != reading.stamp], reading.stamp
+
+
+class DriverStatusSubscriber:
+    """What the arm's driver says of itself. What the profile names and nobody has said yet is not well."""
+
+    def __init__(self, transport: Transport, topics: StatusTopics) -> None:
+        """Begin to listen."""
+        watched: list[tuple[Topic | None, Callable[[bytes], bool]]] = [
+            (topics.safety_mode, lambda data: messages.read_safety_mode(data) == messages.NORMAL_SAFETY_MODE),
+            (topics.robot_mode, lambda data: messages.read_robot_mode(data) == messages.RUNNING_ROBOT_MODE),
+            (topics.program_running, messages.read_boolean),
+        ]
+        self._modes = [(transport.subscription(topic, DEPTH), read) for topic, read in watched if topic]
+        self._is_well = [False] * len(self._modes)
+        self._scaling = transport.subscription(topics.speed_scaling) if topics.speed_scaling else None
+        self.speed_scaling = 1.0 if self._scaling is None else np.nan
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether the driver's program runs in the robot's normal mode."""
+        return all(self._is_well)
+
+    def hear(self) -> None:
+        """Take what has arrived."""
+        for number, (subscription, read) in enumerate(self._modes):
+            for is_well, _ in _read(subscription, read):
+                self._is_well[number] = is_well
+        if self._scaling is not None:
+            for percent, _ in _read(self._scaling, messages.read_number):
+                self.speed_scaling = round(percent / 100.0, SCALING_DIGITS)
+
+
+class OperatorSubscriber:
+    """What the operator does: stamps of the dead-man's switch, none if it was let go, and of requests [s]."""
+
+    def __init__(self, transport: Transport, topics: OperatorTopics) -> None:
+        """Begin to listen."""
+        self.dead_man_stamp = self.arm_stamp = -np.inf
+        self.is_stop_requested = False
+        self._dead_man, self._arm, self._stop = (
+            transport.subscription(topic, DEPTH) for topic in (topics.dead_man, topics.arm, topics.stop)
+        )
+
+    def hear(self) -> None:
+        """Take what has arrived."""
+        for is_held, arrival in _read(self._dead_man, messages.read_boolean):
+            self.dead_man_stamp = arrival if is_held else -np.inf
+        for asks, arrival in _read(self._arm, messages.read_boolean):
+            self.arm_stamp = arrival if asks else self.arm_stamp
+        self.is_stop_requested = any(asks for asks, _ in _read(self._stop, messages.read_boolean))
+
+
+class ServoSubscriptions:
+    """All that the servo hears over the network."""
+
+    def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
+        """Begin to listen to all that a profile names."""
+        self._transport = transport
+        self._joints = JointStateSubscriber(transport, profile, num_joints)
+        self._status = DriverStatusSubscriber(transport, profile.status)
+        self._operator = OperatorSubscriber(transport, profile.operator)
+        self._commands = [part.command_topic for part in profile.robots]
+        self._has_other_publisher, self._next_poll = True, -np.inf
+
+    def hear(self, now: float) -> None:
+        """Take what has arrived."""
+        self._joints.hear()
+        self._status.hear()
+        self._operator.hear()
+        if now >= self._next_poll:
+            self._next_poll = now + POLL_TIME
+            others = (self._transport.num_other_publishers(topic) for topic in self._commands)
+            self._has_other_publisher = any(others)
+
+    def inputs(self, now: float, policy_command: PolicyCommand) -> ServoInputs:
+        """What the servo is told in a tick, with what the control loop has ordered last."""
+        joints, status, operator = self._joints, self._status, self._operator
+        return ServoInputs(
+            now=np.array([now]),
+            joint_pos=joints.joint_pos[None].copy(),
+            joint_stamp=joints.joint_stamp[None].copy(),
+            joint_pos_target=policy_command.joint_pos_target[None],
+            target_stamp=np.array([policy_command.target_stamp]),
+            image_stamp=np.array([policy_command.image_stamp]),
+            dead_man_stamp=np.array([operator.dead_man_stamp]),
+            arm_stamp=np.array([operator.arm_stamp]),
+            is_stop_requested=np.array([operator.is_stop_requested or policy_command.is_stop_requested]),
+            is_safe=np.array([status.is_safe]),
+            speed_scaling=np.array([status.speed_scaling]),
+            has_other_publisher=np.array([self._has_other_publisher]),
+        )
+
+
+def _read(subscription: Subscription, read: Callable[[bytes], T]) -> Iterator[tuple[T, float]]:
+    """What has arrived and can be read, with its time of arrival [s]."""
+    for message in subscription.take():
+        try:
+            yield read(message.data), message.arrival
+        except DeploymentError:
+            continue
+
 
 @dataclass(frozen=True, kw_only=True)
 class ServoSetup:
-    """What a servo is the servo of; all of it can be given to another process.
+    """What a servo is the servo of; all of it can be given to another process."""
 
-    Attributes:
-        profile: The robot's drivers.
-        limits: What the servo keeps to.
-        is_dry_run: Whether nothing is sent; the robot is then not expected to follow.
-    """
-
-    profile: Profile
-    limits: ServoLimits = field(default_factory=ServoLimits)
-    is_dry_run: bool = False
+    profile: Profile  #: The robot's drivers.
+    limits: ServoLimits  #: What the servo keeps to.
+    is_dry_run: bool = False  #: Whether nothing is sent; the robot is then not expected to follow.
 
 
 class CommandPublisher:
@@ -77,7 +216,7 @@ class CommandPublisher:
         self._periods = [max(round(1.0 / (part.rate_hz * setup.limits.dt)), 1) for part in parts]
         self._tick = 0
         for part in parts:
-            part.command(np.zeros(len(JOINTS)))
+            part.command(np.zeros(setup.limits.num_joints))
 
     def send(self, command: np.ndarray) -> None:
         """Send the commands of a tick in joint order [rad]; nothing while they are no numbers."""
@@ -99,16 +238,14 @@ class Servo:
 
     def __init__(self, end: ServoEnd, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
         """Begin to listen; nothing is sent before the operator arms."""
-        limits = setup.limits
+        limits, num_joints = setup.limits, setup.limits.num_joints
         if setup.is_dry_run:
-            anywhere = np.full(len(JOINTS), np.inf)
+            anywhere = np.full(num_joints, np.inf)
             limits = replace(limits, joints=replace(limits.joints, tracking_error=anywhere))
         self._end, self._clock, self._core = end, clock, ServoCore(limits)
-        self._subscriptions, self._commands = (
-            ServoSubscriptions(transport, setup.profile),
-            CommandPublisher(transport, setup, clock),
-        )
-        self._state, self._policy_command = ServoState.idle(1, len(JOINTS)), PolicyCommand.none()
+        self._subscriptions = ServoSubscriptions(transport, setup.profile, num_joints)
+        self._commands = CommandPublisher(transport, setup, clock)
+        self._state, self._policy_command = ServoState.idle(1, num_joints), PolicyCommand.none(num_joints)
         self._is_ending = False
         self.unforeseen: Exception | None = None
 
@@ -133,8 +270,8 @@ class Servo:
     @property
     def _is_over(self) -> bool:
         """Whether it is to end, and nothing moves any more."""
-        stands = self._state.is_stopped & (self._state.ticks * self._core.limits.dt >= STOP_TIME)
-        return self._is_ending and bool((stands | self._state.is_idle)[0])
+        stands = self._state.is_in(Mode.STOPPED) & (self._state.ticks * self._core.limits.dt >= STOP_TIME)
+        return self._is_ending and bool((stands | self._state.is_in(Mode.IDLE))[0])
 
     def tick(self) -> None:
         """Hear, decide, command and tell."""
@@ -181,44 +318,23 @@ class Servo:
 
 @dataclass(frozen=True, kw_only=True)
 class RunningServo:
-    """A servo process that was started; close it, or use it as a context manager.
+    """A servo process that was started."""
 
-    Attributes:
-        link: The control loop's end of the link.
-        process: The process.
-    """
-
-    link: LoopEnd
+    link: LoopEnd  #: The control loop's end of the link.
     process: SpawnProcess
-
-    def close(self) -> None:
-        """Have it stop the robot, and wait until it is gone; one that hangs is killed."""
-        self.link.close()
-        self.process.join(PATIENCE)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
-
-    def __enter__(self) -> "RunningServo":
-        """Return the servo itself."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Close it."""
-        self.close()
 
 
 MakeTransport = Callable[[RealClock], Transport]
 """Joins the network, on either side of the start of a process."""
 
 
-def start_servo(setup: ServoSetup, make_transport: MakeTransport, clock_rate: float = 1.0) -> RunningServo:
+@contextmanager
+def start_servo(
+    setup: ServoSetup, make_transport: MakeTransport, clock_rate: float = 1.0
+) -> Iterator[RunningServo]:
     """Start a servo process; it is heard of over the link as soon as it ticks.
 
-    Args:
-        setup: What it is the servo of.
-        make_transport: Joins the network there.
-        clock_rate: Rate of its clock.
+    At the end it stops the robot and is waited for; one that hangs is killed.
     """
     loop, servo = link()
     with closing(servo):
@@ -226,7 +342,14 @@ def start_servo(setup: ServoSetup, make_transport: MakeTransport, clock_rate: fl
             target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
         )
         process.start()
-    return RunningServo(link=loop, process=process)
+    try:
+        yield RunningServo(link=loop, process=process)
+    finally:
+        loop.close()
+        process.join(PATIENCE)
+        if process.is_alive():
+            process.kill()
+            process.join()
 
 
 def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:

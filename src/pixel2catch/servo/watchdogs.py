@@ -43,35 +43,20 @@ class Fault(IntFlag):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ServoInputs:
-    """What the servo is told in a tick, one row per robot, joints in joint order.
+    """What the servo is told in a tick, one row per robot, joints in joint order."""
 
-    Attributes:
-        now: Time of this tick [s].
-        joint_pos: Newest measured joint positions [rad].
-        joint_stamp: When each was measured [s].
-        joint_pos_target: Newest targets of the policy [rad].
-        target_stamp: When they were decided [s].
-        image_stamp: When the newest image was taken [s].
-        dead_man_stamp: When the operator last held the dead-man switch [s].
-        arm_stamp: When the operator last asked to arm [s].
-        is_stop_requested: Whether the operator, or anything else, asks to stop.
-        is_safe: Whether the robot's program runs in its normal safety mode.
-        speed_scaling: Share of the full speed at which the robot runs its program; 1 is full.
-        has_other_publisher: Whether anybody else sends commands to the robot.
-    """
-
-    now: Times
-    joint_pos: Rows
-    joint_stamp: Rows
-    joint_pos_target: Rows
-    target_stamp: Times
-    image_stamp: Times
-    dead_man_stamp: Times
-    arm_stamp: Times
-    is_stop_requested: Flags
-    is_safe: Flags
-    speed_scaling: Times
-    has_other_publisher: Flags
+    now: Times  #: Time of this tick [s].
+    joint_pos: Rows  #: Newest measured joint positions [rad].
+    joint_stamp: Rows  #: When each was measured [s].
+    joint_pos_target: Rows  #: Newest targets of the policy [rad].
+    target_stamp: Times  #: When they were decided [s].
+    image_stamp: Times  #: When the newest image was taken [s].
+    dead_man_stamp: Times  #: When the operator last held the dead-man switch [s].
+    arm_stamp: Times  #: When the operator last asked to arm [s].
+    is_stop_requested: Flags  #: Whether the operator, or anything else, asks to stop.
+    is_safe: Flags  #: Whether the robot's program runs in its normal safety mode.
+    speed_scaling: Times  #: Share of the full speed at which the robot runs its program; 1 is full.
+    has_other_publisher: Flags  #: Whether anybody else sends commands to the robot.
 
 
 def is_recent(
@@ -93,13 +78,7 @@ def bits(flags: Mapping[AnyFlag, Flags]) -> Bits:
 
 
 def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) -> Bits:
-    """What is wrong with robot, operator and clock: all that can be known without the state of the servo.
-
-    Args:
-        inputs: What the servo is told.
-        limits: What it keeps to.
-        last_tick: Time of the tick before [s].
-    """
+    """What is wrong with robot, operator and clock, by the inputs and the time of the tick before [s]."""
     now = inputs.now
     elapsed = now - last_tick
     is_joint_measured = is_recent(now[:, None], inputs.joint_stamp, limits.joints.position_age)

@@ -1,6 +1,6 @@
-"""Where the robot may be: above the table, and with the hand in a box; by forward kinematics of the arm.
+"""Where robots may be: above the table, and with each hand in a box; by forward kinematics of the arms.
 
-The arm is made of its capsules, the hand is a box that holds it in every position of the fingers. Base and
+An arm is made of its capsules, a hand is a box that holds it in every position of the fingers. Base and
 shoulder stand on the table; self-collisions are the policy's to avoid, and the arm's own controller watches.
 """
 
@@ -9,12 +9,12 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
-from jaxtyping import Bool, Float64
+import torch
+from jaxtyping import Bool, Float64, Int64
 
-from pixel2catch.robots.geometry import TABLE_CLEARANCE, ArmShape, arm_shape, first_chain
+from pixel2catch.robots.geometry import TABLE_CLEARANCE, ArmShape, arm_shape, chain_of
 from pixel2catch.robots.spec import Vec3
-from pixel2catch.robots.workcell import TABLE, TableSpec, WorkcellSpec
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from pixel2catch.robots.workcell import WorkcellSpec
 
 ROUNDING = 1e-9
 """Gap that is none [m], and what an axis across two that are parallel may seem to show."""
@@ -22,47 +22,84 @@ ROUNDING = 1e-9
 Corners = Float64[np.ndarray, "rows 3"]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WatchedArm:
+    """The joints that carry a palm, and the shape of what they carry."""
+
+    columns: slice  #: Its joints among those that `Workspace.contains` is asked about.
+    shape: ArmShape
+    terms: Float64[np.ndarray, "num_joints 3 16"]  #: Matrix of each joint: constant, cosine and sine terms.
+
+    def link_frames(
+        self, arm_pos: Float64[np.ndarray, "rows num_joints"]
+    ) -> Float64[np.ndarray, "num_joints rows 4 4"]:
+        """World frames at the far ends of the arm's links; the last is the hand's, at the palm."""
+        angles = arm_pos.T
+        terms = np.empty((*angles.shape, 3))
+        terms[..., 0], terms[..., 1], terms[..., 2] = 1.0, np.cos(angles), np.sin(angles)
+        links = (terms @ self.terms).reshape(*angles.shape, 4, 4)
+        return np.array([*accumulate(links, np.matmul)])
+
+    def hand_box(self, palm: Float64[np.ndarray, "rows 4 4"]) -> tuple[Corners, Corners, Corners]:
+        """Middle of the box about the hand, lower and upper corners of one in world axes about that [m]."""
+        rotation = palm[:, :3, :3]
+        middle = palm[:, :3, 3] + rotation @ self.shape.hand_center
+        half = np.abs(rotation) @ self.shape.hand_half
+        return middle, middle - half, middle + half
+
+
 @dataclass(frozen=True, kw_only=True)
 class Workspace:
-    """What arm and hand keep to, world frame.
+    """What arms and hands keep to, world frame. Above the table they stay wherever they are over it."""
 
-    Attributes:
-        workcell: The robot, the first of it.
-        table: The table; the robot stays above it, wherever it is over it.
-        clearance: Distance to keep from its top and from its sides [m].
-        lower: Lowest corner of the space for the hand [m].
-        upper: Highest corner. Source of both: ours; the shipped policies stay 8 cm or more inside.
-    """
-
-    workcell: WorkcellSpec = UR5E_ALLEGRO
-    table: TableSpec = TABLE
-    clearance: float = TABLE_CLEARANCE
+    workcell: WorkcellSpec
+    clearance: float = TABLE_CLEARANCE  #: Distance to keep from the table's top and from its sides [m].
+    #: Lowest and highest corner of the space for the hands [m].
+    #: Source: ours; the shipped policies stay 8 cm or more inside.
     lower: Vec3 = (0.0, -1.1, 0.35)
     upper: Vec3 = (1.25, 1.1, 1.85)
 
-    def contains(self, arm_pos: Float64[np.ndarray, "rows 6"]) -> Bool[np.ndarray, " rows"]:
-        """Whether a robot with these arm positions [rad] is where it may be."""
-        frames = self.link_frames(arm_pos)
-        middle, lower, upper = self._hand_box(frames[-1])
-        is_inside = np.logical_and.reduce((lower >= self.lower) & (upper <= self.upper), axis=-1)
-        capsules = frames[self._shape.links] @ self._shape.ends[:, None]
-        _, _, top = self._sides
-        _, _, top_for_axes = self._sides_for_axes
-        if (lower[:, 2] >= top).all() and (capsules[:, :, 2] >= top_for_axes).all():
-            return is_inside
-        is_clear = self._is_around_clear(lower, upper)
-        if not is_clear.all():
-            is_clear[~is_clear] = self._is_box_clear(middle[~is_clear], frames[-1][~is_clear, :3, :3])
-        return is_inside & is_clear & self._are_clear(capsules[:, :, :3])
+    @cached_property
+    def joints(self) -> Int64[np.ndarray, " num_watched"]:
+        """Columns in joint order of the joints that carry palms."""
+        return np.concatenate([np.arange(palm.first, palm.stop) for palm in self.workcell.palms])
 
-    def _is_around_clear(self, lower: Corners, upper: Corners) -> Bool[np.ndarray, " rows"]:
-        """Which boxes in world axes are beside the table, or high enough."""
+    @cached_property
+    def arms(self) -> tuple[WatchedArm, ...]:
+        """What carries each palm."""
+        found, first = [], 0
+        for palm in self.workcell.palms:
+            matrices = chain_of(self.workcell, palm, dtype=torch.float64).matrices.numpy()
+            terms = matrices.swapaxes(0, 1).reshape(matrices.shape[1], 3, 16)
+            columns = slice(first, first + len(terms))
+            found.append(WatchedArm(columns=columns, shape=arm_shape(self.workcell, palm), terms=terms))
+            first = columns.stop
+        return tuple(found)
+
+    def contains(self, arm_pos: Float64[np.ndarray, "rows num_watched"]) -> Bool[np.ndarray, " rows"]:
+        """Whether robots whose `joints` are here [rad] are where they may be."""
+        return np.logical_and.reduce([self._holds(arm, arm_pos[:, arm.columns]) for arm in self.arms])
+
+    def _holds(
+        self, arm: WatchedArm, arm_pos: Float64[np.ndarray, "rows num_joints"]
+    ) -> Bool[np.ndarray, " rows"]:
+        """The same of one arm with its hand."""
+        frames = arm.link_frames(arm_pos)
+        middle, lower, upper = arm.hand_box(frames[-1])
+        is_inside = np.logical_and.reduce((lower >= self.lower) & (upper <= self.upper), axis=-1)
+        capsules = frames[arm.shape.links] @ arm.shape.ends[:, None]
         near, far, top = self._sides
-        is_over = (lower[:, :2] < far) & (upper[:, :2] > near)
-        return ~is_over.all(axis=-1) | (lower[:, 2] >= top)
+        around = arm.shape.radii[:, None]
+        if (lower[:, 2] >= top).all() and (capsules[:, :, 2] >= top + around[..., None]).all():
+            return is_inside
+        is_over = ((lower[:, :2] < far) & (upper[:, :2] > near)).all(axis=-1)
+        is_clear = ~is_over | (lower[:, 2] >= top)
+        if not is_clear.all():
+            is_clear[~is_clear] = self._is_box_clear(arm, middle[~is_clear], frames[-1][~is_clear, :3, :3])
+        return is_inside & is_clear & self._are_clear(capsules[:, :, :3], around)
 
     def _is_box_clear(
-        self, middle: Corners, rotation: Float64[np.ndarray, "rows 3 3"]
+        self, arm: WatchedArm, middle: Corners, rotation: Float64[np.ndarray, "rows 3 3"]
     ) -> Bool[np.ndarray, " rows"]:
         """Which boxes about the hand, in its own axes, do not reach into the space from the floor to the top.
 
@@ -77,12 +114,15 @@ class Workspace:
         across = np.cross(world[:, :, None], own[:, None]).reshape(-1, 9, 3)
         axes = np.concatenate((world, own, across), axis=1)
         distance = np.abs(axes @ (middle - table_middle)[:, :, None])[..., 0]
-        reach = np.abs(axes) @ table_half + np.abs(axes @ rotation) @ self._shape.hand_half
+        reach = np.abs(axes) @ table_half + np.abs(axes @ rotation) @ arm.shape.hand_half
         return np.any(distance > reach + ROUNDING, axis=-1)
 
-    def _are_clear(self, ends: Float64[np.ndarray, "capsules rows 3 2"]) -> Bool[np.ndarray, " rows"]:
+    def _are_clear(
+        self, ends: Float64[np.ndarray, "capsules rows 3 2"], radii: Float64[np.ndarray, "capsules 1"]
+    ) -> Bool[np.ndarray, " rows"]:
         """Where all capsules are beside the table, or high enough in that part of them that is over it."""
-        near, far, top = self._sides_for_axes
+        near, far, top = self._sides
+        near, far = near[:, None, None] - radii, far[:, None, None] + radii
         start, end = ends.transpose(3, 2, 0, 1)
         way = end - start
         slope = np.where(way == 0.0, 1e-12, way)[:2]
@@ -90,43 +130,11 @@ class Workspace:
         enter = np.minimum(first, last).max(axis=0).clip(0.0, None)
         leave = np.maximum(first, last).min(axis=0).clip(None, 1.0)
         lowest = start[2] + np.minimum(enter * way[2], leave * way[2])
-        return ((enter > leave) | (lowest >= top[..., 0])).all(axis=0)
+        return ((enter > leave) | (lowest >= top + radii)).all(axis=0)
 
     @cached_property
     def _sides(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Corners of the table in the plane and height of its top, with the clearance [m]."""
-        center, half = np.array(self.table.center), np.array(self.table.size) / 2.0 + self.clearance
+        table = self.workcell.table
+        center, half = np.array(table.center), np.array(table.size) / 2.0 + self.clearance
         return center[:2] - half, center[:2] + half, center[2] + self.clearance
-
-    @cached_property
-    def _sides_for_axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same for the axis of each capsule."""
-        near, far, top = self._sides
-        radii = self._shape.radii[:, None]
-        return near[:, None, None] - radii, far[:, None, None] + radii, top + radii[..., None]
-
-    def link_frames(
-        self, arm_pos: Float64[np.ndarray, "rows num_joints"]
-    ) -> Float64[np.ndarray, "num_joints rows 4 4"]:
-        """World frames at the far ends of the arm's links; the last is the hand's, at the palm."""
-        angles = arm_pos.T
-        terms = np.empty((*angles.shape, 3))
-        terms[..., 0], terms[..., 1], terms[..., 2] = 1.0, np.cos(angles), np.sin(angles)
-        links = (terms @ self._terms).reshape(*angles.shape, 4, 4)
-        return np.array([*accumulate(links, np.matmul)])
-
-    def _hand_box(self, palm: Float64[np.ndarray, "rows 4 4"]) -> tuple[Corners, Corners, Corners]:
-        """Middle of the box about the hand, lower and upper corners of one in world axes about that [m]."""
-        rotation = palm[:, :3, :3]
-        middle = palm[:, :3, 3] + rotation @ self._shape.hand_center
-        half = np.abs(rotation) @ self._shape.hand_half
-        return middle, middle - half, middle + half
-
-    @cached_property
-    def _shape(self) -> ArmShape:
-        return arm_shape(self.workcell, self.workcell.palms[0])
-
-    @cached_property
-    def _terms(self) -> Float64[np.ndarray, "num_joints 3 16"]:
-        matrices = first_chain(self.workcell).matrices.numpy()
-        return matrices.swapaxes(0, 1).reshape(matrices.shape[1], 3, 16)

@@ -1,15 +1,20 @@
-"""What the drivers of arm and hand make of the commands that reach them.
+"""What the drivers of arm and hand make of the commands that reach them, and the camera's of its images.
 
 Not modelled: the UR's look-ahead between two commands (identified dynamics may have it as a filter), and the
 rest of its safety functions.
 """
 
 from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
 
+from pixel2catch.rendering.camera import Exposure, Image
 from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
 
 CYCLE = 0.002
@@ -29,30 +34,30 @@ seen; a sender whose commands stand still may go.
 DECELERATION = 4.0
 """Deceleration of a halt, and here of every stop [rad/s²]. Source: UR driver, its `stopj`."""
 
+LATENCY = 0.015
+"""Time from the middle of the exposure to the image on the wire [s].
+
+Source: ours, for half the exposure, readout and transfer.
+"""
+
+MOST_WAITING = 2
+"""Images that may be in work; while there are as many, the next is lost."""
+
 Joints = Float[np.ndarray, " num_part_joints"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Joints of one part.
+    """Joints of one part."""
 
-    Attributes:
-        position: Where they are [rad].
-        velocity: How fast they are [rad/s].
-    """
-
-    position: Joints
-    velocity: Joints
+    position: Joints  #: Where they are [rad].
+    velocity: Joints  #: How fast they are [rad/s].
 
 
 class Driver(ABC):
-    """The driver of one part of the robot.
+    """The driver of one part of the robot."""
 
-    Attributes:
-        num_ignored: Commands that it did not take.
-    """
-
-    num_ignored: int
+    num_ignored: int  #: Commands that it did not take.
 
     @abstractmethod
     def reset(self, position: Joints) -> None:
@@ -62,12 +67,11 @@ class Driver(ABC):
     def cycle(self, command: Joints | None, joints: Motion) -> Joints:
         """Return what the servos aim at until the next cycle [rad].
 
-        Args:
-            command: The newest command [rad], if one came since the last cycle.
-            joints: The joints now.
+        The command [rad] is the newest one, if one came since the last cycle.
         """
 
 
+@final
 class HandDriver(Driver):
     """Takes every command that is numbers, and holds the last for ever."""
 
@@ -89,13 +93,9 @@ class HandDriver(Driver):
         return self._target
 
 
+@final
 class ArmDriver(Driver):
-    """The UR's driver and its program on the robot, which ignores commands that ask for too large a step.
-
-    Attributes:
-        safety_mode: `NORMAL_SAFETY_MODE` or `PROTECTIVE_STOP`.
-        num_halts: How often the program halted.
-    """
+    """The UR's driver and its program on the robot, which ignores commands that ask for too large a step."""
 
     def __init__(self, position: Joints, lag: Joints) -> None:
         """Begin with a running program that has no command yet.
@@ -108,7 +108,8 @@ class ArmDriver(Driver):
         self._silence = 0.0
         self._is_moving = False
         self._braking: Motion | None = None
-        self.safety_mode, self.num_ignored, self.num_halts = NORMAL_SAFETY_MODE, 0, 0
+        self.safety_mode = NORMAL_SAFETY_MODE  #: Or `PROTECTIVE_STOP`.
+        self.num_ignored, self.num_halts = 0, 0
 
     @property
     def is_running(self) -> bool:
@@ -152,3 +153,41 @@ def _braked(motion: Motion) -> Motion:
     speed = np.maximum(np.abs(motion.velocity) - DECELERATION * CYCLE, 0.0)
     velocity = np.copysign(speed, motion.velocity)
     return Motion(position=motion.position + 0.5 * CYCLE * (motion.velocity + velocity), velocity=velocity)
+
+
+class Camera:
+    """The camera's driver: images on their way from exposure to wire."""
+
+    def __init__(self, draw: Callable[[Exposure], "Future[Image]"], clock_error: float = 0.0) -> None:
+        """Begin without an image.
+
+        Args:
+            draw: Begins to draw.
+            clock_error: How late the clock is that stamps the images [s].
+        """
+        self._draw, self._clock_error = draw, clock_error
+        self._waiting: deque[tuple[float, Future[Image]]] = deque()
+        self._is_overdue = False
+        self.num_images = 0  #: Images that came out.
+        self.num_late = 0  #: Those of them that were not drawn in time.
+        self.num_lost = 0  #: Images that were never drawn, as the ones before took too long.
+
+    def expose(self, exposure: Exposure) -> None:
+        """Take an image."""
+        if len(self._waiting) >= MOST_WAITING:
+            self.num_lost += 1
+        else:
+            self._waiting.append((exposure.moment.time, self._draw(exposure)))
+
+    def developed(self, now: float) -> Iterator[tuple[float, Image]]:
+        """Yield the images that are due, each with its stamp: the middle of its exposure [s]."""
+        while self._waiting and self._waiting[0][0] + LATENCY <= now:
+            time, image = self._waiting[0]
+            if not image.done():
+                self._is_overdue = True
+                return
+            self._waiting.popleft()
+            self.num_images += 1
+            self.num_late += self._is_overdue
+            self._is_overdue = False
+            yield time - self._clock_error, image.result()

@@ -2,17 +2,18 @@
 
 import json
 from collections import deque
-from typing import Any
+from dataclasses import replace
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from pixel2catch.errors import DeploymentError
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import Profile, RobotPart, StatusTopics
+from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart, StatusTopics
 from pixel2catch.ros2.transport import Topic, Transport
-from pixel2catch.twin.camera import Camera
-from pixel2catch.twin.drivers import CYCLE, ArmDriver, Driver, HandDriver, Motion
+from pixel2catch.twin.drivers import CYCLE, ArmDriver, Camera, Driver, HandDriver, Motion
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
 
 COMMAND = Topic(name="/twin/command", type=messages.TEXT)
@@ -32,23 +33,49 @@ ROUNDING = 1e-9
 
 Joints = Float[np.ndarray, " num_joints"]
 
+PROFILE = "ur5e_allegro_v4"
+"""Robot profile that the twin speaks, and whose drivers are the pattern of those of other robots."""
+
 STATUS_CYCLES = 5
 """Cycles between two messages of the speed scaling: 100 Hz. Source: ours."""
 
 
-class PartTopics:
-    """Joint states and commands of one part.
+def twin_profile(workcell: WorkcellSpec) -> Profile:
+    """The profile that the twin of a work cell speaks.
 
-    Attributes:
-        driver: What takes the commands.
-        ids: Its joints, in the robot's joint order.
-        num_refused: Commands of a wrong length or type.
+    Where joints are called otherwise than in `PROFILE`, each joint group has a driver like the one of its
+    role there, with the spec's names and order.
     """
+    profile = Profile.load(PROFILE)
+    theirs = {joint for part in profile.robots for joint in part.joints}
+    if theirs == {joint.name for joint in workcell.joints}:
+        return replace(profile, workcell=workcell.name)
+    likes = {part.name: part for part in profile.robots}
+    parts = [
+        replace(
+            likes[group.role],
+            name=group.name,
+            joints={
+                joint.name: DriverJoint(name_in_state=joint.name, index_in_command=place)
+                for place, joint in enumerate(group.joints)
+            },
+            command_topic=Topic(name=f"/{group.name}_controller/commands", type=messages.FLOAT_ARRAY),
+            command_size=len(group.joints),
+            held={},
+        )
+        for group in workcell.groups
+    ]
+    name = f"twin_of_{workcell.name}"
+    return replace(profile, name=name, workcell=workcell.name, robots=tuple(parts))
+
+
+class PartTopics:
+    """Joint states and commands of one part."""
 
     def __init__(self, part: RobotPart, driver: Driver, transport: Transport) -> None:
         """Announce and listen."""
         self._part, self.driver = part, driver
-        self.ids: Int[np.ndarray, " part_joints"] = part.ids
+        self.ids: Int[np.ndarray, " part_joints"] = part.ids  #: Its joints, in the robot's joint order.
         self._states = transport.publisher(part.state_topic)
         self._commands = transport.subscription(part.command_topic, DEPTH)
         self._waiting: deque[bytes] = deque(maxlen=DEPTH)
@@ -59,7 +86,7 @@ class PartTopics:
         self._order = np.argsort([*names, *held])  # a state's order is not a command's
         self._names = [[*names, *held][i] for i in self._order]
         self._held = np.array(list(part.held.values()))
-        self.num_refused = 0
+        self.num_refused = 0  #: Commands of a wrong length or type.
 
     def publish(self, number: int, encoders: Motion, stamp: float) -> None:
         """Send the joint states of a cycle, at the rate of the driver."""
@@ -72,9 +99,7 @@ class PartTopics:
     def cycle(self, joints: Motion, num_late: int) -> Float[np.ndarray, " part_joints"]:
         """What the servos of this part aim at until the next cycle [rad].
 
-        Args:
-            joints: All joints now.
-            num_late: Cycles that are overdue; so many commands are left to them.
+        So many cycles are overdue besides this one; as many commands are left to them.
         """
         self._waiting.extend(message.data for message in self._commands.take())
         newest = None
@@ -122,39 +147,34 @@ class StatusPublisher:
             self._publishers[name].publish(data)
 
 
+@final
 class LabNode:
-    """The whole lab, one cycle of its drivers after the other; nothing here waits.
-
-    Attributes:
-        lab: What is behind the wires.
-        camera: The camera's driver.
-        arm: The arm's driver.
-        num_cycles: Cycles so far.
-    """
+    """The whole lab, one cycle of its drivers after the other; nothing here waits."""
 
     def __init__(self, lab: SimulatedLab, profile: Profile, transport: Transport, camera: Camera) -> None:
         """Announce and listen.
-
-        Args:
-            lab: What is behind the wires.
-            profile: What topics and joints are called.
-            transport: The node of the twin.
-            camera: The camera's driver.
 
         Raises:
             DeploymentError: The profile is not of this lab's drivers.
         """
         self.lab, self.camera, self._lens = lab, camera, lab.camera
-        parts = {part.name: part for part in profile.robots}
-        if any(part.command_topic.type != messages.FLOAT_ARRAY for part in parts.values()):
+        roles: dict[str, str] = {group.name: group.role for group in lab.workcell.groups}
+        if any(part.command_topic.type != messages.FLOAT_ARRAY for part in profile.robots):
             raise DeploymentError(
                 f"profile '{profile.name}' has commands of another type than {messages.FLOAT_ARRAY}, and the "
-                "twin takes no other: use its own profile, ur5e_allegro_v4."
+                f"twin takes no other: use its own profile, {PROFILE}."
             )
-        arm, position = parts["arm"].ids, lab.joints.position
-        self.arm = ArmDriver(position[arm], lab.lag[arm])
-        drivers = {"arm": self.arm, "hand": HandDriver(position[parts["hand"].ids])}
-        self._parts = [PartTopics(part, drivers[name], transport) for name, part in parts.items()]
+        position = lab.joints.position
+        drivers = [
+            ArmDriver(position[part.ids], lab.lag[part.ids])
+            if roles[part.name] == "arm"
+            else HandDriver(position[part.ids])
+            for part in profile.robots
+        ]
+        (self.arm,) = (driver for driver in drivers if isinstance(driver, ArmDriver))
+        self._parts = [
+            PartTopics(part, driver, transport) for part, driver in zip(profile.robots, drivers, strict=True)
+        ]
         self._status = StatusPublisher(profile.status, transport)
         self._image = transport.publisher(profile.camera.image)
         self._info = transport.publisher(profile.camera.info) if profile.camera.info else None

@@ -22,13 +22,13 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
 from pixel2catch.scene import shapes
-from pixel2catch.scene.constants import JOINTS, RGB_CAMERA
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import OBJECT_RGBA, SceneCfg, build_model
 from pixel2catch.scene.shapes import ConvexPart
 from pixel2catch.twin.lab_node import COMMAND, STATE
-from pixel2catch.twin.processes import LAST, obey_parent
-from pixel2catch.twin.trials import RehearsalOperator, run_trial
+from pixel2catch.twin.realtime import LAST, obey_parent
+from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
+from pixel2catch.workcells import find_workcell
 
 HOST = "127.0.0.1"
 """The page is for this machine only; others come by a tunnel."""
@@ -52,34 +52,18 @@ MAKERS = {
 
 
 class Page:
-    """The page; `update` makes it current.
-
-    Attributes:
-        bodies: What is shown of every body, by its name.
-        thrown: What is shown of the object.
-        picture: The camera's image.
-        text: All states, as a table.
-        seed: Seed of the next throw.
-        console: What an operator has at hand.
-        trial: The throw that goes on by itself, or did.
-    """
+    """The page; `update` makes it current."""
 
     def __init__(
         self, port: int, scene: SceneCfg, profile: Profile, transport: Transport, clock: Clock
     ) -> None:
-        """Serve the page.
-
-        Args:
-            port: Its port.
-            scene: The scene of the simulation.
-            profile: What topics and joints are called.
-            transport: The node of the page.
-            clock: The clock of twin and deployment.
-        """
+        """Serve the page of a scene, by the clock of twin and deployment."""
         self._transport, self._topics, self._clock = transport, profile.operator, clock
         self.console = OperatorConsole(transport, profile.operator, clock)
-        self.trial: Thread | None = None
-        self._parts, self._joint_pos = profile.robots, np.array([joint.home for joint in JOINTS])
+        self.trial: Thread | None = None  #: The throw that goes on by itself, or did.
+        joints = find_workcell(scene.workcell).joints
+        self._parts, self._joint_pos = profile.robots, np.array([joint.home for joint in joints])
+        self._camera = scene.camera
         self._model = build_model(replace(scene, visuals=True))
         self._data = mujoco.MjData(self._model)
         self._joints = transport.subscription(profile.robots[0].state_topic, depth=20)
@@ -148,7 +132,7 @@ class Page:
         """Every body as a frame with its geoms; every object, though only one is shown."""
         scene, model = self._server.scene, self._model
         scene.add_grid("/floor", 8.0, 8.0)
-        self.bodies: dict[str, viser.FrameHandle] = {}
+        self.bodies: dict[str, viser.FrameHandle] = {}  #: What is shown of every body, by its name.
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
             maker = MAKERS.get(mujoco.mjtGeom(model.geom_type[geom]))
@@ -174,7 +158,7 @@ class Page:
     def _build_panel(self) -> None:
         """The camera's image, the states, the buttons."""
         gui = self._server.gui
-        self.picture = gui.add_image(np.zeros((RGB_CAMERA.height, RGB_CAMERA.width, 3), np.uint8))
+        self.picture = gui.add_image(np.zeros((self._camera.height, self._camera.width, 3), np.uint8))
         self.text = gui.add_markdown("")
         self.seed = gui.add_number("seed of the next throw", 0, min=0, step=1)
         gui.add_button("throw and catch").on_click(lambda _: self.catch())
@@ -189,7 +173,7 @@ class Page:
 
     def _move(self) -> None:
         """Move robot and object to where they are."""
-        self._data.qpos[: len(JOINTS)] = self._joint_pos
+        self._data.qpos[: len(self._joint_pos)] = self._joint_pos
         mujoco.mj_kinematics(self._model, self._data)
         for name, frame in self.bodies.items():
             body = self._data.body(name)
@@ -219,7 +203,7 @@ class Page:
         if len(self._boxes) < 2:
             return {}
         before, now = (torch.tensor([box], dtype=torch.float32) for box in self._boxes)
-        values = pixel_features(before, now, RGB_CAMERA)[0].tolist()
+        values = pixel_features(before, now, self._camera)[0].tolist()
         return {name: f"{value:.2f}" for name, value in zip(PIXEL_FEATURES, values, strict=True)}
 
 
@@ -236,14 +220,7 @@ def with_box(pixels: np.ndarray, box: list[float] | None) -> np.ndarray:
 
 
 def serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
-    """Serve the page until this process is ended.
-
-    Args:
-        port: Port of the page; if it is taken, one of the next.
-        scene: The scene of the simulation.
-        profile: What topics and joints are called.
-        rate: Rate of the clock of twin and deployment.
-    """
+    """Serve the page until this process is ended; if the port is taken, on one of the next."""
     obey_parent(LAST)
     torch.set_num_threads(1)
     clock = RealClock(rate)

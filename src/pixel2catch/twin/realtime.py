@@ -1,60 +1,110 @@
-"""The twin in real time, or at the stated rate of a slower clock."""
+"""The twin in real time, or at the stated rate of a slower clock, and the processes that it starts.
+
+They end when it does, however it ends.
+"""
 
 import gc
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib.util import find_spec
+from multiprocessing import get_context, parent_process
+from threading import Thread
+from typing import Any
+
+import torch
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import DeploymentError
+from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
+from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, make_transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.process import set_niceness
-from pixel2catch.twin.camera import Camera, drawing_process
-from pixel2catch.twin.drivers import CYCLE
-from pixel2catch.twin.lab_node import LabNode
-from pixel2catch.twin.processes import FIRST, child
+from pixel2catch.twin.config import TwinCfg
+from pixel2catch.twin.drivers import CYCLE, Camera
+from pixel2catch.twin.lab_node import LabNode, twin_profile
 from pixel2catch.twin.simulated_lab import SimulatedLab
+from pixel2catch.workcells import find_workcell
+
+FIRST, SECOND, LAST = -10, -5, 10
+"""Niceness of physics and wires, of the camera, and of the page. Source: ours."""
+
+
+def obey_parent(niceness: int) -> None:
+    """Call this first in such a process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the twin's
+    set_niceness(niceness)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+@contextmanager
+def child(function: Callable[..., Any], *args: Any) -> Iterator[None]:
+    """Run a function in a process of its own as long as the context lasts."""
+    process = get_context("spawn").Process(target=function, args=args, daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.join()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure], "Future[Image]"]]:
+    """A process that draws what the camera sees, so that the physics keeps its time.
+
+    It yields a function that begins to draw. The seed is of the room's looks and the sensor's noise.
+
+    Raises:
+        DeviceUnavailableError: If no OpenGL back end works.
+    """
+    find_gl_backend()
+    with ProcessPoolExecutor(1, get_context("spawn"), _open, (scene, seed)) as process:
+        process.submit(_is_open).result()
+        yield lambda exposure: process.submit(_draw, exposure)
+
+
+_VIEWS: list[RoomCamera] = []
+"""The view of a process that draws."""
+
+
+def _open(scene: SceneCfg, seed: int) -> None:
+    obey_parent(SECOND)
+    torch.set_num_threads(1)
+    _VIEWS.append(RoomCamera(scene, seed))
+
+
+def _is_open() -> bool:
+    return bool(_VIEWS)
+
+
+def _draw(exposure: Exposure) -> Image:
+    return _VIEWS[0].image(exposure)
+
 
 LATE = 0.01
 """How late a cycle is that is counted [s]. Source: ours, half of what the servo lets joint states age."""
 
-PROFILE = "ur5e_allegro_v4"
-"""Robot profile that the twin speaks."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TwinCfg:
-    """What the twin is the twin of.
-
-    Attributes:
-        task: What is thrown at which robot, seen by which camera.
-        seed: Of the room, the first start pose and all noise.
-        clock: Seconds of the twin in a real second.
-        web: Port of the web page; none if absent.
-    """
-
-    task: CatchEnvCfg
-    seed: int = 0
-    clock: float = 1.0
-    web: int | None = None
-
 
 @dataclass(frozen=True, kw_only=True)
 class ClockStats:
-    """How well the twin keeps to its clock.
+    """How well the twin keeps to its clock."""
 
-    Attributes:
-        num_cycles: Cycles so far.
-        num_late: Those of them that began more than `LATE` after their time; none is left out.
-        worst: The latest [s].
-    """
-
-    num_cycles: int = 0
-    num_late: int = 0
-    worst: float = 0.0
+    num_cycles: int = 0  #: Cycles so far.
+    num_late: int = 0  #: Those of them that began more than `LATE` after their time; none is left out.
+    worst: float = 0.0  #: The latest [s].
 
     def counted(self, lateness: float) -> "ClockStats":
         """The pace with one cycle more, so late [s]."""
@@ -69,38 +119,32 @@ OnCycle = Callable[[LabNode, ClockStats], bool]
 """Called after every cycle; says whether to go on."""
 
 
-def serve(cfg: TwinCfg, on_cycle: OnCycle) -> ClockStats:
-    """Be the lab on this machine's DDS network.
-
-    Args:
-        cfg: What the twin is the twin of.
-        on_cycle: Called after every cycle.
-
-    Returns:
-        How well it kept to the clock.
+def serve(cfg: TwinCfg, task: CatchEnvCfg, on_cycle: OnCycle) -> ClockStats:
+    """Be the lab of a task on this machine's DDS network; return how well it kept to the clock.
 
     Raises:
         DeviceUnavailableError: If no OpenGL back end works.
         DeploymentError: If DDS cannot be started, or the page lacks a package.
     """
-    clock, scene, profile = RealClock(cfg.clock), cfg.task.scene, Profile.load(PROFILE)
+    clock, scene = RealClock(cfg.clock), task.scene
+    profile = twin_profile(find_workcell(scene.workcell))
     set_niceness(FIRST)
     with (
-        _page(cfg, profile),
+        _page(cfg, scene, profile),
         drawing_process(scene, cfg.seed) as draw,
         make_transport("dds", "pixel2catch_twin", loopback=True, clock=clock) as node,
-        SimulatedLab(cfg.task, cfg.seed) as lab,
+        SimulatedLab(task, cfg.seed) as lab,
     ):
         return run(LabNode(lab, profile, node, Camera(draw)), clock, on_cycle)
 
 
-def _page(cfg: TwinCfg, profile: Profile) -> AbstractContextManager[None]:
+def _page(cfg: TwinCfg, scene: SceneCfg, profile: Profile) -> AbstractContextManager[None]:
     """The process that serves the web page, if there is to be one."""
     if cfg.web is None:
         return nullcontext()
     if find_spec("viser") is None:
         raise DeploymentError("the page needs viser: pip install 'pixel2catch[twin]', or leave out --web.")
-    return child(_serve_page, cfg.web, cfg.task.scene, profile, cfg.clock)
+    return child(_serve_page, cfg.web, scene, profile, cfg.clock)
 
 
 def _serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> None:
@@ -110,16 +154,7 @@ def _serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> No
 
 
 def run(lab_node: LabNode, clock: Clock, on_cycle: OnCycle) -> ClockStats:
-    """Run cycle after cycle, each at its time; those that are late are made up for.
-
-    Args:
-        lab_node: The twin.
-        clock: Its clock.
-        on_cycle: Called after every cycle.
-
-    Returns:
-        How well it kept to the clock.
-    """
+    """Run cycle after cycle, each at its time; those that are late are made up for."""
     gc.collect()
     gc.freeze()  # what there is now stays: it need not be looked through again and again
     begin, start = clock.now(), clock.stamp()

@@ -1,9 +1,10 @@
 """The laboratory behind the wires: simulated robot, object and thrower, and what of it is true."""
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf, pi
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import torch
@@ -21,11 +22,11 @@ from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.snapshot import Privileged, Transition
 from pixel2catch.mdp.terminations import is_near
-from pixel2catch.rendering.camera import Moment
+from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CameraSpec
-from pixel2catch.twin.camera import Exposure
+from pixel2catch.servo.limits import steady_lag
 from pixel2catch.twin.drivers import Motion
 from pixel2catch.workcells import find_workcell
 
@@ -34,15 +35,10 @@ ARM = BYSTANDER_JOINTS.index("thrower_arm")
 
 @dataclass(frozen=True, kw_only=True)
 class Thrower:
-    """The thrower and the hanging ball, from the beginning of the twin's time on.
+    """The thrower and the hanging ball, from the beginning of the twin's time on."""
 
-    Attributes:
-        bystanders: Where they stand.
-        release: When the arm let go [s]; infinite before.
-    """
-
-    bystanders: Bystanders
-    release: float = inf
+    bystanders: Bystanders  #: Where they stand.
+    release: float = inf  #: When the arm let go [s]; infinite before.
 
     def joint_pos(self, time: float) -> Float[np.ndarray, "6"]:
         """Positions of their joints [m, rad] at a time of the twin [s]."""
@@ -52,36 +48,22 @@ class Thrower:
         return pos
 
 
+@final
 class ThrowScorer:
     """Follows one throw at the control rate; after its end nothing counts any more.
 
     The time in which a success counts begins before the release, with the steps that the object would hover
     in an episode: what an operator waits for longer does not count.
-
-    Attributes:
-        record: What became of the throw so far.
-        is_over: Whether it is decided: caught, dropped, or out of time.
     """
 
     def __init__(self, episode: Episode, world: CatchWorld, now: Privileged) -> None:
-        """Begin with a release.
-
-        Args:
-            episode: What is thrown.
-            world: At which robot.
-            now: The state at the release.
-        """
+        """Begin with the state at the release."""
         self._world, self._before = world, now
         self.record: EpisodeRecord = replace(episode.record, steps=episode.throw.hover_steps)
-        self.is_over = False
+        self.is_over = False  #: Whether it is decided: caught, dropped, or out of time.
 
     def follow(self, now: Privileged, log: PhysicsLog) -> None:
-        """Count a control step.
-
-        Args:
-            now: The state at its end.
-            log: What happened in it.
-        """
+        """Count a control step by the state at its end, and by what happened in it."""
         if self.is_over:
             return
         transition = Transition(
@@ -120,18 +102,12 @@ class Phase(StrEnum):
     """It was caught, dropped, or its time is over."""
 
 
-class SimulatedLab:
+@final
+class SimulatedLab(AbstractContextManager["SimulatedLab"]):
     """The simulation in steps of its physics; nothing here knows real time.
 
     Throws, dynamics and the noise of the encoders are those of the task. Its errors of actions and its delays
     are not applied: what is late in a lab is late on the wires.
-
-    Attributes:
-        episode: What is thrown at which robot.
-        phase: How far the throw is.
-        num_throws: Throws so far.
-        max_joint_speed: Largest speed of an arm joint so far [rad/s].
-        lag: How far each joint is behind its target in a steady motion, per speed [s].
     """
 
     def __init__(self, task: CatchEnvCfg, seed: int) -> None:
@@ -141,7 +117,10 @@ class SimulatedLab:
             task: What is thrown at which robot.
             seed: Of the first start pose and of all noise.
         """
-        workcell = find_workcell(task.scene.workcell)
+        self.workcell = workcell = find_workcell(task.scene.workcell)
+        num_joints = len(workcell.joints)
+        self._robot = slice(num_joints)
+        self._object_pose = slice(num_joints, num_joints + 7)  # position and quaternion, in `qpos`
         self._task, self._rng = task.for_workcell(workcell), np.random.default_rng(seed)
         self._action_bias = by_joint(workcell, "action_bias", torch.device("cpu"))
         self._world = CatchWorld(task.scene, task.dynamics, num_envs=1, device="cpu")
@@ -151,10 +130,11 @@ class SimulatedLab:
         self._qpos, self._qvel = qpos, qvel
         self._log: PhysicsLog | None = None
         self._steps, self._is_thrown, self._scorer = 0, False, None
-        self.num_throws, self.max_joint_speed = 0, 0.0
+        self.num_throws = 0
+        self.max_joint_speed = 0.0  #: Largest speed of an arm joint so far [rad/s].
         nominal = JointDynamics.nominal(specs=workcell.joints)
         dynamics = task.dynamics.over(nominal) if task.dynamics else nominal
-        self.lag: Joints = dynamics.damping / dynamics.stiffness
+        self.lag: Joints = steady_lag(dynamics)  #: How far joints are behind in a steady motion [s].
         self.prepare(seed)
         self._held_from = inf
 
@@ -195,8 +175,7 @@ class SimulatedLab:
     @property
     def joints(self) -> Motion:
         """The true joints now."""
-        num_joints = len(self.lag)
-        return Motion(position=self._qpos[:num_joints].copy(), velocity=self._qvel[:num_joints].copy())
+        return Motion(position=self._qpos[self._robot].copy(), velocity=self._qvel[self._robot].copy())
 
     def encoders(self, time: float) -> Motion:
         """What the encoders say at a time up to a physics step from now [s]."""
@@ -233,11 +212,7 @@ class SimulatedLab:
         self._is_thrown = True
 
     def step(self, joint_pos_target: Joints) -> bool:
-        """Simulate a physics step; return whether it ended a control step.
-
-        Args:
-            joint_pos_target: What the servos aim at [rad].
-        """
+        """Simulate a physics step with servos that aim here [rad]; return whether it ended a control step."""
         log = self._world.run(torch.from_numpy(joint_pos_target)[None], num_steps=1)
         self._log = log if self._log is None else self._log.merged(log)
         self._steps += 1
@@ -257,13 +232,13 @@ class SimulatedLab:
 
     def truth(self) -> dict[str, Any]:
         """What is true of the throw: for the operator and the report, not for the robot."""
-        record, object_pose = self.record, self._qpos[self._world.objects.indices.qpos]
+        record = self.record
         return {
             "phase": self.phase.value,
             "throw": self.num_throws,
             "object": None if self.phase is Phase.EMPTY else self.object_name,
             "box": self._box(),
-            "object_pose": [round(value, 4) for value in object_pose.tolist()],
+            "object_pose": [round(value, 4) for value in self._qpos[self._object_pose].tolist()],
             "is_tracked": record is not None and bool(record.is_tracked),
             "is_success": record is not None and bool(record.is_success),
             "joint_speed": self.max_joint_speed,
@@ -272,10 +247,6 @@ class SimulatedLab:
     def close(self) -> None:
         """Free the simulation."""
         self._world.close()
-
-    def __enter__(self) -> "SimulatedLab":
-        """Return the lab itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""
