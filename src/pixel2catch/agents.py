@@ -5,6 +5,7 @@ Differs: the hand is also rewarded for a grasp (ours); the paper's success is a 
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -107,6 +108,15 @@ class AgentSpec:
     @property
     def _rewarded(self) -> tuple[BodyPart, ...]:
         return (*self.parts, *self.teammates)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Names of its observation terms, and its reward terms with their weights, ready for JSON."""
+        weights = [term.weight for part in self._rewarded for term in part.reward]
+        return {
+            "observation": [term.__name__ for term in self.observation],
+            "memory": [term.__name__ for term in self.memory],
+            "rewards": dict(zip(self.reward_names, weights, strict=True)),
+        }
 
     def __add__(self, other: "AgentSpec") -> "AgentSpec":
         """One agent over the joints of both, with the sum of both rewards. Source: paper, S-A RL."""

@@ -1,10 +1,13 @@
 """Files that are either the old ones or the new ones, never half of each; and what is written into them."""
 
+import dataclasses
 import math
 import os
 from collections.abc import Mapping
+from itertools import repeat
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from pixel2catch.errors import InvalidValueError
 
@@ -47,6 +50,50 @@ def _without_infinity(value: Any) -> Any:
     if isinstance(value, list):
         return [_without_infinity(entry) for entry in value]
     return None if isinstance(value, float) and math.isinf(value) else value
+
+
+def decoded(kind: Any, value: Any) -> Any:
+    """A value of a declared type from what JSON holds of it: `dataclasses.asdict` and `plain` backwards.
+
+    Args:
+        kind: A dataclass, with a `from_dict` or without, `Path`, what JSON knows, or tuples, dictionaries and
+            unions of these; at most one member of a union may be a tuple or a dataclass.
+        value: What `json.loads` returned.
+
+    Raises:
+        TypeError: A field is unknown, or a required one missing.
+        ValueError: A value is of another kind, or out of range.
+    """
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        if value is None and NoneType in inner:
+            return None
+        is_nested = isinstance(value, list | dict)
+        fitting = [
+            each
+            for each in inner
+            if (get_origin(each) is tuple or dataclasses.is_dataclass(each)) is is_nested
+        ]
+        return decoded(fitting[0], value)
+    if hasattr(kind, "from_dict"):
+        return kind.from_dict(value)
+    if dataclasses.is_dataclass(kind):
+        return decoded_fields(kind, value)
+    if origin is tuple:
+        kinds = repeat(inner[0], len(value)) if inner[-1] is Ellipsis else inner
+        return tuple(decoded(each, entry) for each, entry in zip(kinds, value, strict=True))
+    if origin is dict:
+        return {name: decoded(inner[1], entry) for name, entry in value.items()}
+    return Path(value) if kind is Path else value
+
+
+def decoded_fields(kind: Any, values: Mapping[str, Any]) -> Any:
+    """A dataclass from its fields, see `decoded`."""
+    kinds = get_type_hints(kind)
+    unknown = set(values) - set(kinds)
+    if unknown:
+        raise TypeError(f"{kind.__name__} has no '{min(unknown)}'")
+    return kind(**{name: decoded(kinds[name], value) for name, value in values.items()})
 
 
 def require_free_folder(folder: Path, option: str = "--out") -> None:

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,7 +16,7 @@ METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "
 
 PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
 
-OWN = ("device", "seed", "dynamics", "camera")
+OWN = ("method", "env", "device", "seed", "dynamics", "camera")
 """Fields of a training's configuration that a study sets for each training, or leaves as they are."""
 
 NEUTRAL = ("checkpoint_seconds", "report_seconds")
@@ -41,7 +41,8 @@ class Reproduce:
         preset: Settings of the trainings: fast, cpu or paper. Default: fast on CUDA, else cpu.
         transitions: Length of a training: control steps, summed over the environments. Default: the preset's.
         physics_hz: Physics steps in a second of the trainings, one or several. Default: the preset's.
-        training: Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096.
+        training: Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096 or
+            env.sensing.latency_steps=1,3.
         device: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
         jobs_per_device: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1.
         num_envs: Throws in a round of an evaluation.
@@ -142,9 +143,7 @@ class Reproduce:
 
         The default preset is that for the device.
         """
-        import tyro
-
-        from pixel2catch.cli.train import Train
+        from pixel2catch.cli.main import parse
         from pixel2catch.errors import UnknownNameError
         from pixel2catch.learning.config import TrainCfg
         from pixel2catch.scene.scene import SceneCfg
@@ -155,14 +154,16 @@ class Reproduce:
         }
         for option in self.training:
             name, _, value = option.partition("=")
-            if name not in free:
-                raise UnknownNameError("option in --training", name, sorted(free))
+            if name not in free and not name.startswith("env."):
+                raise UnknownNameError("option in --training", name, [*sorted(free), "env.FIELD"])
             given[name] = value.split(",")
-        args = _options({name: value for name, value in given.items() if value is not None})
-        cfg = tyro.cli(Train, args=args, prog="pixel2catch train").resolve()
-        for physics_hz in (*cfg.physics_hz, self.evaluation_physics_hz):
-            SceneCfg(physics_hz=physics_hz)
-        return {name: value for name, value in asdict(cfg).items() if name not in OWN}
+        given = {name: value for name, value in given.items() if value is not None}
+        train = parse(["train", *_options(given)])
+        cfg = train.resolve()
+        train.with_task(cfg)
+        SceneCfg(physics_hz=self.evaluation_physics_hz)
+        fields_of_task = {name: value for name, value in given.items() if name.startswith("env.")}
+        return {name: value for name, value in cfg.to_dict().items() if name not in OWN} | fields_of_task
 
     def _plan(self, training: dict[str, Any]) -> "Plan":
         """What is asked, with everything that changes results."""
