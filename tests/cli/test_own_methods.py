@@ -96,6 +96,17 @@ def test_a_term_of_ones_own_needs_its_file(runs: Path):
     assert (absent.returncode, "cannot import" in absent.stderr) == (2, True)
 
 
+def test_with_its_file_a_term_of_ones_own_is_evaluated_and_filmed(runs: Path):
+    own = ("with_height", "--import", "my_methods.py")
+    evaluated = pixel2catch(runs, "evaluate", *own, *THROWS, "--json")
+    assert evaluated.returncode == 0, evaluated.stderr
+    assert json.loads(evaluated.stdout)["method"] == "with_height"
+    video = ("--throws", "1", "--objects", "cube_s", "--view", "rgb", "--out", "own.mp4")
+    filmed = pixel2catch(runs, "play", *own, *video)
+    assert filmed.returncode == 0, filmed.stderr
+    assert (runs / "own.mp4").stat().st_size > 0
+
+
 def test_child_processes_know_the_file(runs: Path):
     options = ("--axes", "nominal", "--jobs", "2", "--out", "stress", "--json")
     command = ("stress", "size_alone", "with_height", *THROWS, *options, "--import", "my_methods.py")

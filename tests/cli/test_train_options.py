@@ -118,7 +118,7 @@ def test_short_options_and_fields_of_the_task_are_one():
     ("option", "words"),
     [
         (("--env.sensing.latency-stps", "1", "3"), ("--env.sensing.latency-steps",)),
-        (("--env.sensing.latency-steps", "1"), ("--env.sensing.latency-steps", "FLOAT FLOAT")),
+        (("--env.sensing.latency-steps", "1"), ("--env.sensing.latency-steps", "Expected 2 values")),
         (("--env.sensing.edge-noise", "much"), ("--env.sensing.edge-noise", "much")),
         (("--env.scene.object-scale", "9"), ("object_scale is 9",)),
     ],

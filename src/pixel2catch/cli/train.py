@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from pixel2catch.learning.config import PRESETS, TrainCfg, preset
+from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
@@ -91,7 +91,7 @@ class Train:
         """Return the preset, or the run's configuration, with what was given on the command line.
 
         Raises:
-            CheckpointError: If there is no run to go on with.
+            CheckpointError: If the configuration of the run does not fit this code.
             DeviceUnavailableError: If CUDA was asked for and is absent.
             InvalidValueError: If no training is possible with the values.
             PolicyMismatchError: If there is no policy to start from, or to imitate.
@@ -107,7 +107,7 @@ class Train:
         for name in ("start", "teacher"):
             if name in given:
                 given[name] = policy_folder(given[name])
-        if self.resume:
+        if self.resume and (self._folder / CONFIG_FILE).exists():
             named = PRESETS[self.preset] if self.preset else {}
             cfg = dataclasses.replace(TrainCfg.of_run(self._folder), **named | given)
         else:

@@ -8,6 +8,9 @@ from typing import Any, Literal
 from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
 from pixel2catch.files import decoded
 
+CONFIG_FILE = "config.json"
+"""The resolved configuration in the folder of a run."""
+
 
 def _released_latency() -> tuple[float, float]:
     from pixel2catch.mdp.sensing import SensingCfg
@@ -172,13 +175,12 @@ class TrainCfg:
         """The configuration of the run in a folder, with the files that it keeps.
 
         Raises:
-            CheckpointError: There is no run, or its configuration does not fit this code.
+            CheckpointError: It does not fit this code.
+            OSError: It cannot be read.
         """
         from pixel2catch.envs.cfg import CatchEnvCfg
 
-        file = folder / "config.json"
-        if not file.exists():
-            raise CheckpointError(f"'{folder}' holds no run to resume; start without --resume.")
+        file = folder / CONFIG_FILE
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
             values = content["train"] | {"method": content["policy"]["method"]}

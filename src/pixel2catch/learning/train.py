@@ -16,7 +16,7 @@ from pixel2catch.agents import AgentSpec
 from pixel2catch.errors import CheckpointError, NonFiniteError
 from pixel2catch.interruption import StopRequest
 from pixel2catch.learning.checkpoint import Progress, RunFolder, load_checkpoint, save_checkpoint
-from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
 from pixel2catch.learning.distributed import start_workers
 from pixel2catch.learning.environment import Environment, EnvSchedule, Observation
 from pixel2catch.learning.log import Row, TrainingLog
@@ -98,7 +98,8 @@ def _require_teacher(cfg: TrainCfg, folder: RunFolder) -> None:
     Raises:
         CheckpointError: It had one, and none is named.
     """
-    before = json.loads((folder.path / "config.json").read_text(encoding="utf-8"))["train"].get("teacher")
+    file = folder.path / CONFIG_FILE
+    before = json.loads(file.read_text(encoding="utf-8"))["train"].get("teacher") if file.exists() else None
     if before and not cfg.teacher:
         raise CheckpointError(
             f"'{folder.path}' was begun with the teacher '{before}'; go on with --teacher {before}."
