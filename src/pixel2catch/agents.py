@@ -64,21 +64,18 @@ Source: ours. Larger weights, and paying for the motion of fingers, keep them fr
 
 @dataclass(frozen=True, kw_only=True)
 class AgentSpec:
-    """One learner: the joints it moves, what it sees, and what it is rewarded for.
-
-    Attributes:
-        name: Name in logs, files and the agents' dictionaries.
-        parts: The body parts that it moves, in joint order; its reward is the sum of theirs.
-        teammates: Body parts that others move, whose reward it gets as well.
-        observation: Terms of one observation frame.
-        memory: Terms of what it remembers of the images.
-    """
+    """One learner: the joints it moves, what it sees, and what it is rewarded for."""
 
     name: str
+    """Name in logs, files and the agents' dictionaries."""
     parts: tuple[BodyPart, ...]
+    """The body parts that it moves, in joint order; its reward is the sum of theirs."""
     teammates: tuple[BodyPart, ...] = ()
+    """Body parts that others move, whose reward it gets as well."""
     observation: tuple[ObservationTerm, ...] = PAPER_TERMS
+    """Terms of one observation frame."""
     memory: tuple[ObservationTerm, ...] = ()
+    """Terms of what it remembers of the images."""
 
     @property
     def joints(self) -> Columns:

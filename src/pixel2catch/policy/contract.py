@@ -18,15 +18,12 @@ FORMAT_VERSION = 2
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AgentContract:
-    """Inputs and outputs of one agent's network.
-
-    Attributes:
-        observation: Name and size of every observation term, in the order of the input vector.
-        joints: Names of the joints, in the order of the output vector.
-    """
+    """Inputs and outputs of one agent's network."""
 
     observation: tuple[tuple[str, int], ...]
+    """Name and size of every observation term, in the order of the input vector."""
     joints: tuple[str, ...]
+    """Names of the joints, in the order of the output vector."""
 
     @property
     def num_inputs(self) -> int:
@@ -36,29 +33,26 @@ class AgentContract:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyContract:
-    """What the policy of a method expects of the world and promises to it.
-
-    Attributes:
-        method: Name of the method.
-        pixel_features: Names of the pixel features, in their order within a frame.
-        agents: The agents by name.
-        commands: How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad].
-        control_dt: Time between two actions [s].
-        camera: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation.
-        workcell: Name of the work cell.
-        task: Name of the task that it was trained for; it may act in others.
-        format_version: Version of the file format.
-    """
+    """What the policy of a method expects of the world and promises to it."""
 
     method: str
+    """Name of the method."""
     pixel_features: tuple[str, ...]
+    """Names of the pixel features, in their order within a frame."""
     agents: dict[str, AgentContract]
+    """The agents by name."""
     commands: dict[str, dict[str, float]]
+    """How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad]."""
     control_dt: float
+    """Time between two actions [s]."""
     camera: dict[str, int | float | tuple[float, ...]]
+    """The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation."""
     workcell: str
+    """Name of the work cell."""
     task: str = "nominal"
+    """Name of the task that it was trained for; it may act in others."""
     format_version: int = FORMAT_VERSION
+    """Version of the file format."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain dictionaries, lists and numbers, ready for JSON."""

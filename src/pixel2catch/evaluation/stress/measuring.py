@@ -40,40 +40,34 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass(frozen=True, kw_only=True)
 class StressCfg:
-    """How each result is obtained.
-
-    Attributes:
-        objects: Names of the objects; each throw draws one.
-        num_envs: Throws in a round.
-        trials: Rounds.
-        seed: Seed of the first round; the next round has the next one.
-        device: "cpu" or a CUDA device.
-        physics_hz: Physics steps in a second.
-    """
+    """How each result is obtained."""
 
     objects: tuple[str, ...]
+    """Names of the objects; each throw draws one."""
     num_envs: int = 100
+    """Throws in a round."""
     trials: int = 2
+    """Rounds."""
     seed: int = 0
+    """Seed of the first round; the next round has the next one."""
     device: str = "cpu"
+    """"cpu" or a CUDA device."""
     physics_hz: float = 600.0
+    """Physics steps in a second."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyEntry:
-    """A policy of the suite.
-
-    Attributes:
-        name: Its name in tables and folders.
-        folder: Where it is.
-        method: Name of the method that it was trained with.
-        task: Name of the task that it was trained for.
-    """
+    """A policy of the suite."""
 
     name: str
+    """Its name in tables and folders."""
     folder: Path
+    """Where it is."""
     method: str
+    """Name of the method that it was trained with."""
     task: str = "nominal"
+    """Name of the task that it was trained for."""
 
 
 @dataclass(frozen=True, kw_only=True)
