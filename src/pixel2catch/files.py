@@ -4,7 +4,6 @@ import dataclasses
 import math
 import os
 from collections.abc import Mapping
-from itertools import repeat
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -52,48 +51,59 @@ def _without_infinity(value: Any) -> Any:
     return None if isinstance(value, float) and math.isinf(value) else value
 
 
-def decoded(kind: Any, value: Any) -> Any:
-    """A value of a declared type from what JSON holds of it: `dataclasses.asdict` and `plain` backwards.
+def decoded(kind: Any, value: Any, name: str = "") -> Any:
+    """Read a value of a declared type from JSON: `dataclasses.asdict` and `plain` backwards.
 
     Args:
-        kind: A dataclass, with a `from_dict` or without, `Path`, what JSON knows, or tuples, dictionaries and
-            unions of these; at most one member of a union may be a tuple or a dataclass.
+        kind: A dataclass, with a `from_dict` of its own or without; `Path`, what JSON knows, or tuples,
+            dictionaries and unions of these. In a union one member at most is a tuple or a dataclass.
         value: What `json.loads` returned.
+        name: Its name, for messages.
 
     Raises:
-        TypeError: A field is unknown, or a required one missing.
-        ValueError: A value is of another kind, or out of range.
+        InvalidValueError: A field is unknown or missing, or has another shape.
     """
+    kind = _chosen(kind, value)
     origin, inner = get_origin(kind), get_args(kind)
-    if origin in (Union, UnionType):
-        if value is None and NoneType in inner:
-            return None
-        is_nested = isinstance(value, list | dict)
-        fitting = [
-            each
-            for each in inner
-            if (get_origin(each) is tuple or dataclasses.is_dataclass(each)) is is_nested
-        ]
-        return decoded(fitting[0], value)
-    if hasattr(kind, "from_dict"):
+    if _is_nested(kind) and not isinstance(value, list if origin is tuple else dict):
+        raise InvalidValueError(f"field '{name}' is {value!r}")
+    if origin is tuple:
+        kinds = inner if Ellipsis not in inner else inner[:1] * len(value)
+        if len(kinds) != len(value):
+            raise InvalidValueError(f"field '{name}' has {len(value)} entries; it needs {len(kinds)}")
+        return tuple(decoded(each, entry, name) for each, entry in zip(kinds, value, strict=True))
+    if origin is dict:
+        return {key: decoded(inner[1], entry, f"{name}.{key}") for key, entry in value.items()}
+    if name and hasattr(kind, "from_dict"):
         return kind.from_dict(value)
     if dataclasses.is_dataclass(kind):
-        return decoded_fields(kind, value)
-    if origin is tuple:
-        kinds = repeat(inner[0], len(value)) if inner[-1] is Ellipsis else inner
-        return tuple(decoded(each, entry) for each, entry in zip(kinds, value, strict=True))
-    if origin is dict:
-        return {name: decoded(inner[1], entry) for name, entry in value.items()}
+        return _decoded_dataclass(kind, value, f"{name}." if name else "")
     return Path(value) if kind is Path else value
 
 
-def decoded_fields(kind: Any, values: Mapping[str, Any]) -> Any:
-    """A dataclass from its fields, see `decoded`."""
-    kinds = get_type_hints(kind)
-    unknown = set(values) - set(kinds)
-    if unknown:
-        raise TypeError(f"{kind.__name__} has no '{min(unknown)}'")
-    return kind(**{name: decoded(kinds[name], value) for name, value in values.items()})
+def _decoded_dataclass(kind: Any, values: dict[str, Any], where: str) -> Any:
+    kinds, fields = get_type_hints(kind), dataclasses.fields(kind)
+    required = {each.name for each in fields if each.default is each.default_factory is dataclasses.MISSING}
+    for problem, found in (
+        ("is missing", required - set(values)),
+        ("is unknown to this code", set(values) - {each.name for each in fields}),
+    ):
+        if found:
+            raise InvalidValueError(f"field '{where}{min(found)}' {problem}")
+    return kind(**{name: decoded(kinds[name], value, where + name) for name, value in values.items()})
+
+
+def _chosen(kind: Any, value: Any) -> Any:
+    """The member of a union that a value is of; any other type is itself."""
+    if get_origin(kind) not in (Union, UnionType):
+        return kind
+    is_nested = isinstance(value, list | dict)
+    members = [each for each in get_args(kind) if (each is NoneType) is (value is None)]
+    return next((each for each in members if _is_nested(each) is is_nested), get_args(kind)[0])
+
+
+def _is_nested(kind: Any) -> bool:
+    return get_origin(kind) in (tuple, dict) or dataclasses.is_dataclass(kind)
 
 
 def require_free_folder(folder: Path, option: str = "--out") -> None:

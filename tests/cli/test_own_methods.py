@@ -12,8 +12,7 @@ import pytest
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import MEMORIES, METHODS, find_method
 from pixel2catch.own_files import VARIABLE, take_option
-from pixel2catch.policy import contract_of
-from pixel2catch.policy.own_methods import method_of
+from pixel2catch.policy import contract_of, method_of
 
 FILE = """
 from dataclasses import replace

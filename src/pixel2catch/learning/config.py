@@ -186,7 +186,7 @@ class TrainCfg:
             values = content["train"] | {"method": content["policy"]["method"]}
             kept = {name: str(folder / f"{name}.json") for name in ("dynamics", "camera") if values[name]}
             return dataclasses.replace(decoded(cls, values | kept), env=decoded(CatchEnvCfg, content["env"]))
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, LookupError, TypeError) as error:
             raise CheckpointError(
                 f"'{file}' is no configuration that this code reads ({error}); resume with the version that "
                 "wrote it, or begin another run."
