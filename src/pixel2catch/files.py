@@ -65,7 +65,7 @@ def decoded(kind: Any, value: Any, name: str = "") -> Any:
     """
     kind = _chosen(kind, value)
     origin, inner = get_origin(kind), get_args(kind)
-    if _is_nested(kind) and not isinstance(value, list if origin is tuple else dict):
+    if _is_nested(kind) and not _has_shape(origin, value):
         raise InvalidValueError(f"field '{name}' is {value!r}")
     if origin is tuple:
         kinds = inner if Ellipsis not in inner else inner[:1] * len(value)
@@ -100,6 +100,10 @@ def _chosen(kind: Any, value: Any) -> Any:
     is_nested = isinstance(value, list | dict)
     members = [each for each in get_args(kind) if (each is NoneType) is (value is None)]
     return next((each for each in members if _is_nested(each) is is_nested), get_args(kind)[0])
+
+
+def _has_shape(origin: Any, value: Any) -> bool:
+    return isinstance(value, list if origin is tuple else dict)
 
 
 def _is_nested(kind: Any) -> bool:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from pixel2catch.cli.main import main, parse
 from pixel2catch.cli.train import with_fields
@@ -81,7 +80,9 @@ def options(value: Any, name: str = "") -> Iterator[tuple[str, ...]]:
         for number, entry in enumerate(value):
             yield from options(entry, f"{prefix}{number}")
     else:
-        yield name, *(str(part) for part in torch.utils._pytree.tree_leaves(value))
+        entries = value if isinstance(value, tuple) else (value,)
+        flat = (part for entry in entries for part in (entry if isinstance(entry, tuple) else (entry,)))
+        yield name, *map(str, flat)
 
 
 @pytest.mark.parametrize("name", ["nominal", "wide"])

@@ -43,19 +43,22 @@ class Stress:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.stress.measuring import StressCfg, find_policies, measure, plan_results
+        from pixel2catch.envs.cfg import CatchEnvCfg
+        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.scene.objects import select_objects
+        from pixel2catch.scene.scene import SceneCfg
 
         settings = select_settings(self.axes)
-        cfg = StressCfg(
+        cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            physics_hz=self.physics_hz,
+            task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
         )
         prepare(self.device)
         results = plan_results(find_policies(self.policies), settings, self.out)
