@@ -5,6 +5,7 @@ Differs: the hand is also rewarded for a grasp (ours); the paper's success is a 
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -63,21 +64,18 @@ Source: ours. Larger weights, and paying for the motion of fingers, keep them fr
 
 @dataclass(frozen=True, kw_only=True)
 class AgentSpec:
-    """One learner: the joints it moves, what it sees, and what it is rewarded for.
-
-    Attributes:
-        name: Name in logs, files and the agents' dictionaries.
-        parts: The body parts that it moves, in joint order; its reward is the sum of theirs.
-        teammates: Body parts that others move, whose reward it gets as well.
-        observation: Terms of one observation frame.
-        memory: Terms of what it remembers of the images.
-    """
+    """One learner: the joints it moves, what it sees, and what it is rewarded for."""
 
     name: str
+    """Name in logs, files and the agents' dictionaries."""
     parts: tuple[BodyPart, ...]
+    """The body parts that it moves, in joint order; its reward is the sum of theirs."""
     teammates: tuple[BodyPart, ...] = ()
+    """Body parts that others move, whose reward it gets as well."""
     observation: tuple[ObservationTerm, ...] = PAPER_TERMS
+    """Terms of one observation frame."""
     memory: tuple[ObservationTerm, ...] = ()
+    """Terms of what it remembers of the images."""
 
     @property
     def joints(self) -> Columns:
@@ -107,6 +105,15 @@ class AgentSpec:
     @property
     def _rewarded(self) -> tuple[BodyPart, ...]:
         return (*self.parts, *self.teammates)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Names of its observation terms, and its reward terms with their weights, ready for JSON."""
+        weights = [term.weight for part in self._rewarded for term in part.reward]
+        return {
+            "observation": [term.__name__ for term in self.observation],
+            "memory": [term.__name__ for term in self.memory],
+            "rewards": dict(zip(self.reward_names, weights, strict=True)),
+        }
 
     def __add__(self, other: "AgentSpec") -> "AgentSpec":
         """One agent over the joints of both, with the sum of both rewards. Source: paper, S-A RL."""

@@ -27,19 +27,16 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """Which agents learn, and which pixel features they see.
-
-    Attributes:
-        name: Name on the command line and in policy files.
-        agents: The learners, in joint order.
-        pixel_features: Names out of `camera.boxes.PIXEL_FEATURES`.
-        num_boxes: Measured boxes that it remembers.
-    """
+    """Which agents learn, and which pixel features they see."""
 
     name: str
+    """Name on the command line and in policy files."""
     agents: tuple[AgentSpec, ...]
+    """The learners, in joint order."""
     pixel_features: tuple[str, ...]
+    """Names out of `camera.boxes.PIXEL_FEATURES`."""
     num_boxes: int = 1
+    """Measured boxes that it remembers."""
 
     @property
     def knows_age(self) -> bool:
@@ -57,15 +54,12 @@ class Method:
 
 @dataclass(frozen=True, kw_only=True)
 class Memory:
-    """What agents remember of the images besides the paper's two frames.
-
-    Attributes:
-        num_boxes: Measured boxes.
-        terms: What is observed of them.
-    """
+    """What agents remember of the images besides the paper's two frames."""
 
     num_boxes: int
+    """Measured boxes."""
     terms: tuple[ObservationTerm, ...]
+    """What is observed of them."""
 
 
 MEMORIES: dict[str, Memory] = {

@@ -58,9 +58,12 @@ def test_training_is_for_the_camera_of_the_file(
     assert task["sensing"]["camera"] == json.loads(json.dumps(dataclasses.asdict(MEASURED)))
     policy = load_policy(out)[0]
     assert task_of(policy, 30.0) == NOMINAL_TASK.with_camera(CameraFile(camera=CAMERA))
-    assert run(*TRAIN, "--out", out, "--resume") == 2
+    other = tmp_path / "other.json"
+    CameraFile(camera=RGB_CAMERA).save(other)
+    assert run(*TRAIN, "--out", out, "--resume", "--camera", other) == 2
     assert f"--camera {out / 'camera.json'}" in capsys.readouterr().err
-    assert run(*TRAIN, "--out", out, "--resume", "--camera", out / "camera.json") == 0
+    assert run(*TRAIN, "--out", out, "--resume") == 0
+    assert json.loads((out / "config.json").read_text())["env"] == task
 
 
 def test_the_task_has_the_camera_of_the_policy_or_of_the_file(file: Path):

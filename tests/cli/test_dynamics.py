@@ -52,9 +52,12 @@ def test_training_simulates_the_robot_of_the_file(
     assert task["dynamics"]["latency"] == [0.02] * 6
     assert task["sensing"]["latency_steps"] == [1, 3]
     assert task["randomization"]["gains"]["stiffness_scale"] == [[0.99, 1.01]] * 6 + [[0.7, 1.3]] * 13
-    assert run(*TRAIN, "--out", out, "--resume") == 2
+    other = tmp_path / "other.json"
+    DynamicsFile().save(other)
+    assert run(*TRAIN, "--out", out, "--resume", "--dynamics", other) == 2
     assert f"--dynamics {out / 'dynamics.json'}" in capsys.readouterr().err
-    assert run(*TRAIN, "--out", out, "--resume", "--dynamics", out / "dynamics.json") == 0
+    assert run(*TRAIN, "--out", out, "--resume") == 0
+    assert json.loads((out / "config.json").read_text())["env"] == task
 
 
 def test_task_of_a_policy_has_the_robot_of_the_file(file: Path, untrained: Path):

@@ -12,8 +12,7 @@ import pytest
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import MEMORIES, METHODS, find_method
 from pixel2catch.own_files import VARIABLE, take_option
-from pixel2catch.policy import contract_of
-from pixel2catch.policy.own_methods import method_of
+from pixel2catch.policy import contract_of, method_of
 
 FILE = """
 from dataclasses import replace
@@ -94,6 +93,17 @@ def test_a_term_of_ones_own_needs_its_file(runs: Path):
     assert "--import FILE.py" in refused.stderr
     absent = pixel2catch(runs, "--import", "absent.py", "evaluate", "with_height")
     assert (absent.returncode, "cannot import" in absent.stderr) == (2, True)
+
+
+def test_with_its_file_a_term_of_ones_own_is_evaluated_and_filmed(runs: Path):
+    own = ("with_height", "--import", "my_methods.py")
+    evaluated = pixel2catch(runs, "evaluate", *own, *THROWS, "--json")
+    assert evaluated.returncode == 0, evaluated.stderr
+    assert json.loads(evaluated.stdout)["method"] == "with_height"
+    video = ("--throws", "1", "--objects", "cube_s", "--view", "rgb", "--out", "own.mp4")
+    filmed = pixel2catch(runs, "play", *own, *video)
+    assert filmed.returncode == 0, filmed.stderr
+    assert (runs / "own.mp4").stat().st_size > 0
 
 
 def test_child_processes_know_the_file(runs: Path):

@@ -18,6 +18,7 @@ from pixel2catch.methods import METHODS
 SMALL = (
     *("--device", "cpu", "--preset", "cpu", "--transitions", "320", "--physics-hz", "60"),
     *("--training", "num_envs=4", "rollout_steps=16", "hidden=16,8", "checkpoint_seconds=0"),
+    *("env.throws.hover_steps=5,6",),
     *("--num-envs", "4", "--trials", "1", "--evaluation-physics-hz", "60"),
 )
 TINY = (*SMALL, "--methods", "only_wh", "--seeds", "1")
@@ -85,6 +86,7 @@ def test_the_same_command_goes_on(study: Study):
     assert (summary["status"], summary["transitions"]) == ("finished", 320)
     commands = [" ".join(session["command"]) for session in json.loads((run / "sessions.json").read_text())]
     assert ["--resume" in command for command in commands] == [False, True]
+    assert read(run / "config.json")["env"]["throws"]["hover_steps"] == [5, 6]
     assert len(read(study.folder / "study.json")["sessions"]) == 2
 
 

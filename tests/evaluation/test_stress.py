@@ -19,7 +19,6 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError, StudyError, UnknownNameError
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.stress.measuring import (
-    StressCfg,
     find_policies,
     in_processes,
     measure,
@@ -237,7 +236,7 @@ def fail(reason: str) -> None:
 @pytest.mark.parametrize(("jobs", "device"), [(0, "cpu"), (2, "cuda")])
 def test_impossible_numbers_of_jobs_are_refused(jobs: int, device: str):
     with pytest.raises(InvalidValueError, match="--jobs 1"):
-        measure([], StressCfg(objects=SEEN, device=device), jobs=jobs)
+        measure([], EvaluationCfg(objects=SEEN, device=device), jobs=jobs)
 
 
 def test_a_damaged_cell_and_another_policy_are_refused(

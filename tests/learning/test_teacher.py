@@ -7,9 +7,10 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, Observation, TaughtEnv, roll_out
 
-from pixel2catch.errors import InvalidValueError, PolicyMismatchError
+from pixel2catch.errors import CheckpointError, InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.mappo import Mappo
+from pixel2catch.learning.train import train
 from pixel2catch.policy import AgentContract, Policy
 
 
@@ -65,6 +66,15 @@ def test_its_weight_falls_evenly(teacher: Path):
         mappo.update(progress)
         weights += [step.teacher_weight.item() for step in mappo.steps.values()][:1]
     assert weights == pytest.approx([1.0, 0.75, 0.5, 0.0, 0.0])
+
+
+def test_a_run_with_a_teacher_does_not_go_on_without(teacher: Path, tmp_path: Path):
+    taught = dataclasses.replace(SMALL, teacher=teacher, transitions=1024)
+    train(taught, TaughtEnv, CONTRACT, tmp_path / "run")
+    longer = dataclasses.replace(taught, transitions=2048)
+    with pytest.raises(CheckpointError, match=f"go on with --teacher {teacher}"):
+        train(dataclasses.replace(longer, teacher=None), TaughtEnv, CONTRACT, tmp_path / "run", resume=True)
+    assert train(longer, TaughtEnv, CONTRACT, tmp_path / "run", resume=True).transitions == 2048
 
 
 def test_a_share_out_of_range_is_refused():

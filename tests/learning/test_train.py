@@ -98,7 +98,7 @@ def test_run_folder(tmp_path: Path) -> None:
     assert [int(row["transitions"]) for row in rows(tmp_path / "run")] == [1024, 2048, 3072, 4096]
     config = json.loads((tmp_path / "run/config.json").read_text())
     lists = {"hidden": [64, 64], "physics_hz": [120.0], "latency_steps": [1, 2]}
-    assert config["train"] == dataclasses.asdict(SMALL) | lists
+    assert config["train"] == SMALL.to_dict() | lists
     assert config["env"] == {"bad_step": -1, "bad_quantity": ""}
     assert config["policy"] == CONTRACT.to_dict()
     session = json.loads((tmp_path / "run/sessions.json").read_text())[0]

@@ -13,19 +13,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Measure control steps a second of the environment, and physics steps a second of the simulation alone.
-
-    Attributes:
-        device: Where to simulate: cpu, cuda, cuda:1, ...
-        num_envs: Environments that are simulated side by side.
-        seconds: How long each of the two is measured [s].
-        json: Print the figures as one JSON object.
-    """
+    """Measure control steps a second of the environment, and physics steps a second of the simulation."""
 
     device: str = "cpu"
+    """Where to simulate: cpu, cuda, cuda:1, ..."""
     num_envs: int = 512
+    """Environments that are simulated side by side."""
     seconds: float = 5.0
+    """How long each of the two is measured [s]."""
     json: bool = False
+    """Print the figures as one JSON object."""
 
     def run(self) -> None:
         """Measure and print."""

@@ -15,17 +15,14 @@ VIDEO_THROWS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Catch:
-    """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short video.
-
-    Attributes:
-        throws: Throws of seen objects, and again as many of unseen ones.
-        seed: Seed of everything that is drawn.
-        video: The video file.
-    """
+    """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short video."""
 
     throws: int = 300
+    """Throws of seen objects, and again as many of unseen ones."""
     seed: int = 0
+    """Seed of everything that is drawn."""
     video: Path = Path("catch.mp4")
+    """The video file."""
 
     def run(self) -> None:
         """Evaluate, print the results beside the paper's, and write the video."""

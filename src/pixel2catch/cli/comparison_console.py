@@ -24,17 +24,14 @@ COLORS = {Status.RUNNING: "cyan", Status.DONE: "green", Status.FAILED: "red", St
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """How far a training is.
-
-    Attributes:
-        transitions: Transitions learnt from.
-        transitions_per_second: Transitions a second of the last update.
-        success_rate: S.R. of the last update's episodes, with the stochastic policy; NaN if none had ended.
-    """
+    """How far a training is."""
 
     transitions: float = 0.0
+    """Transitions learnt from."""
     transitions_per_second: float = 0.0
+    """Transitions a second of the last update."""
     success_rate: float = nan
+    """S.R. of the last update's episodes, with the stochastic policy; NaN if none had ended."""
 
     @classmethod
     def read(cls, log: Path) -> "Progress":

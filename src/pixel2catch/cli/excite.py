@@ -54,8 +54,7 @@ class Excite:
         """Draw, try, print and write."""
         from numpy.random import default_rng
 
-        from pixel2catch.cli.console import say
-        from pixel2catch.cli.working import working
+        from pixel2catch.cli.console import say, working
         from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)

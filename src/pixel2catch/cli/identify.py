@@ -53,8 +53,7 @@ class Identify:
 
     def run(self) -> None:
         """Check, fit, and write the report."""
-        from pixel2catch.cli.console import results_console, say
-        from pixel2catch.cli.working import working
+        from pixel2catch.cli.console import results_console, say, working
         from pixel2catch.files import require_free_folder
         from pixel2catch.identification.identify import identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report

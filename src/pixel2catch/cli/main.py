@@ -89,7 +89,13 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def parse(args: Sequence[str]):
-    """Return the command that arguments name, with its options; tyro prints help and mistakes, and exits."""
+    """Return the command that arguments name, with its options; tyro prints help and mistakes, and exits.
+
+    Args:
+        args: The arguments. `--env.FIELD VALUE` is `--env FIELD VALUE`: only a training looks up its fields,
+            for what declares them takes seconds to import.
+    """
+    args = [part for arg in args for part in (("--env", arg[6:]) if arg.startswith("--env.") else (arg,))]
     names = [Annotated[command, tyro.conf.subcommand(command.__name__.lower())] for command in COMMANDS]
     return tyro.cli(
         Union[*names],  # type: ignore[valid-type]

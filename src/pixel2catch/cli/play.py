@@ -9,29 +9,26 @@ from tyro.conf import Positional
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
-    """Write a video of throws: the robot's camera with the box that the policy gets, and a view from outside.
-
-    Attributes:
-        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-        out: The video file.
-        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
-        throws: Number of throws.
-        seed: Seed of everything that is drawn.
-        dynamics: Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy
-            that was trained with a dynamics file.
-        camera: Camera file of the camera that is simulated. Default: the camera that the policy was trained
-            for, known exactly.
-        view: What the pictures show.
-    """
+    """Write a video of throws: the robot's camera with the policy's box, and a view from outside."""
 
     policy: Positional[Path | None] = None
+    """Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit."""
     out: Path = Path("play.mp4")
+    """The video file."""
     objects: tuple[str, ...] = ("seen",)
+    """What is thrown: seen, unseen, real, names of objects, or several of them."""
     throws: int = 4
+    """Number of throws."""
     seed: int = 0
+    """Seed of everything that is drawn."""
     dynamics: Path | None = None
+    """Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy that was
+    trained with a dynamics file."""
     camera: Path | None = None
+    """Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
+    exactly."""
     view: Literal["rgb", "outside", "both"] = "both"
+    """What the pictures show."""
 
     def run(self) -> None:
         """Throw, draw and write."""

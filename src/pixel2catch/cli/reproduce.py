@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,7 +16,7 @@ METHODS = ("without_pf", "only_wh", "only_center", "single_agent", "proposed", "
 
 PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
 
-OWN = ("device", "seed", "dynamics", "camera")
+OWN = ("method", "env", "device", "seed", "dynamics", "camera")
 """Fields of a training's configuration that a study sets for each training, or leaves as they are."""
 
 NEUTRAL = ("checkpoint_seconds", "report_seconds")
@@ -34,38 +34,37 @@ class Reproduce:
 
     Parts that are finished are not done again, and half-finished trainings go on: to continue after an
     interruption, give the same command. Methods and seeds may be added later.
-
-    Attributes:
-        methods: Methods to compare.
-        seeds: Trainings of each method.
-        preset: Settings of the trainings: fast, cpu or paper. Default: fast on CUDA, else cpu.
-        transitions: Length of a training: control steps, summed over the environments. Default: the preset's.
-        physics_hz: Physics steps in a second of the trainings, one or several. Default: the preset's.
-        training: Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096.
-        device: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
-        jobs_per_device: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1.
-        num_envs: Throws in a round of an evaluation.
-        trials: Rounds of an evaluation.
-        evaluation_device: Where to evaluate: cpu, or one or several CUDA devices.
-        evaluation_physics_hz: Physics steps in a second of the evaluations.
-        out: Folder of the study.
-        report_only: Train and evaluate nothing; write the report of what is there.
     """
 
     methods: tuple[str, ...] = METHODS
+    """Methods to compare."""
     seeds: int = 3
+    """Trainings of each method."""
     preset: Literal["fast", "cpu", "paper"] | None = None
+    """Settings of the trainings: fast, cpu or paper. Default: fast on CUDA, else cpu."""
     transitions: int | None = None
+    """Length of a training: control steps, summed over the environments. Default: the preset's."""
     physics_hz: tuple[float, ...] | None = None
+    """Physics steps in a second of the trainings, one or several. Default: the preset's."""
     training: tuple[str, ...] = ()
+    """Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096 or
+    env.sensing.latency_steps=1,3."""
     device: tuple[str, ...] = ()
+    """Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one."""
     jobs_per_device: int | None = None
+    """Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1."""
     num_envs: int = 100
+    """Throws in a round of an evaluation."""
     trials: int = 10
+    """Rounds of an evaluation."""
     evaluation_device: tuple[str, ...] = ("cpu",)
+    """Where to evaluate: cpu, or one or several CUDA devices."""
     evaluation_physics_hz: float = 600.0
+    """Physics steps in a second of the evaluations."""
     out: Path = Path("results")
+    """Folder of the study."""
     report_only: bool = False
+    """Train and evaluate nothing; write the report of what is there."""
 
     def run(self) -> None:
         """Do what is left to do, and write the report."""
@@ -142,9 +141,7 @@ class Reproduce:
 
         The default preset is that for the device.
         """
-        import tyro
-
-        from pixel2catch.cli.train import Train
+        from pixel2catch.cli.main import parse
         from pixel2catch.errors import UnknownNameError
         from pixel2catch.learning.config import TrainCfg
         from pixel2catch.scene.scene import SceneCfg
@@ -155,14 +152,16 @@ class Reproduce:
         }
         for option in self.training:
             name, _, value = option.partition("=")
-            if name not in free:
-                raise UnknownNameError("option in --training", name, sorted(free))
+            if name not in free and not name.startswith("env."):
+                raise UnknownNameError("option in --training", name, [*sorted(free), "env.FIELD"])
             given[name] = value.split(",")
-        args = _options({name: value for name, value in given.items() if value is not None})
-        cfg = tyro.cli(Train, args=args, prog="pixel2catch train").resolve()
-        for physics_hz in (*cfg.physics_hz, self.evaluation_physics_hz):
-            SceneCfg(physics_hz=physics_hz)
-        return {name: value for name, value in asdict(cfg).items() if name not in OWN}
+        given = {name: value for name, value in given.items() if value is not None}
+        train = parse(["train", *_options(given)])
+        cfg = train.resolve()
+        train.with_task(cfg)
+        SceneCfg(physics_hz=self.evaluation_physics_hz)
+        fields_of_task = {name: value for name, value in given.items() if name.startswith("env.")}
+        return {name: value for name, value in cfg.to_dict().items() if name not in OWN} | fields_of_task
 
     def _plan(self, training: dict[str, Any]) -> "Plan":
         """What is asked, with everything that changes results."""

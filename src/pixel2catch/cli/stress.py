@@ -14,51 +14,51 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Stress:
-    """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted.
-
-    Attributes:
-        policies: Folders of policies or training runs, or names of shipped policies. Default: all shipped.
-        axes: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
-        objects: What is thrown: seen, unseen, real, names of objects, or several of them.
-        num_envs: Throws in a round.
-        trials: Rounds.
-        seed: Seed of everything that is drawn.
-        device: Where to simulate: cpu, cuda, cuda:1, ...
-        jobs: Policies and settings that are tried at once, each in a process with one thread; on the CPU.
-        physics_hz: Physics steps in a second, a multiple of 30.
-        out: Folder of the results; other objects need another one.
-        json: Print the table as one JSON object.
-    """
+    """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted."""
 
     policies: Positional[tuple[Path, ...]] = ()
+    """Folders of policies or training runs, or names of shipped policies. Default: all shipped."""
     axes: tuple[str, ...] = ()
+    """Kinds of disturbances, such as nominal camera_position latency together. Default: all."""
     objects: tuple[str, ...] = ("seen",)
+    """What is thrown: seen, unseen, real, names of objects, or several of them."""
     num_envs: int = 100
+    """Throws in a round."""
     trials: int = 2
+    """Rounds."""
     seed: int = 0
+    """Seed of everything that is drawn."""
     device: str = "cpu"
+    """Where to simulate: cpu, cuda, cuda:1, ..."""
     jobs: int = 1
+    """Policies and settings that are tried at once, each in a process with one thread; on the CPU."""
     physics_hz: float = 600.0
+    """Physics steps in a second, a multiple of 30."""
     out: Path = Path("stress")
+    """Folder of the results; other objects need another one."""
     json: bool = False
+    """Print the table as one JSON object."""
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.stress.measuring import StressCfg, find_policies, measure, plan_results
+        from pixel2catch.envs.cfg import CatchEnvCfg
+        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.scene.objects import select_objects
+        from pixel2catch.scene.scene import SceneCfg
 
         settings = select_settings(self.axes)
-        cfg = StressCfg(
+        cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            physics_hz=self.physics_hz,
+            task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
         )
         prepare(self.device)
         results = plan_results(find_policies(self.policies), settings, self.out)

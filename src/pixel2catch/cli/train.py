@@ -3,82 +3,95 @@
 import dataclasses
 import typing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from tyro.conf import Positional
 
-from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
 
 if TYPE_CHECKING:
+    from pixel2catch.envs.cfg import CatchEnvCfg
+
     TrainOptions = TrainCfg
 else:
-    # The fields of the configuration, each None unless it is given: then the preset decides.
+    # The fields of the configuration, each None unless it is given: then the preset or the run decides.
+    OF_TRAIN = {name: Annotated[Any, tyro.conf.Suppress] for name in ("method", "env")}
     TrainOptions = dataclasses.make_dataclass(
         "TrainOptions",
-        [(name, kind | None, None) for name, kind in typing.get_type_hints(TrainCfg).items()],
+        [
+            (name, OF_TRAIN.get(name, kind | None), None)
+            for name, kind in typing.get_type_hints(TrainCfg).items()
+        ],
         bases=(TrainCfg,),
         namespace={"__post_init__": lambda _: None},
         frozen=True,
         kw_only=True,
     )
 
+FieldOptions = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
+"""Names of fields of the task, each with its values, such as `("throws.peak-z", "1.5", "1.9")`."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Train:
-    """Train a policy. What is not given comes from the preset.
+    """Train a policy. What is not given comes from the preset, or from the run that goes on."""
 
-    Attributes:
-        method: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
-            shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes
-            or +fit.
-        workcell: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file
-            that defines WORKCELLS; other commands know those of a file by `--import FILE.py`.
-        preset: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
-        out: Folder of the run. Default: runs/METHOD-seedSEED.
-        resume: Go on from the last checkpoint in that folder.
-        options: What is not as in the preset.
-    """
-
-    method: Positional[str] = "proposed"
-    workcell: str = "ur5e_allegro"
+    method: Positional[str | None] = None
+    """What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
+    shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes or +fit.
+    Default: proposed."""
+    workcell: str | None = None
+    """The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
+    WORKCELLS; other commands know those of a file by `--import FILE.py`. Default: ur5e_allegro."""
     preset: Literal["fast", "cpu", "paper"] | None = None
+    """Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu."""
     out: Path | None = None
+    """Folder of the run. Default: runs/METHOD-seedSEED."""
     resume: bool = False
+    """Go on from the last checkpoint in that folder, with its configuration and what is given here."""
+    env: Annotated[FieldOptions, tyro.conf.arg(metavar="FIELD VALUE ...")] = ()
+    """Any field of the task, also as --env.sensing.latency-steps 1 3. All fields: train --env.help."""
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrainOptions)
 
     def run(self) -> None:
         """Train to the end."""
         from pixel2catch.envs.catch_env import CatchEnv
-        from pixel2catch.envs.tasks import find_task
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.learning.train import train
         from pixel2catch.methods import find_method
         from pixel2catch.policy import contract_of
         from pixel2catch.workcells import find_workcell
 
-        workcell = find_workcell(self.workcell)
-        method, cfg = find_method(self.method, workcell), self.resolve()
-        task = find_task(cfg.task).with_workcell(workcell).with_files(cfg.dynamics, cfg.camera)
-        scenes = {rate: dataclasses.replace(task.scene, physics_hz=rate) for rate in cfg.physics_hz}
-        sensing = dataclasses.replace(task.sensing, latency_steps=cfg.latency_steps)
-        contract = contract_of(method, workcell, sensing.camera.camera)
+        cfg = self.with_task(self.resolve())
+        workcell = find_workcell(cfg.env.scene.workcell)
+        method = find_method(cfg.method, workcell)
+        contract = contract_of(method, workcell, cfg.env.sensing.camera.camera)
         contract = dataclasses.replace(contract, task=cfg.task)
         teacher = load_policy(cfg.teacher)[1] if cfg.teacher else None
 
         def make_env(cfg: TrainCfg) -> CatchEnv:
-            stage = dataclasses.replace(task, scene=scenes[cfg.physics_hz[0]], sensing=sensing)
+            scene = dataclasses.replace(cfg.env.scene, physics_hz=cfg.physics_hz[0])
             return CatchEnv(
-                stage, method, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, teacher=teacher
+                dataclasses.replace(cfg.env, scene=scene),
+                method,
+                num_envs=cfg.num_envs,
+                device=cfg.device,
+                seed=cfg.seed,
+                teacher=teacher,
             )
 
-        out = self.out or Path("runs") / f"{method.name}-seed{cfg.seed}"
-        train(cfg, make_env, contract, out, resume=self.resume)
+        train(cfg, make_env, contract, self._folder, resume=self.resume, agents=method.agents)
+
+    @property
+    def _folder(self) -> Path:
+        return self.out or Path("runs") / f"{self.method or TrainCfg.method}-seed{self.options.seed or 0}"
 
     def resolve(self) -> TrainCfg:
-        """Return the preset with what was given on the command line.
+        """Return the preset, or the run's configuration, with what was given on the command line.
 
         Raises:
+            CheckpointError: If the configuration of the run does not fit this code.
             DeviceUnavailableError: If CUDA was asked for and is absent.
             InvalidValueError: If no training is possible with the values.
             PolicyMismatchError: If there is no policy to start from, or to imitate.
@@ -86,14 +99,66 @@ class Train:
         import torch
 
         from pixel2catch.evaluation.loading import policy_folder
-        from pixel2catch.learning.config import preset
         from pixel2catch.sim.devices import require_cuda
 
         given = {name: value for name, value in vars(self.options).items() if value is not None}
-        device = given.setdefault("device", "cuda" if torch.cuda.is_available() else "cpu")
-        if device.startswith("cuda"):
-            require_cuda(device)
+        if self.method:
+            given["method"] = self.method
         for name in ("start", "teacher"):
             if name in given:
                 given[name] = policy_folder(given[name])
-        return preset(self.preset or ("fast" if device.startswith("cuda") else "cpu"), **given)
+        if self.resume and (self._folder / CONFIG_FILE).exists():
+            named = PRESETS[self.preset] if self.preset else {}
+            cfg = dataclasses.replace(TrainCfg.of_run(self._folder), **named | given)
+        else:
+            device = given.setdefault("device", "cuda" if torch.cuda.is_available() else "cpu")
+            cfg = preset(self.preset or ("fast" if device.startswith("cuda") else "cpu"), **given)
+        if cfg.device.startswith("cuda"):
+            require_cuda(cfg.device)
+        return cfg
+
+    def with_task(self, cfg: TrainCfg) -> TrainCfg:
+        """Return a configuration with its environments: the task's, or the run's, with what was given.
+
+        Raises:
+            InvalidValueError: If a value is out of range, or a file cannot be read.
+            UnknownNameError: If there is no such task, work cell or object.
+        """
+        from pixel2catch.envs.tasks import find_task
+        from pixel2catch.scene.objects import select_objects
+        from pixel2catch.workcells import find_workcell
+
+        env = cfg.env or find_task(cfg.task)
+        if self.workcell:
+            env = env.with_workcell(find_workcell(self.workcell))
+        if cfg.env is None:
+            env = env.with_files(cfg.dynamics, cfg.camera)
+        first, *_ = scenes = [dataclasses.replace(env.scene, physics_hz=rate) for rate in cfg.physics_hz]
+        sensing = dataclasses.replace(env.sensing, latency_steps=cfg.latency_steps)
+        env = with_fields(dataclasses.replace(env, scene=first, sensing=sensing), self.env)
+        rates = [
+            each.physics_hz for each in (scenes if env.scene.physics_hz == first.physics_hz else [env.scene])
+        ]
+        return dataclasses.replace(
+            cfg,
+            env=dataclasses.replace(env, objects=select_objects(env.objects)),
+            physics_hz=tuple(rates),
+            latency_steps=env.sensing.latency_steps,
+        )
+
+
+def with_fields(env: "CatchEnvCfg", options: FieldOptions) -> "CatchEnvCfg":
+    """Return a task with other values of some fields; tyro prints help and mistakes, and exits."""
+    if not options:
+        return env
+    task = dataclasses.make_dataclass("Task", [("env", type(env))])
+    names = {"help": "--help"}
+    found = tyro.cli(
+        task,
+        args=[arg for name, *values in options for arg in (names.get(name, f"--env.{name}"), *values)],
+        default=task(dataclasses.replace(env, dynamics=None)),
+        prog="pixel2catch train",
+        description="Fields of the task and their values, without what is given by other options.",
+        config=(tyro.conf.AvoidSubcommands, tyro.conf.FlagConversionOff),
+    )
+    return dataclasses.replace(found.env, dynamics=env.dynamics)

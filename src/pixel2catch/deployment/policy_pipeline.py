@@ -22,8 +22,7 @@ from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
-from pixel2catch.policy import Policy, contract_of
-from pixel2catch.policy.own_methods import method_of
+from pixel2catch.policy import Policy, contract_of, method_of
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec

@@ -11,8 +11,7 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import Method
-from pixel2catch.policy import Policy, contract_of
-from pixel2catch.policy.own_methods import method_of
+from pixel2catch.policy import Policy, contract_of, method_of
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell

@@ -61,23 +61,20 @@ acceleration is 4.9 m/s² (3.9 to 6.8) without action noise and 9 m/s² (6 to 17
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationCfg:
-    """What is thrown at a policy.
-
-    Attributes:
-        objects: Names of the objects; each throw draws one.
-        num_envs: Throws in a round. Source: paper.
-        trials: Rounds. Source: paper.
-        seed: Seed of everything that is drawn.
-        device: "cpu" or a CUDA device.
-        task: The task, with all its noise; objects and endings are set here.
-    """
+    """What is thrown at a policy."""
 
     objects: tuple[str, ...]
+    """Names of the objects; each throw draws one."""
     num_envs: int = 100
+    """Throws in a round. Source: paper."""
     trials: int = 10
+    """Rounds. Source: paper."""
     seed: int = 0
+    """Seed of everything that is drawn."""
     device: str = "cpu"
+    """"cpu" or a CUDA device."""
     task: CatchEnvCfg = field(default_factory=CatchEnvCfg)
+    """The task, with all its noise; objects and endings are set here."""
 
     def __post_init__(self) -> None:
         """Refuse an evaluation of nothing."""
@@ -123,25 +120,22 @@ class Trials:
 
 @dataclass(frozen=True, kw_only=True)
 class RoundState:
-    """How far each trial of a round is.
-
-    Attributes:
-        record: What happened in the trial.
-        is_running: Whether it is not decided yet.
-        is_testing: Whether there was a success, which is being tested.
-        test_steps: Control steps of the test so far.
-        is_firm: Whether enough parts touched the object at every step of the hold test so far.
-        is_verified: Whether the hold passed both tests.
-        action: Last actions in joint order.
-    """
+    """How far each trial of a round is."""
 
     record: EpisodeRecord
+    """What happened in the trial."""
     is_running: Bool[Tensor, " num_envs"]
+    """Whether it is not decided yet."""
     is_testing: Bool[Tensor, " num_envs"]
+    """Whether there was a success, which is being tested."""
     test_steps: Int[Tensor, " num_envs"]
+    """Control steps of the test so far."""
     is_firm: Bool[Tensor, " num_envs"]
+    """Whether enough parts touched the object at every step of the hold test so far."""
     is_verified: Bool[Tensor, " num_envs"]
+    """Whether the hold passed both tests."""
     action: Float[Tensor, "num_envs num_joints"]
+    """Last actions in joint order."""
 
     def chosen(
         self, action: Float[Tensor, "num_envs num_joints"], workcell: WorkcellSpec

@@ -2,19 +2,21 @@
 
 import contextlib
 import dataclasses
+import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 import torch
 from torch import Tensor
 
+from pixel2catch.agents import AgentSpec
 from pixel2catch.errors import CheckpointError, NonFiniteError
 from pixel2catch.interruption import StopRequest
 from pixel2catch.learning.checkpoint import Progress, RunFolder, load_checkpoint, save_checkpoint
-from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
 from pixel2catch.learning.distributed import start_workers
 from pixel2catch.learning.environment import Environment, EnvSchedule, Observation
 from pixel2catch.learning.log import Row, TrainingLog
@@ -48,6 +50,7 @@ def train(
     out_dir: Path,
     *,
     resume: bool = False,
+    agents: Sequence[AgentSpec] = (),
 ) -> TrainResult:
     """Train a method and write its run folder; in a process that torchrun started, together with the others.
 
@@ -58,6 +61,7 @@ def train(
         contract: What the policy will need to act elsewhere.
         out_dir: The run folder; see `RunFolder` for its files.
         resume: Go on from the checkpoint in `out_dir`.
+        agents: The agents, of which the run folder tells terms and weights.
 
     Raises:
         NonFiniteError: NaN or infinity appeared; the message names the quantity, the last checkpoint is good.
@@ -72,11 +76,13 @@ def train(
             share = workers.share(cfg)
             if workers.is_first:
                 stack.enter_context(folder.open(resume=resume))
+                if resume:
+                    _require_teacher(cfg, folder)
         with workers.sync_errors():
             schedule = stack.enter_context(contextlib.closing(EnvSchedule(share, make_env, contract)))
             torch.manual_seed(cfg.seed)
             mappo = stack.enter_context(contextlib.closing(Mappo(share, schedule.env, contract, workers)))
-            training = _Training(cfg, schedule, contract, folder, mappo)
+            training = _Training(cfg, schedule, contract, folder, mappo, agents)
             if cfg.start and not resume:
                 with workers.sync_errors():
                     mappo.adopt(_policy_to_start_from(cfg.start, contract))
@@ -84,6 +90,20 @@ def train(
                 training.progress = load_checkpoint(folder.checkpoint, mappo, contract)
             workers.diverge(cfg.seed, training.progress.transitions)
         return training.run()
+
+
+def _require_teacher(cfg: TrainCfg, folder: RunFolder) -> None:
+    """See that a run with a teacher goes on with one.
+
+    Raises:
+        CheckpointError: It had one, and none is named.
+    """
+    file = folder.path / CONFIG_FILE
+    before = json.loads(file.read_text(encoding="utf-8"))["train"].get("teacher") if file.exists() else None
+    if before and not cfg.teacher:
+        raise CheckpointError(
+            f"'{folder.path}' was begun with the teacher '{before}'; go on with --teacher {before}."
+        )
 
 
 def _policy_to_start_from(folder: Path, contract: PolicyContract) -> Policy:
@@ -101,8 +121,15 @@ class _Training:
     """The loop and what it holds."""
 
     def __init__(
-        self, cfg: TrainCfg, schedule: EnvSchedule, contract: PolicyContract, folder: RunFolder, mappo: Mappo
+        self,
+        cfg: TrainCfg,
+        schedule: EnvSchedule,
+        contract: PolicyContract,
+        folder: RunFolder,
+        mappo: Mappo,
+        agents: Sequence[AgentSpec],
     ) -> None:
+        self.agents = {agent.name: agent.to_dict() for agent in agents}
         self.cfg, self.schedule, self.contract, self.folder = cfg, schedule, contract, folder
         self.mappo, self.workers = mappo, mappo.workers
         self.progress = Progress()
@@ -132,8 +159,12 @@ class _Training:
         """Write down under which circumstances this session begins, and open its log."""
         is_first = self.workers.is_first
         if is_first:
-            train, env = dataclasses.asdict(self.cfg), dataclasses.asdict(self.schedule.env.cfg)
-            config = {"train": train, "env": env, "policy": self.contract.to_dict()}
+            config = {
+                "train": self.cfg.to_dict(),
+                "env": dataclasses.asdict(self.schedule.env.cfg),
+                "policy": self.contract.to_dict(),
+                "agents": self.agents,
+            }
             self.folder.describe(config, self.workers.size)
         return TrainingLog(self.cfg, self.folder.path, self.progress.transitions, is_silent=not is_first)
 

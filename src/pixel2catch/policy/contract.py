@@ -6,10 +6,12 @@ not fit fails with the name of the field instead of moving a robot in a wrong wa
 """
 
 import dataclasses
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from pixel2catch.errors import PolicyMismatchError
+from pixel2catch.errors import InvalidValueError, PolicyMismatchError
+from pixel2catch.files import decoded
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 2
@@ -18,15 +20,12 @@ FORMAT_VERSION = 2
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AgentContract:
-    """Inputs and outputs of one agent's network.
-
-    Attributes:
-        observation: Name and size of every observation term, in the order of the input vector.
-        joints: Names of the joints, in the order of the output vector.
-    """
+    """Inputs and outputs of one agent's network."""
 
     observation: tuple[tuple[str, int], ...]
+    """Name and size of every observation term, in the order of the input vector."""
     joints: tuple[str, ...]
+    """Names of the joints, in the order of the output vector."""
 
     @property
     def num_inputs(self) -> int:
@@ -36,33 +35,30 @@ class AgentContract:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyContract:
-    """What the policy of a method expects of the world and promises to it.
-
-    Attributes:
-        method: Name of the method.
-        pixel_features: Names of the pixel features, in their order within a frame.
-        agents: The agents by name.
-        commands: How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad].
-        control_dt: Time between two actions [s].
-        camera: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation.
-        workcell: Name of the work cell.
-        task: Name of the task that it was trained for; it may act in others.
-        format_version: Version of the file format.
-    """
+    """What the policy of a method expects of the world and promises to it."""
 
     method: str
+    """Name of the method."""
     pixel_features: tuple[str, ...]
+    """Names of the pixel features, in their order within a frame."""
     agents: dict[str, AgentContract]
+    """The agents by name."""
     commands: dict[str, dict[str, float]]
+    """How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad]."""
     control_dt: float
+    """Time between two actions [s]."""
     camera: dict[str, int | float | tuple[float, ...]]
+    """The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation."""
     workcell: str
+    """Name of the work cell."""
     task: str = "nominal"
+    """Name of the task that it was trained for; it may act in others."""
     format_version: int = FORMAT_VERSION
+    """Version of the file format."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain dictionaries, lists and numbers, ready for JSON."""
-        return _plain(dataclasses.asdict(self))
+        return json.loads(json.dumps(dataclasses.asdict(self)))
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "PolicyContract":
@@ -78,16 +74,10 @@ class PolicyContract:
                 f"policy field 'format_version' is {version}, this code reads {FORMAT_VERSION}; "
                 "train again or use the version of this package that wrote the policy."
             )
-        values = _fields(cls, {"task": "nominal", **data}, "")
-        values["pixel_features"] = tuple(values["pixel_features"])
-        values["agents"] = {
-            name: _agent(agent, f"agents.{name}.") for name, agent in values["agents"].items()
-        }
-        values["camera"] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in values["camera"].items()
-        }
-        return cls(**values)
+        try:
+            return decoded(cls, dict(data))
+        except InvalidValueError as error:
+            raise PolicyMismatchError(f"policy {error}; train again.") from error
 
     def require(self, expected: "PolicyContract") -> None:
         """Compare with the contract of the place where the policy is to act.
@@ -109,27 +99,6 @@ def _of_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
     hand = content.pop("handedness", "left")
     name = UR5E_ALLEGRO.name
     return content | {"workcell": name if hand == "left" else f"{name}_{hand}"}
-
-
-def _agent(data: Mapping[str, Any], where: str) -> AgentContract:
-    values = _fields(AgentContract, data, where)
-    values["observation"] = tuple((name, size) for name, size in values["observation"])
-    values["joints"] = tuple(values["joints"])
-    return AgentContract(**values)
-
-
-def _fields(kind: type, data: Mapping[str, Any], where: str) -> dict[str, Any]:
-    names = {field.name for field in dataclasses.fields(kind)}
-    for problem, found in (("is missing", names - set(data)), ("is unknown to this code", set(data) - names)):
-        if found:
-            raise PolicyMismatchError(f"policy field '{where}{sorted(found)[0]}' {problem}; train again.")
-    return dict(data)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(entry) for name, entry in value.items()}
-    return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value
 
 
 def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:

@@ -42,36 +42,30 @@ class Status(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A command that has to be run once.
-
-    Attributes:
-        name: Name of the job and of its log.
-        kind: Which slots run it.
-        command: Program and arguments for the device of a slot, asked for when the job starts.
-        is_done: Whether its result is there.
-        after: Names of earlier jobs that must be done before.
-    """
+    """A command that has to be run once."""
 
     name: str
+    """Name of the job and of its log."""
     kind: str
+    """Which slots run it."""
     command: Callable[[str], Sequence[str]]
+    """Program and arguments for the device of a slot, asked for when the job starts."""
     is_done: Callable[[], bool]
+    """Whether its result is there."""
     after: tuple[str, ...] = ()
+    """Names of earlier jobs that must be done before."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
-    """A place that runs one job at a time.
-
-    Attributes:
-        kind: What it runs.
-        device: What it computes on.
-        environment: Environment variables that its jobs get beside those of this process.
-    """
+    """A place that runs one job at a time."""
 
     kind: str
+    """What it runs."""
     device: str
+    """What it computes on."""
     environment: Mapping[str, str] = field(default_factory=dict)
+    """Environment variables that its jobs get beside those of this process."""
 
 
 @contextlib.contextmanager

@@ -36,17 +36,14 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a study asks.
-
-    Attributes:
-        methods: Names of the methods, in the order of the tables.
-        seeds: Seeds of every method, from 0.
-        configuration: Everything else that changes results, by name.
-    """
+    """What a study asks."""
 
     methods: tuple[str, ...]
+    """Names of the methods, in the order of the tables."""
     seeds: int
+    """Seeds of every method, from 0."""
     configuration: Mapping[str, Any]
+    """Everything else that changes results, by name."""
 
     def runs(self) -> Iterator[Run]:
         """All trainings, seed by seed: each method has one seed before any has two."""

@@ -113,17 +113,14 @@ def _paper(method: str, group: str) -> Row | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Curves:
-    """Rates in training, with the stochastic policy, in bins of transitions.
-
-    Attributes:
-        edges: Edges of the bins [transitions].
-        seeds: By method, the seeds that there are.
-        rates: By method and name of the rate, one row a seed; NaN where a seed has no value.
-    """
+    """Rates in training, with the stochastic policy, in bins of transitions."""
 
     edges: Float[ndarray, " num_edges"]
+    """Edges of the bins [transitions]."""
     seeds: dict[str, tuple[int, ...]]
+    """By method, the seeds that there are."""
     rates: dict[str, dict[str, Float[ndarray, "num_seeds num_bins"]]]
+    """By method and name of the rate, one row a seed; NaN where a seed has no value."""
 
     @property
     def transitions(self) -> Float[ndarray, " num_bins"]:

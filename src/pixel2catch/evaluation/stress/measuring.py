@@ -39,41 +39,17 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True, kw_only=True)
-class StressCfg:
-    """How each result is obtained.
-
-    Attributes:
-        objects: Names of the objects; each throw draws one.
-        num_envs: Throws in a round.
-        trials: Rounds.
-        seed: Seed of the first round; the next round has the next one.
-        device: "cpu" or a CUDA device.
-        physics_hz: Physics steps in a second.
-    """
-
-    objects: tuple[str, ...]
-    num_envs: int = 100
-    trials: int = 2
-    seed: int = 0
-    device: str = "cpu"
-    physics_hz: float = 600.0
-
-
-@dataclass(frozen=True, kw_only=True)
 class PolicyEntry:
-    """A policy of the suite.
-
-    Attributes:
-        name: Its name in tables and folders.
-        folder: Where it is.
-        method: Name of the method that it was trained with.
-        task: Name of the task that it was trained for.
-    """
+    """A policy of the suite."""
 
     name: str
+    """Its name in tables and folders."""
     folder: Path
+    """Where it is."""
     method: str
+    """Name of the method that it was trained with."""
     task: str = "nominal"
+    """Name of the task that it was trained for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +104,7 @@ def plan_results(
 
 def measure(
     results: Sequence[Result],
-    cfg: StressCfg,
+    cfg: EvaluationCfg,
     on_result: Callable[[int, Result, Metrics], None] = lambda *_: None,
     jobs: int = 1,
 ) -> tuple[Json, ...]:
@@ -136,7 +112,7 @@ def measure(
 
     Args:
         results: The results.
-        cfg: How they are obtained.
+        cfg: How they are obtained; of its task only the physics rate counts, the rest is each policy's.
         on_result: Called with number, result and metrics of every one that was computed, as soon as it was.
         jobs: Results that are computed at once, each in a process of its own; only on the CPU more than one.
 
@@ -182,7 +158,7 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     return play_rounds(env, actor, cfg.trials, seed=cfg.seed)
 
 
-def _measure(result: Result, cfg: StressCfg, is_alone: bool) -> Metrics:
+def _measure(result: Result, cfg: EvaluationCfg, is_alone: bool) -> Metrics:
     return metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=is_alone))
 
 
@@ -205,20 +181,13 @@ def _entry(folder: Path) -> PolicyEntry:
     return PolicyEntry(name=name, folder=folder, method=method.name, task=policy.contract.task)
 
 
-def _evaluation(result: Result, cfg: StressCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
+def _evaluation(result: Result, cfg: EvaluationCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
     policy, method = load_policy(result.policy.folder, device)
-    evaluation = EvaluationCfg(
-        objects=cfg.objects,
-        num_envs=cfg.num_envs,
-        trials=cfg.trials,
-        seed=cfg.seed,
-        device=device,
-        task=result.setting.level.change(task_of(policy, cfg.physics_hz)),
-    )
-    return policy, method, evaluation
+    task = result.setting.level.change(task_of(policy, cfg.task.scene.physics_hz))
+    return policy, method, replace(cfg, device=device, task=task)
 
 
-def _origin(result: Result, cfg: StressCfg) -> Json:
+def _origin(result: Result, cfg: EvaluationCfg) -> Json:
     """Everything that decides a result's metrics, as JSON."""
     _, method, evaluation = _evaluation(result, cfg, "cpu")
     evaluation = replace(evaluation, device=cfg.device)

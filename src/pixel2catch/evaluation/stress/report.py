@@ -163,19 +163,16 @@ def _reality(policies: Json, settings: Json) -> Json:
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """Two orders of the same methods, best first.
-
-    Attributes:
-        simulated: By S.R. in simulation.
-        real: By S.R. on the real robot.
-        tau: Kendall's tau-b of the two: 1 is the same order, -1 the opposite one, 0 if all rates are equal.
-        num_settled: Pairs of methods whose 95 % intervals in simulation do not overlap.
-    """
+    """Two orders of the same methods, best first."""
 
     simulated: tuple[str, ...]
+    """By S.R. in simulation."""
     real: tuple[str, ...]
+    """By S.R. on the real robot."""
     tau: float
+    """Kendall's tau-b of the two: 1 is the same order, -1 the opposite one, 0 if all rates are equal."""
     num_settled: int
+    """Pairs of methods whose 95 % intervals in simulation do not overlap."""
 
     def sentence(self) -> str:
         """What it amounts to, in words."""

@@ -101,17 +101,14 @@ def together(*changes: FieldChange) -> FieldChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """One strength of a disturbance.
-
-    Attributes:
-        label: What the tables call it, without the unit.
-        change: What it does to the task.
-        source: Where the number comes from.
-    """
+    """One strength of a disturbance."""
 
     label: str
+    """What the tables call it, without the unit."""
     change: Change
+    """What it does to the task."""
     source: str
+    """Where the number comes from."""
 
 
 @dataclass(frozen=True, kw_only=True)
