@@ -81,6 +81,25 @@ def test_a_side_that_was_not_seen_before_belongs_to_the_ball():
     assert (np.array(worst) <= 3.0).mean() >= 0.95
 
 
+@pytest.mark.parametrize("place", [(85.0, 165.0), (128.0, 100.0)], ids=["beside the hand", "on the way"])
+def test_a_poster_of_the_balls_colour_changes_nothing(place: tuple[float, float]):
+    """Neither is a piece of it taken for the ball's, nor a side of the ball for its; the lower is dark."""
+    poster = Disc(path=np.tile(place, (NUM_STEPS, 1)), radius=22.0)
+    dark = Disc(path=BALL.path + np.array((0.0, 7.0)), radius=8.0, color=(120, 24, 18))
+    truth = [painted.box_of(BALL.mask(step) | dark.mask(step)) for step in range(NUM_EMPTY, NUM_STEPS)]
+    xmin, ymin, xmax, ymax = truth[0].tolist()
+    segmenter, worst = BackgroundSubtraction(), []
+    for step, image in enumerate(painted.images((poster, BALL, dark), NUM_STEPS)):
+        if step == NUM_EMPTY:
+            found = segmenter.start(image, BoxPrompt(box=(xmin, ymin, xmax, ymax)))
+        else:
+            found = segmenter.track(image)
+        if step >= NUM_EMPTY:
+            assert found.mask is not None
+            worst.append(np.abs(painted.box_of(found.mask) - truth[step - NUM_EMPTY]).max())
+    assert max(worst) <= 3.0
+
+
 def test_a_ball_that_is_held_for_long_is_not_lost():
     """It becomes background meanwhile; only its colour tells it."""
     still = np.repeat(BALL.path[NUM_EMPTY : NUM_EMPTY + 1], 60, axis=0)
@@ -162,7 +181,7 @@ def waiting_and_gone(num_steps: int, first_step: int) -> Disc:
 
 def test_noise_is_no_foreground():
     foreground = Foreground()
-    shares = [foreground.step(image, None)[0].mean() for image in painted.images((), 60)]
+    shares = [foreground.step(image, None).moving.mean() for image in painted.images((), 60)]
     assert max(shares[NUM_EMPTY:]) < 1e-3
 
 
@@ -171,9 +190,9 @@ def test_nothing_is_said_before_the_background_is_learned():
     learning_images = NUM_EMPTY + 5
     foreground = Foreground(learning_images)
     for step, image in enumerate(painted.images((disc,), NUM_EMPTY + 20)):
-        moving, unknown = foreground.step(image, None)
-        assert unknown.all() == (step + 1 < learning_images)
-        assert moving.any() == (step + 1 >= learning_images)
+        motion = foreground.step(image, None)
+        assert motion.unknown.all() == (step + 1 < learning_images)
+        assert motion.moving.any() == (step + 1 >= learning_images)
 
 
 def test_what_a_waiting_robot_uncovers_is_not_taken_for_an_object():
@@ -181,13 +200,13 @@ def test_what_a_waiting_robot_uncovers_is_not_taken_for_an_object():
     robot = waiting_and_gone(num_steps, first_step)
     ignorant, foreground = Foreground(), Foreground()
     for step, image in enumerate(painted.images((robot,), num_steps)):
-        ghost, _ = ignorant.step(image, None)
-        moving, unknown = foreground.step(image, robot.mask(step))
+        ghost = ignorant.step(image, None).moving
+        motion = foreground.step(image, robot.mask(step))
         if step == first_step:
             assert ghost[robot.mask(0)].mean() > 0.9
         if step >= first_step:
-            assert not moving[robot.mask(0)].any()
-            assert unknown[robot.mask(0)].all()
+            assert not motion.moving[robot.mask(0)].any()
+            assert motion.unknown[robot.mask(0)].all()
 
 
 def test_a_background_that_was_known_before_a_robot_came_is_known_after_it():
@@ -201,6 +220,6 @@ def test_a_background_that_was_known_before_a_robot_came_is_known_after_it():
     foreground = Foreground()
     moving: Mask = np.zeros(0, dtype=bool)
     for step, image in enumerate(painted.images((disc, robot), num_steps)):
-        moving, _ = foreground.step(image, robot.mask(step))
+        moving = foreground.step(image, robot.mask(step)).moving
         assert not (moving & robot.mask(step)).any()
     assert np.abs(painted.box_of(moving) - painted.box_of(disc.mask(num_steps - 1))).max() <= 2

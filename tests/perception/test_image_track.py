@@ -95,6 +95,20 @@ def test_the_object_may_pass_where_another_thing_was():
     assert track.next_blob(find_blobs(blob_at(192, 101))) is not None
 
 
+def test_the_object_may_pass_by_a_thing_that_stays():
+    """It starts out of nothing, where nobody expects it, towards a thing that is still where it was."""
+    track = ImageTrack(center=(140.0, 100.0), others=((160.0, 95.0),))
+    blob = track.next_blob(find_blobs(blob_at(156, 110) | blob_at(160, 94)))
+    assert blob is not None
+    assert blob.center == (156.0, 110.0)
+
+
+def test_candidates_come_nearest_first():
+    track = ImageTrack(center=(140.0, 100.0), velocity=(12.0, 0.0))
+    found = track.candidates(find_blobs(blob_at(170, 125) | blob_at(150, 100) | blob_at(300, 100)))
+    assert [blob.center for blob in found] == [(150.0, 100.0), (170.0, 125.0)]
+
+
 def test_things_of_another_size_are_no_object():
     speck, wall = np.zeros((240, 320), dtype=bool), np.zeros((240, 320), dtype=bool)
     speck[100, 100:105] = True

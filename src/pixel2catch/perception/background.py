@@ -1,6 +1,7 @@
 """The object by its motion and its colours: what differs from a learned background where it should be."""
 
-from math import inf, isinf
+from dataclasses import dataclass
+from math import hypot, inf, isinf
 
 import cv2
 import numpy as np
@@ -17,8 +18,8 @@ from pixel2catch.perception.segmenter import (
     Segmenter,
 )
 
-FOREGROUND = 255
-"""What OpenCV calls the foreground; shadows are 127."""
+FOREGROUND, SHADOW = 255, 127
+"""What OpenCV calls the foreground, and what is the background, but darker."""
 
 MEMORY = 300
 """Images that the background is made of. Source: ours: 10 s at 30 Hz."""
@@ -43,8 +44,32 @@ LEAST_KNOWN = 0.2
 AREA_MEMORY = 0.7
 """Weight of what the object's area was before, in every image. Source: ours."""
 
+NEAR = 10.0
+"""How far from the object things that stand still have colours that it could be confused with [px].
+
+Source: ours; what is further off and does not move does not touch it."""
+
 THINNING = 2
 """Of what is ignored, every second pixel of every second row is learned."""
+
+LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
+"""Speed from which the object moves [px an image], and for how many images after that it is no background
+yet, so that what differs in nothing from the background is not the object. Source: ours."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """What an image shows of motion.
+
+    Attributes:
+        moving: Which pixels differ from the background.
+        darker: Which pixels are only darker: in a shadow, or of a thing of the same colour.
+        unknown: In which pixels that cannot be told.
+    """
+
+    moving: Mask
+    darker: Mask
+    unknown: Mask
 
 
 class Foreground:
@@ -61,22 +86,18 @@ class Foreground:
         self._scene = np.empty((0, 0, 3), dtype=np.uint8)
         self._num_seen = np.empty((0, 0), dtype=np.uint8)
 
-    def step(self, image: Image, ignored: Mask | None) -> tuple[Mask, Mask]:
-        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel.
-
-        Returns:
-            Which pixels differ from the background; and in which that cannot be told.
-        """
+    def step(self, image: Image, ignored: Mask | None) -> Motion:
+        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel."""
         if self._scene.shape != image.shape:
             self._scene = image.copy()
             self._num_seen = np.zeros(image.shape[:2], dtype=np.uint8)
         counted = np.ones_like(self._num_seen) if ignored is None else (~ignored).view(np.uint8)
         cv2.copyTo(image, counted, self._scene)
         cv2.add(self._num_seen, counted, self._num_seen)
-        pixels = (self._model.apply(self._scene) == FOREGROUND).view(np.uint8)
-        pixels = cv2.morphologyEx(pixels, cv2.MORPH_OPEN, SPECK)
-        unknown = (counted == 0) | (self._num_seen < self._learning_images)
-        return (pixels > 0) & ~unknown, unknown
+        classes = self._model.apply(self._scene)
+        known = (counted > 0) & (self._num_seen >= self._learning_images)
+        moving, darker = (_opened(classes == each) & known for each in (FOREGROUND, SHADOW))
+        return Motion(moving=moving, darker=darker, unknown=~known)
 
 
 class BackgroundSubtraction(Segmenter):
@@ -91,53 +112,60 @@ class BackgroundSubtraction(Segmenter):
         """Know neither background nor object."""
         self._foreground = Foreground()
         self._track: ImageTrack | None = None
-        self._appearance, self._area = Appearance(), inf
+        self._appearance, self._area, self._num_still = Appearance(), inf, inf
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`."""
-        self._track, self._appearance, self._area = ImageTrack(center=prompt.center), Appearance(), inf
-        if isinstance(prompt, BoxPrompt):
-            inside, around = _prompted(prompt.box, image)
-            self._learn(image, inside, around, ignored)
-        return self.track(image, ignored)
+        self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
+        self._area = self._num_still = inf
+        return self._follow(image, ignored, prompt)
 
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
         """See `Segmenter.track`."""
-        moving, unknown = self._foreground.step(image, ignored)
-        if self._track is None:
-            return NOT_FOUND
-        blobs, blob = self._object(image, moving, unknown, self._track)
-        self._track, segmentation = self._track.advanced(blobs, blob)
-        mask = segmentation.mask
-        if blob is not None and mask is not None and not _overlap(mask, unknown):
-            is_first = isinf(self._area)
-            self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
-            self._learn(image, mask, _grown(mask, GAP), ignored)
-        return segmentation
+        return self._follow(image, ignored, None)
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
         self._track = None
 
-    def _object(
-        self, image: Image, moving: Mask, unknown: Mask, track: ImageTrack
-    ) -> tuple[list[Blob], Blob | None]:
+    def _follow(self, image: Image, ignored: Mask | None, prompt: Prompt | None) -> Segmentation:
+        """Find the object in the next image, in which it is where a prompt says, if there is one."""
+        motion = self._foreground.step(image, ignored)
+        if self._track is None:
+            return NOT_FOUND
+        if isinstance(prompt, BoxPrompt):
+            self._learn(image, *_prompted(prompt.box, image), motion, ignored)
+        blobs, blob = self._object(image, motion, self._track)
+        self._track, segmentation = self._track.advanced(blobs, blob)
+        mask, is_first = segmentation.mask, isinf(self._area)
+        is_moving = blob is not None and not is_first and hypot(*self._track.velocity) >= LEAST_SPEED
+        self._num_still = 0 if is_moving else self._num_still + 1
+        if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
+            self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
+            self._learn(image, mask, _grown(mask, GAP), motion, ignored)
+        return segmentation
+
+    def _object(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[list[Blob], Blob | None]:
         """The region of the object's colours with its new sides, else of less, else whatever moves.
 
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alike, whole = self._resembling(image, moving, track)
-        for mask in (whole, alike, alike & (moving | unknown), moving):
-            blobs, blob = self._next(mask, track)
-            if blob is not None and self._fits(blob, unknown):
-                return blobs, blob
-        return self._next(alike, track)[0], None
+        alike, whole = self._resembling(image, motion.moving, track)
+        if self._is_fresh:
+            changed = _grown(motion.moving | motion.darker, GAP) | motion.unknown
+            alike, whole = alike & changed, whole & changed
+        for mask in (whole, alike, alike & (motion.moving | motion.unknown), motion.moving):
+            blobs = _regions(mask)
+            for blob in track.candidates(blobs):
+                if self._fits(blob, motion.unknown):
+                    return blobs, blob
+        return _regions(alike), None
 
-    def _next(self, mask: Mask, track: ImageTrack) -> tuple[list[Blob], Blob | None]:
-        """The regions of a mask, with small gaps closed, and the one that continues the track."""
-        blobs = find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
-        return blobs, track.next_blob(blobs)
+    @property
+    def _is_fresh(self) -> bool:
+        """Whether the object moved so lately that it is no background yet."""
+        return self._num_still < NUM_FRESH
 
     def _fits(self, blob: Blob, unknown: Mask) -> bool:
         """Whether a region has the object's size, or less where the robot may hide a part of it."""
@@ -160,17 +188,27 @@ class BackgroundSubtraction(Segmenter):
         whole[window] = _extended(alike[window], new)
         return alike, whole
 
-    def _learn(self, image: Image, mask: Mask, maybe: Mask, ignored: Mask | None) -> None:
-        """Learn the colours of the object, of what is around all that may be its, and of what is ignored."""
+    def _learn(self, image: Image, mask: Mask, maybe: Mask, motion: Motion, ignored: Mask | None) -> None:
+        """Learn the colours of the object, and of what it could be confused with.
+
+        That is what is ignored, what else moves, and, unless the object moves, what stands beside it.
+        """
         rows, columns = np.nonzero(mask)
         if not len(rows):
             return
-        center = (float(columns.mean()), float(rows.mean()))
-        window = _window((center,), REACH, image)
-        others = [image[window][~maybe[window]]]
+        ends = ((float(columns.min()), float(rows.min())), (float(columns.max()), float(rows.max())))
+        far, near = _window(ends, REACH, image), _window(ends, NEAR, image)
+        others = [image[far][motion.moving[far] & ~maybe[far]]]
         if ignored is not None:
             others.append(image[::THINNING, ::THINNING][ignored[::THINNING, ::THINNING]])
+        if not self._is_fresh:
+            others.append(image[near][~motion.moving[near] & ~maybe[near]])
         self._appearance.learn(image[rows, columns], np.concatenate(others))
+
+
+def _regions(mask: Mask) -> list[Blob]:
+    """The regions of a mask, with small gaps closed."""
+    return find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
 
 
 def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> tuple[slice, slice]:
@@ -185,6 +223,11 @@ def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image)
 def _overlap(mask: Mask, other: Mask) -> bool:
     """Whether a mask touches another."""
     return bool((mask & _grown(other, SPECK)).any())
+
+
+def _opened(mask: Mask) -> Mask:
+    """The mask without specks."""
+    return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, SPECK) > 0
 
 
 def _grown(mask: Mask, shape: np.ndarray) -> Mask:

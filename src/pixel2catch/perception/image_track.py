@@ -145,14 +145,18 @@ class ImageTrack:
         return min(REACH + REACH_GROWTH * self.num_missed, LARGEST_REACH)
 
     def next_blob(self, blobs: list[Blob]) -> Blob | None:
-        """The region of the right size that is nearest to where the object should be, if any is in reach.
+        """The likeliest of the regions that may be the object, if there is one: see `candidates`."""
+        return next(iter(self.candidates(blobs)), None)
+
+    def candidates(self, blobs: list[Blob]) -> list[Blob]:
+        """The regions of the right size that are in reach, the nearest to where the object should be first.
 
         In reach is what is near to the way from its last place to there: a hand may have stopped it. What was
         another thing in the last image is not the object in this one.
         """
-        plausible = (blob for blob in blobs if blob.is_plausible and not self._is_other(blob))
-        near = [blob for blob in plausible if self._distance(blob.center) <= self.reach]
-        return min(near, key=lambda blob: blob.distance(self.expected), default=None)
+        plausible = (blob for blob in blobs if blob.is_plausible and not self._is_other(blob, blobs))
+        near = (blob for blob in plausible if self._distance(blob.center) <= self.reach)
+        return sorted(near, key=lambda blob: blob.distance(self.expected))
 
     def _distance(self, point: tuple[float, float]) -> float:
         """From a point to the way between the last and the expected place [px]."""
@@ -162,10 +166,14 @@ class ImageTrack:
         share = min(max((du * (point[0] - u) + dv * (point[1] - v)) / length, 0.0), 1.0)
         return hypot(point[0] - u - share * du, point[1] - v - share * dv)
 
-    def _is_other(self, blob: Blob) -> bool:
-        """Whether a region continues another thing rather than the object, which is expected elsewhere."""
-        away = blob.distance(self.expected)
+    def _is_other(self, blob: Blob, blobs: list[Blob]) -> bool:
+        """Whether a region continues another thing rather than the object, which is expected elsewhere.
+
+        It does if it is, of all regions, the one that is nearest to where that thing was.
+        """
         (u, v), (end_u, end_v) = blob.center, self.expected
         if abs(u - end_u) <= 0.5 * blob.width and abs(v - end_v) <= 0.5 * blob.height:
             return False
-        return any(blob.distance(other) < min(away, LONGEST_STEP) for other in self.others)
+        reach = min(blob.distance(self.expected), LONGEST_STEP)
+        near = (other for other in self.others if blob.distance(other) < reach)
+        return any(all(blob.distance(other) <= each.distance(other) for each in blobs) for other in near)

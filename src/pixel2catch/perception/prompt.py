@@ -84,7 +84,7 @@ class Prompter:
         """What flew in the last three images; a thrower's arm is longer than an object."""
         if self._foreground is None:
             return None
-        moving, _ = self._foreground.step(image, ignored)
+        moving = self._foreground.step(image, ignored).moving
         whole = cv2.morphologyEx(moving.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
         newest = [blob for blob in find_blobs(_within(whole, self._region)) if blob.is_plausible]
         oldest, middle = self._before
