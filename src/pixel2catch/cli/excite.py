@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from pixel2catch.identification.recording import Trajectory
     from pixel2catch.identification.rehearsal import Assessment
-    from pixel2catch.identification.trajectory import Trajectory
     from pixel2catch.robots.joint_dynamics import JointDynamics
+    from pixel2catch.robots.workcell import WorkcellSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +21,9 @@ class Excite:
     limits and at a distance from the table and from itself. Nothing is overwritten.
 
     Attributes:
-        robot: Whose joints move; the others hold the start pose.
+        robot: Whose joints move, such as ur5e, allegro, arm or hand; the others hold the start pose. Default:
+            all of the work cell.
+        workcell: The robots: a name, or a Python file that defines WORKCELLS.
         out: File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
         picture: File of a picture of commands and simulated motion, numbered likewise.
         seconds: Duration of a trajectory [s].
@@ -36,7 +39,8 @@ class Excite:
         physics_hz: Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
     """
 
-    robot: Literal["ur5e", "allegro", "ur5e_allegro"] = "ur5e_allegro"
+    robot: str | None = None
+    workcell: str = "ur5e_allegro"
     out: Path | None = None
     picture: Path | None = None
     seconds: float = 40.0
@@ -57,18 +61,17 @@ class Excite:
         from pixel2catch.cli.console import say
         from pixel2catch.cli.working import working
         from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
+        from pixel2catch.workcells import find_workcell
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)
         self._require_free([*outs, *pictures])
         recorder = RecorderCfg(noise=self.noise, stall=self.stall, physics_hz=self.physics_hz)
-        dynamics = self._dynamics(self.dynamics)
-        truth = (
-            self._dynamics(self.truth)
-            if self.truth
-            else unlike_nominal(default_rng(self.seed), dynamics.joints)
-        )
+        workcell = find_workcell(self.workcell)
+        dynamics, truth = (self._dynamics(path, workcell) for path in (self.dynamics, self.truth))
+        if self.truth is None:
+            truth = unlike_nominal(default_rng(self.seed), self._dynamics(None, workcell))
         with working() as report:
-            found = self._find(dynamics, report)
+            found = self._find(workcell, dynamics, report)
             _write(found, outs, pictures)
             if self.rehearse:
                 report("recording what a robot would have done")
@@ -98,23 +101,26 @@ class Excite:
         if self.rehearse:
             require_free_folder(self.rehearse, "--rehearse")
 
-    def _dynamics(self, path: Path | None) -> "JointDynamics":
+    def _dynamics(self, path: Path | None, workcell: "WorkcellSpec") -> "JointDynamics":
         """The dynamics of the robot's joints; what a file does not have is nominal."""
-        from pixel2catch.identification.robot import ROBOTS
+        from pixel2catch.identification.joints import joints_of
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
 
-        return DynamicsFile.load(path).dynamics.over(JointDynamics.nominal()).select(ROBOTS[self.robot])
+        joints = joints_of(workcell, self.robot or workcell.name)
+        nominal = JointDynamics.nominal(specs=workcell.joints)
+        return DynamicsFile.load(path, workcell).dynamics.over(nominal).select(joints)
 
     def _find(
-        self, dynamics: "JointDynamics", report: "Callable[[str], None]"
+        self, workcell: "WorkcellSpec", dynamics: "JointDynamics", report: "Callable[[str], None]"
     ) -> "list[tuple[Trajectory, Assessment]]":
         """Draw and try all trajectories."""
         from pixel2catch.identification.excitation import ExcitationCfg, find_excitation
 
+        options = {"workcell": workcell, "robot": self.robot, "seconds": self.seconds, "speed": self.speed}
         found = []
         for i in range(self.recordings):
-            cfg = ExcitationCfg(robot=self.robot, seconds=self.seconds, seed=self.seed + i, speed=self.speed)
+            cfg = ExcitationCfg(**options, seed=self.seed + i)
             report(f"drawing and trying trajectory {i + 1} of {self.recordings}")
             found.append(find_excitation(cfg, dynamics, report))
         return found

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from pixel2catch.identification.fit import FitCfg
     from pixel2catch.identification.identify import CheckedRecording, Identification
+    from pixel2catch.robots.workcell import WorkcellSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +21,9 @@ class Identify:
 
     Attributes:
         recordings: Files or folders: rosbag2 (.mcap, .db3), a folder with rtde.csv and commands.csv, or .npz.
-        robot: Whose joints to fit.
+        robot: Whose joints to fit: ur5e, allegro, ur5e_allegro; of another work cell, its arms and hands by
+            their names, or arm, hand, or its own name.
+        workcell: The robots: a name, or a Python file that defines WORKCELLS.
         out: New or empty folder for dynamics.json, report.html and result.json.
         hold_out: The recording that is not fitted, to judge the fit: its name or number (from 1), or none.
             Default: the last of several.
@@ -38,8 +41,9 @@ class Identify:
     """
 
     recordings: Positional[tuple[Path, ...]]
-    robot: Literal["ur5e", "allegro", "ur5e_allegro"]
+    robot: str
     out: Path
+    workcell: str = "ur5e_allegro"
     hold_out: str | None = None
     command_topic: tuple[str, ...] = ()
     joint_states_topic: str = "/joint_states"
@@ -59,11 +63,13 @@ class Identify:
         from pixel2catch.identification.identify import identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
         from pixel2catch.identification.report_tables import check_grid
+        from pixel2catch.workcells import find_workcell
 
         require_free_folder(self.out)
-        cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter)
+        workcell = find_workcell(self.workcell)
+        cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter, workcell)
         with working() as report:
-            sources = self._sources(report)
+            sources = self._sources(workcell, report)
         for source in () if self.json else sources:
             table = check_grid(source.recording.name, source.checks).for_terminal()
             results_console().print(table)
@@ -86,18 +92,18 @@ class Identify:
         physics_dt = SceneCfg(physics_hz=self.physics_hz).physics_dt
         return FitCfg(free=self.free or default, physics_dt=physics_dt)
 
-    def _sources(self, report: "Callable[[str], None]") -> "list[CheckedRecording]":
+    def _sources(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[CheckedRecording]":
         """Read and check the recordings."""
         from dataclasses import replace
 
         from pixel2catch.identification.identify import checked
         from pixel2catch.identification.importers import Names, read_recording
 
-        names = Names.parse(self.command_topic, self.joint_states_topic, self.rename)
+        names = Names.parse(self.command_topic, self.joint_states_topic, self.rename, workcell)
         recordings = []
         for path in self.recordings:
             report(f"reading {path}")
-            recording = read_recording(path, self.robot, names)
+            recording = read_recording(path, self.robot, names, workcell)
             recordings.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
         report("checking the data")
         return checked(recordings, self.hold_out)

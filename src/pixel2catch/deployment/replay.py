@@ -19,8 +19,8 @@ from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder, Deployme
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.deployment.stepped import Nodes, PerceptionTime, StepClock, SteppedDeployment
 from pixel2catch.errors import DeploymentError, PerceptionError
-from pixel2catch.perception.rosbag_images import opened_bag
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import MessageQueue, MessageQueues
 from pixel2catch.ros2.messages import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, JOINT_STATE, SUFFIX, uncompress
 from pixel2catch.ros2.profile import Profile

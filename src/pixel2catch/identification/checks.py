@@ -10,8 +10,9 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import correlate, correlation_lags, savgol_filter
 
+from pixel2catch.identification.joints import specs_of
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import JointSpec
+from pixel2catch.robots.spec import JointSpec
 
 MIN_SAMPLES = 50  # fewer measurements are not checked further (ours, half a second at 100 Hz)
 MAX_GAP = 0.1  # longest time without a measurement [s] (ours; a joint can start, move and stop in more)
@@ -194,7 +195,7 @@ def _joint_checks(recording: Recording, lag: float) -> Iterator[Check]:
     speed, acceleration = smoothed(recording.t_meas, recording.q)
     command = recording.held(recording.t_meas - lag)
     for column, joint in enumerate(recording.joints):
-        spec = recording.robot.specs[joint]
+        spec = specs_of(recording.workcell)[joint]
         effort = None if recording.effort is None else recording.effort[:, column]
         yield _following(joint, command[:, column], recording.q[:, column])
         yield _saturation(spec, effort)

@@ -13,8 +13,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pixel2catch.identification.identify import Motion
+from pixel2catch.identification.joints import short, specs_of
+from pixel2catch.identification.recording import Trajectory
 from pixel2catch.identification.rehearsal import Assessment
-from pixel2catch.identification.trajectory import Trajectory
 
 COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}  # of a report
 
@@ -100,7 +101,7 @@ def motion_picture(trajectory: Trajectory, assessment: Assessment) -> bytes:
         panels = np.atleast_1d(figure.subplots(num_joints, 1, sharex=True))
         for column, (axes, joint) in enumerate(zip(panels, trajectory.joints, strict=True)):
             _draw_trajectory(axes, trajectory, assessment, column)
-            axes.set_ylabel(joint.removesuffix("_joint").replace("_joint_", " ") + "\n[rad]")
+            axes.set_ylabel(f"{short(joint)}\n[rad]")
         for name, (start, _) in segments.items():
             panels[0].text(start, 1.02, name.replace("_", " "), transform=panels[0].get_xaxis_transform())
         panels[-1].set_xlabel("time [s]")
@@ -114,7 +115,7 @@ def motion_picture(trajectory: Trajectory, assessment: Assessment) -> bytes:
 
 def _draw_trajectory(axes: Axes, trajectory: Trajectory, assessment: Assessment, column: int) -> None:
     """Command, motion, limits and segments of one joint."""
-    spec = trajectory.robot.specs[trajectory.joints[column]]
+    spec = specs_of(trajectory.workcell)[trajectory.joints[column]]
     command, recording = trajectory.positions[:, column], assessment.recording
     axes.step(trajectory.times, command, where="post", color=COMMAND_COLOR, lw=0.7, label="command")
     axes.plot(recording.t_meas, recording.q[:, column], color=MOTION_COLOR, lw=0.9, label="simulated motion")

@@ -226,15 +226,16 @@ class _Problem:
         scale shows weakly, and differences of large derivatives would not tell it. Coupled directions are
         felt by the joints that the motion of a joint moves, too.
         """
-        joints, free = self._dynamics.joints, self._cfg.free
-        robot, chain = self._motion.robot, self._motion.robot.coupled(joints)
+        free, coupled = self._cfg.free, self._motion.coupled
+        groups = self._motion.groups
+        together = groups == np.array(list(dict.fromkeys(groups)))[:, None]
         steps, felt_by = [], []
         for name in free:
             along = np.isin(free, SCALE if name == "stiffness" else name) & np.isin(free, names)
-            moved = robot.owned(joints) if name == "latency" else np.eye(len(joints), dtype=bool)
-            for group in moved if name in names else ():
-                steps.append(np.outer(group, along).astype(float))
-                felt_by.append(chain[group].any(axis=0) if is_coupled else group)
+            moved = together if name == "latency" else np.eye(len(groups), dtype=bool)
+            for joints in moved if name in names else ():
+                steps.append(np.outer(joints, along).astype(float))
+                felt_by.append(coupled[joints].any(axis=0) if is_coupled else joints)
         return Directions(steps=np.array(steps), felt_by=np.array(felt_by))
 
     def report(self, residuals: Residuals) -> None:

@@ -17,6 +17,7 @@ from pixel2catch.files import require_free_folder, write_atomically
 from pixel2catch.identification.figures import COLORS, joint_picture
 from pixel2catch.identification.fit import LATENCY_UNIT
 from pixel2catch.identification.identify import Identification, half_widths, ratios, tracking_errors
+from pixel2catch.identification.joints import short
 from pixel2catch.identification.report_tables import (
     Grid,
     errors_grid,
@@ -27,7 +28,6 @@ from pixel2catch.identification.report_tables import (
     ratios_grid,
     whole_checks_grid,
 )
-from pixel2catch.identification.robot import short
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files

@@ -19,11 +19,10 @@ from pixel2catch.identification.identify import (
     ratios,
     tracking_errors,
 )
+from pixel2catch.identification.joints import short
 from pixel2catch.identification.rehearsal import Assessment
-from pixel2catch.identification.robot import ROBOT, short
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robots.joint_dynamics import PARAMETERS
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 WELL_KNOWN = 0.1
 """Half-width of an interval up to which a parameter counts as identified: 10 %, or 1 ms. Source: ours."""
@@ -211,10 +210,11 @@ def ratios_grid(fit: Fit) -> Grid:
 
 def ranges_grid(result: Identification) -> Grid:
     """Ranges of the factors on the gains in a training."""
-    paper, ranges = GainRanges().of(UR5E_ALLEGRO), result.file.gains.of(UR5E_ALLEGRO)
-    rows = []
+    workcell = result.start.workcell
+    paper, ranges = GainRanges().of(workcell), result.file.gains.of(workcell)
+    order, rows = [joint.name for joint in workcell.joints], []
     for joint in result.fit.dynamics.joints:
-        i = list(ROBOT.specs).index(joint)
+        i = order.index(joint)
         is_relative = ranges.is_damping_relative[i]
         cells = [Cell(short(joint))]
         for name in ("stiffness_scale", "damping_scale"):
