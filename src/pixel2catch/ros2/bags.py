@@ -1,6 +1,6 @@
 """Recordings of ROS 2 (rosbag2: MCAP or SQLite), opened and read message by message. Needs rosbags."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,7 +53,7 @@ class BagMessage:
     content: Any  # as `messages.decode` has it
 
 
-def decoded(reader: "AnyReader", connections: "Iterable[Connection]") -> Iterator[BagMessage]:
+def decoded(reader: "AnyReader", connections: "list[Connection]") -> Iterator[BagMessage]:
     """The messages of some connections, in the order of the bag.
 
     Raises:

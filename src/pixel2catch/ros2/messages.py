@@ -113,7 +113,17 @@ class ImageReading:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraReading:
-    """What a camera says of its lens; all numbers but the distortion are those of a `CameraSpec`."""
+    """What a camera says of its lens; all numbers but the distortion are those of a `CameraSpec`.
+
+    Attributes:
+        width: Image width [px].
+        height: Image height [px].
+        fx: Focal length along x [px].
+        fy: Focal length along y [px].
+        cx: Column of the optical axis [px].
+        cy: Row of the optical axis [px].
+        distortion: As in OpenCV; none if all numbers are 0.
+    """
 
     width: int
     height: int
@@ -121,7 +131,7 @@ class CameraReading:
     fy: float
     cx: float
     cy: float
-    distortion: tuple[float, ...]  # as in OpenCV; none if all numbers are 0
+    distortion: tuple[float, ...]
 
 
 def joint_state(
