@@ -131,7 +131,7 @@ def _write(
 ) -> None:
     """Write trajectories and pictures to as many files."""
     from pixel2catch.files import write_atomically
-    from pixel2catch.identification.figures import motion_picture
+    from pixel2catch.identification.report import motion_picture
 
     for (trajectory, _), path in zip(found, outs, strict=False):
         trajectory.save(path)
@@ -142,10 +142,11 @@ def _write(
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
     """Print what the simulated robot did."""
     from pixel2catch.cli.console import results_console
-    from pixel2catch.identification.report_tables import motion_table
+    from pixel2catch.identification.report_tables import motion_grid
 
     console = results_console()
-    console.print(motion_table(f"seed {trajectory.header['seed']}, simulated", assessment))
+    title = f"seed {trajectory.header['seed']}, simulated"
+    console.print(motion_grid(title, assessment).for_terminal())
     for clearance in assessment.clearances:
         console.print(clearance.sentence())
     weak = sum(not check.is_good for check in assessment.checks)
