@@ -54,14 +54,9 @@ def bag_frames(
 ) -> Iterator[CameraFrame]:
     """Yield the images of a topic, with the joint positions of their time if all joints were recorded.
 
-    The stamp is that of the header, or the time of recording where it has none.
-
-    Args:
-        path: The bag's folder, or its .mcap or .db3 file.
-        topic: The topic of the images; None for the only one.
-        joint_states: The topic of the joint states; it may be missing.
-        joints: Names of the joints, in joint order; none if no positions are asked for.
-        notes: Gets how many images could not be decoded, and why.
+    The stamp is that of the header, or the time of recording where it has none. No topic is the only one with
+    images; that of the joint states may be missing, and no joints are asked for where no names are given.
+    Notes get how many images could not be decoded, and why.
 
     Raises:
         PerceptionError: If the bag cannot be read, has no such topic, or images of another encoding.
