@@ -21,16 +21,11 @@ class Record:
 
     As with `deploy`, an operator arms and holds the dead-man's switch, and the same servo guards the robot.
     Put the robot near the start pose before; it goes there within the first second.
-
-    Attributes:
-        trajectory: File of the trajectory.
-        out: New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
-        link: How the robot is reached, and how fast it may be.
     """
 
-    trajectory: Positional[Path]
-    out: Path
-    link: Link = field(default_factory=Link)
+    trajectory: Positional[Path]  # File of the trajectory.
+    out: Path  # New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
+    link: Link = field(default_factory=Link)  # How the robot is reached, and how fast it may be.
 
     def run(self) -> None:
         """Wait for the operator, follow, record."""
