@@ -41,8 +41,7 @@ MAX_SECONDS = 600.0
 
 MAX_TRIES = 10  # tries until it is given up (ours)
 
-SPEED_SHARE = 0.8
-"""Share of the speed limit that commands use at full speed. Source: ours; joints pull at each other."""
+SPEED_SHARE = 0.8  # of the speed limit, that commands use at full speed (ours; joints pull at each other)
 
 NUM_TONES = 9
 BAND = (0.25, 5.0)
@@ -54,8 +53,7 @@ inertia shows above.
 
 FADE = 0.4  # time in which sines fade in and out [s] (ours)
 
-DWELL = (0.25, 0.65)
-"""Shortest and longest time between a joint's steps [s]. Source: ours, 2 to 5 time constants of the arm."""
+DWELL = (0.25, 0.65)  # time between a joint's steps [s] (ours, 2 to 5 time constants of the arm)
 
 POLICY_PERIOD = 0.05
 """Time between two targets like those of a policy [s].
@@ -65,8 +63,7 @@ Source: ours, 20 Hz: a little slower than our policies, so that the servos come 
 
 SLOW_SPEED = 0.15  # top speed of slow reversals [rad/s] (ours; dry friction turns around within 0.1 rad/s)
 
-NUM_TURNS = 6
-"""Groups of joints that move in turns: each joint of the arm alone, and one joint of each finger."""
+NUM_TURNS = 6  # groups of joints that move in turns: a joint of the arm alone, and one of each finger
 
 Row = Float64[np.ndarray, " num_joints"]
 Offsets = Float64[np.ndarray, "num_times num_joints"]

@@ -42,15 +42,13 @@ FINE = 0.2  # step that is worth to be taken, in standard errors of what is fitt
 MAX_STEPS = 6  # steps under one Jacobian (ours; each is about a fifth of the one before, or of no use)
 MAX_STEP = 1.0  # longest step of a coordinate (ours; farther away motion is another)
 
-DAMPINGS = (0.0, 0.1, 10.0)
-"""Marquardt's factors; of their steps, all tried at once, the best is taken. Source: ours."""
+DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; of their steps, tried at once, the best is taken (ours)
 
 DIFFERENCE = 1e-2
 """Step of the finite differences, in the coordinates of the fit. Source: ours; much less than a 95 % interval
 of what is worth fitting, and more than the kinks that a torque limit makes."""
 
-LEAST_RESIDUAL = 1e-6
-"""Residuals count as at least so large [rad]. Source: ours, two orders below the noise of encoders."""
+LEAST_RESIDUAL = 1e-6  # residuals count as at least so large [rad] (ours, far below the noise of encoders)
 
 Point = Float[np.ndarray, "num_joints num_free"]
 Residuals = Float[np.ndarray, "num_settled num_joints"]

@@ -27,8 +27,7 @@ STIFF_FACTOR = 10.0
 Source: ours; the controller's feed-forward makes that servo look stiffer than positions can tell.
 """
 
-STIFF_LAG = 0.003
-"""Damping over stiffness of the servo behind a command filter [s]. Source: real UR5, target to position."""
+STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
 
 NO_HOLD_OUT = "none"  # what is held out if everything is to be fitted
 CONFIDENCE = 1.96  # standard deviations in half a 95 % interval
@@ -37,8 +36,7 @@ LAG = "damping / stiffness"  # name of the ratio that says how far a joint lags 
 RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "rad"}
 """The ratios that decide how a joint follows its command, with their units."""
 
-LEAST_HALF_WIDTH = 0.02
-"""Half-width that is always left, as a share. Source: ours; gains drift with temperature and load."""
+LEAST_HALF_WIDTH = 0.02  # is always left, as a share (ours; gains drift with temperature and load)
 
 Positions = Float[np.ndarray, "num_settled num_joints"]
 

@@ -29,8 +29,7 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-STALLED_TURN = 0.04
-"""Length of a turn of a loop that stalls [s]. Source: a real UR5 recording, where 5 % of them did."""
+STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
 
 MIN_PHYSICS_HZ = 120.0  # fewest physics steps in a second. Source: paper, the rate of a training.
 

@@ -31,8 +31,7 @@ Source: ours; in excitation up to the torque limits, positions of the arm are wi
 6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone they would be off by up to 1.8.
 """
 
-START_WINDOW = 0.1
-"""Measurements whose parabola begins a motion [s]. Source: ours; a tenth of a servo's settling."""
+START_WINDOW = 0.1  # measurements whose parabola begins a motion [s] (ours, a tenth of a settling)
 
 SETTLING = 0.5
 """Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over

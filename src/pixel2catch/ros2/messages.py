@@ -169,11 +169,7 @@ def float_array(values: Iterable[float]) -> bytes:
 
 
 def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
-    """Decode numbers without names.
-
-    Raises:
-        DeploymentError: It is damaged.
-    """
+    """Decode numbers without names; raises as `decode` does."""
     return float64(decode(data, FLOAT_ARRAY).data)
 
 
