@@ -11,6 +11,7 @@ from servo_stage import Cut, Stage, wait
 from wire_lab import frozen, shuffled, twice, with_nan, without_elbow
 
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import MemoryTransport
 from pixel2catch.ros2.profile import Profile, StatusTopics
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
@@ -217,7 +218,7 @@ def test_what_nobody_foresaw_is_raised_after_the_robot_stands(stage: Stage, monk
 
     def script() -> Iterator[None]:
         yield from stage.armed()
-        monkeypatch.setattr(stage.broker, "num_publishers", fail)
+        monkeypatch.setattr(MemoryTransport, "num_other_publishers", fail)
         while True:
             yield
 

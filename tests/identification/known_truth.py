@@ -41,13 +41,6 @@ def record(rng: np.random.Generator, truth: JointDynamics, seconds: float, physi
     return dataclasses.replace(blank, q=q + NOISE * rng.standard_normal(q.shape))
 
 
-def perturbed(rng: np.random.Generator, nominal: JointDynamics, latency: float) -> JointDynamics:
-    """Dynamics that are up to 40 % off in every parameter."""
-    names = ("stiffness", "damping", "frictionloss", "armature")
-    factors = {name: getattr(nominal, name) * rng.uniform(0.7, 1.4, len(nominal.joints)) for name in names}
-    return nominal.with_values(**factors, latency=latency)
-
-
 def tracking_error(recordings: list[Recording], dynamics: JointDynamics, physics_dt: float) -> np.ndarray:
     """Root mean square of simulated minus measured positions, per joint [rad]."""
     motion = RecordedMotion(recordings, physics_dt)

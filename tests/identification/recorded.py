@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pixel2catch.identification.joints import joints_of, specs_of
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
+JOINT_SPECS = specs_of(UR5E_ALLEGRO)
+ROBOTS = {name: joints_of(UR5E_ALLEGRO, name) for name in ("ur5e", "allegro", "ur5e_allegro")}
 ARM = ROBOTS["ur5e"]
 LAG = 0.06
 FREQUENCIES = 1.1 + 0.13 * np.arange(6)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recorded import JOINT_SPECS, ROBOTS
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.excitation import (
@@ -22,7 +23,7 @@ from pixel2catch.identification.excitation import (
     steps,
     turns,
 )
-from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS, largest_step
+from pixel2catch.identification.joints import largest_step
 
 WHOLE = ExcitationCfg(seconds=20.0, seed=0)
 

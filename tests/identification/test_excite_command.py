@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import ROBOTS
 
 from pixel2catch.cli.main import main
 from pixel2catch.identification.checks import check_recording
 from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
 from pixel2catch.identification.importers import read_recording
-from pixel2catch.identification.robot import ROBOTS
-from pixel2catch.identification.trajectory import Trajectory
+from pixel2catch.identification.recording import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 

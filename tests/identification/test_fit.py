@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from known_truth import NOISE, perturbed, record, tracking_error
+from known_truth import NOISE, record, tracking_error
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg, correlation_time, fit_dynamics
 from pixel2catch.identification.identify import half_widths, ratios
+from pixel2catch.identification.rehearsal import unlike_nominal
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
 DT = 1.0 / 240.0
@@ -18,7 +19,7 @@ def test_servo_is_recovered(truth_dt: float):
     """At whatever time step the truth moves: a real robot has none. Errors are below 60 % of the goals."""
     rng = np.random.default_rng(0)
     nominal = JointDynamics.nominal(JOINTS)
-    truth = perturbed(rng, nominal, latency=0.012)
+    truth = unlike_nominal(rng, nominal, latency=0.012)
     fitted, held_out = (record(rng, truth, seconds, truth_dt) for seconds in (6.0, 2.0))
     fit = fit_dynamics([fitted], nominal, FitCfg(physics_dt=DT, max_rounds=2))
     found = fit.dynamics

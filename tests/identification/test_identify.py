@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import ARM, clean, short
+from recorded import ARM, ROBOTS, clean, short
 
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
 from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit, FitCfg
@@ -19,7 +19,6 @@ from pixel2catch.identification.identify import (
     tracking_errors,
 )
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import ROBOTS
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robots.joint_dynamics import PARAMETERS, JointDynamics

@@ -196,7 +196,7 @@ def test_the_next_fit_starts_from_the_file_and_says_loudly_that_nothing_was_held
         (("--command-topic", "/arm=ur5e", "/arm"), ("--command-topic names /arm twice",)),
         (("--shift-commands", "3"), ("clock offset", "add -2.8", "--shift-commands")),
         (("--robot", "allegro"), ("no joint index_joint_1", "--robot")),
-        (("--robot", "ur5e_allegro", "--filter"), ("--filter is the UR5e's",)),
+        (("--robot", "ur5e_allegro", "--filter"), ("--filter is an arm's", "identify --robot ur5e with it")),
     ],
 )
 def test_bad_input_leaves_nothing(

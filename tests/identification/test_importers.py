@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import ARM, assert_same, edit_line, short, write_rtde
+from recorded import ARM, ROBOTS, assert_same, edit_line, short, write_rtde
 
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
 from pixel2catch.identification.importers import CommandTopic, Names, read_recording
-from pixel2catch.identification.robot import ROBOTS
 
 
 @pytest.mark.parametrize("separator", [",", ", ", " "])

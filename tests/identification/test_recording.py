@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import ARM, assert_same, short
+from recorded import ARM, ROBOTS, assert_same, short
 
 from pixel2catch.errors import Pixel2CatchError, RecordingError, UnknownNameError
 from pixel2catch.identification.importers import read_recording
 from pixel2catch.identification.recording import Place, Recording, require_motion
-from pixel2catch.identification.robot import ROBOTS
 from pixel2catch.scene.constants import JOINTS
 
 

@@ -7,7 +7,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
-from recorded import AMPLITUDE, ARM, FREQUENCIES, LAG, clean, position, speed
+from recorded import AMPLITUDE, ARM, FREQUENCIES, JOINT_SPECS, LAG, ROBOTS, clean, position, speed
 from rich.console import Console
 
 from pixel2catch.identification.checks import (
@@ -20,7 +20,7 @@ from pixel2catch.identification.checks import (
 )
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.report_tables import check_grid
-from pixel2catch.identification.robot import JOINT_SPECS, ROBOT, ROBOTS
+from pixel2catch.workcells import find_workcell
 
 WHOLE = ["measurement times", "command times", "speeds", "stalls", "repeated samples", "clock offset"]
 EACH = ["follows its command", "saturation", "excitation"]
@@ -179,9 +179,8 @@ def test_saturation_is_the_share_at_the_limit():
     check = find(check_recording(recording), "saturation", "elbow_joint")
     assert check.is_good is False
     assert check.detail.startswith("20.0 % of the samples at the limit of 150 N·m")
-    strong = tuple(replace(spec, effort_limit=250.0) for spec in ROBOT.groups[0].joints)
-    arm = replace(ROBOT, groups=(replace(ROBOT.groups[0], joints=strong),))
-    assert find(check_recording(replace(recording, robot=arm)), "saturation", "elbow_joint").is_good
+    strong = replace(recording, workcell=find_workcell("ur5e_allegro_release"))
+    assert find(check_recording(strong), "saturation", "elbow_joint").is_good
     assert find(check_recording(clean()), "saturation", "elbow_joint").is_good is None
 
 

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import ARRAY, NANOSECOND, Message, array, commands, joint_state, nanoseconds, trajectory, write_bag
-from recorded import ARM, assert_same, short
+from recorded import ARM, ROBOTS, assert_same, short
 
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.importers import Names, read_recording
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import ROBOTS
 
 FINGERS = ROBOTS["allegro"]
 SPARE = ("spare_1", "spare_2", "spare_3")

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from recorded import JOINT_SPECS, ROBOTS
 
 from pixel2catch.envs.servo import FRICTION_SPEED, Servos
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
 from pixel2catch.identification.simulation import (
     FIT_DT,
     RecordedMotion,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
-from pixel2catch.identification.robot import largest_step
-from pixel2catch.identification.trajectory import REST, Trajectory
+from pixel2catch.identification.joints import largest_step
+from pixel2catch.identification.recording import REST, Trajectory
 from pixel2catch.scene.constants import ARM_JOINTS, HAND_JOINTS
 
 JOINTS = ("elbow_joint", "index_joint_1")

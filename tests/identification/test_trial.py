@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import JOINT_SPECS, ROBOTS
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.identification.recording import Recording
+from pixel2catch.identification.recording import Recording, Trajectory
 from pixel2catch.identification.rehearsal import (
     PERFECT,
     RULES,
@@ -20,9 +21,7 @@ from pixel2catch.identification.rehearsal import (
     turns_of_a_loop,
     unlike_nominal,
 )
-from pixel2catch.identification.robot import JOINT_SPECS, ROBOTS
 from pixel2catch.identification.simulation import FIT_DT
-from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
@@ -191,7 +190,7 @@ def test_an_offset_of_the_clocks_shifts_the_measured_times_alone():
 
 
 def test_a_rehearsal_writes_recordings_and_the_truth(tmp_path: Path):
-    truth = unlike_nominal(np.random.default_rng(5), JOINTS)
+    truth = unlike_nominal(np.random.default_rng(5), JointDynamics.nominal(JOINTS))
     rehearse(tmp_path / "new", [bump(0.1), bump(0.2)], truth, RecorderCfg(), seed=0)
     names = sorted(path.name for path in (tmp_path / "new").iterdir())
     assert names == ["recording-1.npz", "recording-2.npz", "truth.json"]
@@ -201,8 +200,8 @@ def test_a_rehearsal_writes_recordings_and_the_truth(tmp_path: Path):
 
 
 def test_truth_is_unlike_the_nominal_robot():
-    joints = ROBOTS["ur5e_allegro"]
-    truth, nominal = unlike_nominal(np.random.default_rng(0), joints), JointDynamics.nominal(joints)
+    nominal = JointDynamics.nominal(ROBOTS["ur5e_allegro"])
+    truth = unlike_nominal(np.random.default_rng(0), nominal)
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         ratio = getattr(truth, name) / getattr(nominal, name)
         assert 0.7 <= ratio.min() < 0.9

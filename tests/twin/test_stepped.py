@@ -16,9 +16,9 @@ from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.methods import find_method
-from pixel2catch.perception.rosbag_images import opened_bag
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.twin.config import RehearsalCfg

@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from pixel2catch.identification.recording import Trajectory
     from pixel2catch.identification.rehearsal import Assessment
-    from pixel2catch.identification.trajectory import Trajectory
     from pixel2catch.robots.joint_dynamics import JointDynamics
+    from pixel2catch.robots.workcell import WorkcellSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,36 +19,30 @@ class Excite:
 
     It begins and ends at rest in the start pose. Written is only what a simulated robot follows within all
     limits and at a distance from the table and from itself. Nothing is overwritten.
-
-    Attributes:
-        robot: Whose joints move; the others hold the start pose.
-        out: File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
-        picture: File of a picture of commands and simulated motion, numbered likewise.
-        seconds: Duration of a trajectory [s].
-        speed: Factor on speeds, accelerations and jumps: begin small on a real robot. 1 is full: jumps like a
-            policy's, which it takes to tell the inertia of the arm's drives.
-        seed: Seed of everything that is drawn; each further recording has the next.
-        recordings: Number of trajectories; a fit needs two at least, one to be held out.
-        dynamics: Dynamics file of the robot that tries them. Default: the nominal robot.
-        rehearse: New folder for what a robot would have recorded, recording-1.npz and so on, and truth.json.
-        truth: Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
-        noise: Standard deviation of a measured position in a rehearsal [rad].
-        stall: Share of turns of the sending and of the reading loop that take 40 ms in a rehearsal.
-        physics_hz: Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
     """
 
-    robot: Literal["ur5e", "allegro", "ur5e_allegro"] = "ur5e_allegro"
+    # Whose joints move, such as ur5e, allegro, arm or hand; the others hold the start pose. Default: all of
+    # the work cell.
+    robot: str | None = None
+    workcell: str = "ur5e_allegro"  # The robots: a name, or a Python file that defines WORKCELLS.
+    # File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
     out: Path | None = None
-    picture: Path | None = None
-    seconds: float = 40.0
+    picture: Path | None = None  # File of a picture of commands and simulated motion, numbered likewise.
+    seconds: float = 40.0  # Duration of a trajectory [s].
+    # Factor on speeds, accelerations and jumps: begin small on a real robot. 1 is full: jumps like a
+    # policy's, which it takes to tell the inertia of the arm's drives.
     speed: float = 0.2
-    seed: int = 0
-    recordings: int = 1
-    dynamics: Path | None = None
+    seed: int = 0  # Seed of everything that is drawn; each further recording has the next.
+    recordings: int = 1  # Number of trajectories; a fit needs two at least, one to be held out.
+    dynamics: Path | None = None  # Dynamics file of the robot that tries them. Default: the nominal robot.
+    # New folder for what a robot would have recorded, recording-1.npz and so on, and truth.json.
     rehearse: Path | None = None
+    # Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
     truth: Path | None = None
-    noise: float = 2e-4
+    noise: float = 2e-4  # Standard deviation of a measured position in a rehearsal [rad].
+    # Share of turns of the sending and of the reading loop that take 40 ms in a rehearsal.
     stall: float = 0.05
+    # Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
     physics_hz: float = 480.0
 
     def run(self) -> None:
@@ -56,18 +51,17 @@ class Excite:
 
         from pixel2catch.cli.console import say, working
         from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
+        from pixel2catch.workcells import find_workcell
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)
         self._require_free([*outs, *pictures])
         recorder = RecorderCfg(noise=self.noise, stall=self.stall, physics_hz=self.physics_hz)
-        dynamics = self._dynamics(self.dynamics)
-        truth = (
-            self._dynamics(self.truth)
-            if self.truth
-            else unlike_nominal(default_rng(self.seed), dynamics.joints)
-        )
+        workcell = find_workcell(self.workcell)
+        dynamics, truth = (self._dynamics(path, workcell) for path in (self.dynamics, self.truth))
+        if self.truth is None:
+            truth = unlike_nominal(default_rng(self.seed), self._dynamics(None, workcell))
         with working() as report:
-            found = self._find(dynamics, report)
+            found = self._find(workcell, dynamics, report)
             _write(found, outs, pictures)
             if self.rehearse:
                 report("recording what a robot would have done")
@@ -97,23 +91,26 @@ class Excite:
         if self.rehearse:
             require_free_folder(self.rehearse, "--rehearse")
 
-    def _dynamics(self, path: Path | None) -> "JointDynamics":
+    def _dynamics(self, path: Path | None, workcell: "WorkcellSpec") -> "JointDynamics":
         """The dynamics of the robot's joints; what a file does not have is nominal."""
-        from pixel2catch.identification.robot import ROBOTS
+        from pixel2catch.identification.joints import joints_of
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
 
-        return DynamicsFile.load(path).dynamics.over(JointDynamics.nominal()).select(ROBOTS[self.robot])
+        joints = joints_of(workcell, self.robot or workcell.name)
+        nominal = JointDynamics.nominal(specs=workcell.joints)
+        return DynamicsFile.load(path, workcell).dynamics.over(nominal).select(joints)
 
     def _find(
-        self, dynamics: "JointDynamics", report: "Callable[[str], None]"
+        self, workcell: "WorkcellSpec", dynamics: "JointDynamics", report: "Callable[[str], None]"
     ) -> "list[tuple[Trajectory, Assessment]]":
         """Draw and try all trajectories."""
         from pixel2catch.identification.excitation import ExcitationCfg, find_excitation
 
+        options = {"workcell": workcell, "robot": self.robot, "seconds": self.seconds, "speed": self.speed}
         found = []
         for i in range(self.recordings):
-            cfg = ExcitationCfg(robot=self.robot, seconds=self.seconds, seed=self.seed + i, speed=self.speed)
+            cfg = ExcitationCfg(**options, seed=self.seed + i)
             report(f"drawing and trying trajectory {i + 1} of {self.recordings}")
             found.append(find_excitation(cfg, dynamics, report))
         return found
@@ -124,7 +121,7 @@ def _write(
 ) -> None:
     """Write trajectories and pictures to as many files."""
     from pixel2catch.files import write_atomically
-    from pixel2catch.identification.figures import motion_picture
+    from pixel2catch.identification.report import motion_picture
 
     for (trajectory, _), path in zip(found, outs, strict=False):
         trajectory.save(path)
@@ -135,10 +132,11 @@ def _write(
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
     """Print what the simulated robot did."""
     from pixel2catch.cli.console import results_console
-    from pixel2catch.identification.report_tables import motion_table
+    from pixel2catch.identification.report_tables import motion_grid
 
     console = results_console()
-    console.print(motion_table(f"seed {trajectory.header['seed']}, simulated", assessment))
+    title = f"seed {trajectory.header['seed']}, simulated"
+    console.print(motion_grid(title, assessment).for_terminal())
     for clearance in assessment.clearances:
         console.print(clearance.sentence())
     weak = sum(not check.is_good for check in assessment.checks)

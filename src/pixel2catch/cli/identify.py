@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -12,44 +12,36 @@ if TYPE_CHECKING:
 
     from pixel2catch.identification.fit import FitCfg
     from pixel2catch.identification.identify import CheckedRecording, Identification
+    from pixel2catch.robots.workcell import WorkcellSpec
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identify:
-    """Fit the simulator's joints to recorded motion: data checks, dynamics file, report.
+    """Fit the simulator's joints to recorded motion: data checks, dynamics file, report."""
 
-    Attributes:
-        recordings: Files or folders: rosbag2 (.mcap, .db3), a folder with rtde.csv and commands.csv, or .npz.
-        robot: Whose joints to fit.
-        out: New or empty folder for dynamics.json, report.html and result.json.
-        hold_out: The recording that is not fitted, to judge the fit: its name or number (from 1), or none.
-            Default: the last of several.
-        command_topic: Topics of the commands in a bag, each TOPIC, TOPIC=ROBOT or TOPIC=JOINT,JOINT,... where
-            messages name no joints. Default: the only one that can be it.
-        joint_states_topic: Topic of the measurements in a bag.
-        shift_commands: Added to the times of the commands [s], where their clock is another.
-        rename: Joints that have another name in the recordings, each OURS=THEIRS.
-        free: Parameters to fit. Default: stiffness damping frictionloss armature latency; with --filter:
-            filter_gain filter_lookahead latency.
-        filter: Fit the UR's servoJ filter in front of a stiff servo, or of that of --start.
-        start: Dynamics file to start from: what is not fitted stays as it says.
-        physics_hz: Physics steps in a second of the fit; more are more exact, and take longer.
-        json: Print the numbers of the report as one JSON object.
-    """
-
+    # Files or folders: rosbag2 (.mcap, .db3), a folder with rtde.csv and commands.csv, or .npz.
     recordings: Positional[tuple[Path, ...]]
-    robot: Literal["ur5e", "allegro", "ur5e_allegro"]
-    out: Path
+    # Whose joints to fit: ur5e, allegro, ur5e_allegro; of another work cell, its arms and hands by their
+    # names, or arm, hand, or its own name.
+    robot: str
+    out: Path  # New or empty folder for dynamics.json, report.html and result.json.
+    workcell: str = "ur5e_allegro"  # The robots: a name, or a Python file that defines WORKCELLS.
+    # The recording that is not fitted, to judge the fit: its name or number (from 1), or none. Default: the
+    # last of several.
     hold_out: str | None = None
+    # Topics of the commands in a bag, each TOPIC, TOPIC=ROBOT or TOPIC=JOINT,JOINT,... where messages name no
+    # joints. Default: the only one that can be it.
     command_topic: tuple[str, ...] = ()
-    joint_states_topic: str = "/joint_states"
-    shift_commands: float = 0.0
-    rename: tuple[str, ...] = ()
+    joint_states_topic: str = "/joint_states"  # Topic of the measurements in a bag.
+    shift_commands: float = 0.0  # Added to the times of the commands [s], where their clock is another.
+    rename: tuple[str, ...] = ()  # Joints that have another name in the recordings, each OURS=THEIRS.
+    # Parameters to fit. Default: stiffness damping frictionloss armature latency; with --filter: filter_gain
+    # filter_lookahead latency.
     free: tuple[str, ...] = ()
-    filter: bool = False
-    start: Path | None = None
-    physics_hz: float = 480.0
-    json: bool = False
+    filter: bool = False  # Fit the UR's servoJ filter in front of a stiff servo, or of that of --start.
+    start: Path | None = None  # Dynamics file to start from: what is not fitted stays as it says.
+    physics_hz: float = 480.0  # Physics steps in a second of the fit; more are more exact, and take longer.
+    json: bool = False  # Print the numbers of the report as one JSON object.
 
     def run(self) -> None:
         """Check, fit, and write the report."""
@@ -58,11 +50,13 @@ class Identify:
         from pixel2catch.identification.identify import identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
         from pixel2catch.identification.report_tables import check_grid
+        from pixel2catch.workcells import find_workcell
 
         require_free_folder(self.out)
-        cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter)
+        workcell = find_workcell(self.workcell)
+        cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter, workcell)
         with working() as report:
-            sources = self._sources(report)
+            sources = self._sources(workcell, report)
         for source in () if self.json else sources:
             table = check_grid(source.recording.name, source.checks).for_terminal()
             results_console().print(table)
@@ -85,18 +79,18 @@ class Identify:
         physics_dt = SceneCfg(physics_hz=self.physics_hz).physics_dt
         return FitCfg(free=self.free or default, physics_dt=physics_dt)
 
-    def _sources(self, report: "Callable[[str], None]") -> "list[CheckedRecording]":
+    def _sources(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[CheckedRecording]":
         """Read and check the recordings."""
         from dataclasses import replace
 
         from pixel2catch.identification.identify import checked
         from pixel2catch.identification.importers import Names, read_recording
 
-        names = Names.parse(self.command_topic, self.joint_states_topic, self.rename)
+        names = Names.parse(self.command_topic, self.joint_states_topic, self.rename, workcell)
         recordings = []
         for path in self.recordings:
             report(f"reading {path}")
-            recording = read_recording(path, self.robot, names)
+            recording = read_recording(path, self.robot, names, workcell)
             recordings.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
         report("checking the data")
         return checked(recordings, self.hold_out)

@@ -19,13 +19,10 @@ NODE = "pixel2catch"
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """Which robot it is.
+    """Which robot it is."""
 
-    Attributes:
-        profile: The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
-            ur5e_allegro_classic) or a .yaml file.
-    """
-
+    # The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
+    # ur5e_allegro_classic) or a .yaml file.
     profile: str = "ur5e_allegro_v4"
 
     def load(self) -> "Profile":
@@ -37,27 +34,16 @@ class Robot:
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """How a robot and its deployment are reached.
+    """How a robot and its deployment are reached."""
 
-    Attributes:
-        robot: The robot.
-        transport: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
-        loopback: Speak to this machine only, as the digital twin does.
-        clock: Seconds in a real second: 1, or the --clock of a digital twin.
-    """
-
-    robot: Robot = field(default_factory=Robot)
-    transport: Literal["dds", "ros"] = "dds"
-    loopback: bool = False
-    clock: float = 1.0
+    robot: Robot = field(default_factory=Robot)  # The robot.
+    transport: Literal["dds", "ros"] = "dds"  # dds: DDS by itself; ros: rclpy of a sourced ROS 2.
+    loopback: bool = False  # Speak to this machine only, as the digital twin does.
+    clock: float = 1.0  # Seconds in a real second: 1, or the --clock of a digital twin.
 
     @contextmanager
     def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
-        """Be a node of the network, with a clock that all agree on.
-
-        Args:
-            node: Its name.
-        """
+        """Be a node of the network by a name, with a clock that all agree on."""
         from pixel2catch.ros2.transport import RealClock, make_transport
 
         clock = RealClock(self.clock)
@@ -67,26 +53,17 @@ class Network:
 
 @dataclass(frozen=True, kw_only=True)
 class Link(Network):
-    """How the robot is reached, and how fast it may be.
+    """How the robot is reached, and how fast it may be."""
 
-    Attributes:
-        speed: Share of the full speed, up to 1.
-        dry_run: Send nothing to the robot: nobody announces a command.
-    """
-
-    speed: float = 1.0
-    dry_run: bool = False
+    speed: float = 1.0  # Share of the full speed, up to 1.
+    dry_run: bool = False  # Send nothing to the robot: nobody announces a command.
 
     def connect(
         self, profile: "Profile", record: Path | None, images: "Images", stack: ExitStack
     ) -> "Connection":
-        """Join the network and start the servo process.
+        """Join the network and start the servo process; record into a folder, if one is given.
 
-        Args:
-            profile: The robot.
-            record: Folder of the recording; none for no recording.
-            images: How images are recorded.
-            stack: Ends it all: first the servo, which stops the robot.
+        The stack ends it all: first the servo, which stops the robot.
         """
         from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
         from pixel2catch.ros2.transport import make_transport

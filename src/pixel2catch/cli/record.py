@@ -11,11 +11,8 @@ from pixel2catch.cli.link import Link
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.follower import TrajectoryFollower
-    from pixel2catch.identification.trajectory import Trajectory
-    from pixel2catch.ros2.profile import RobotPart
-
-ROBOTS = {"arm": "ur5e", "hand": "allegro"}
-"""What `identify` calls the parts."""
+    from pixel2catch.identification.recording import Trajectory
+    from pixel2catch.ros2.profile import Profile, RobotPart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,23 +21,18 @@ class Record:
 
     As with `deploy`, an operator arms and holds the dead-man's switch, and the same servo guards the robot.
     Put the robot near the start pose before; it goes there within the first second.
-
-    Attributes:
-        trajectory: File of the trajectory.
-        out: New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
-        link: How the robot is reached, and how fast it may be.
     """
 
-    trajectory: Positional[Path]
-    out: Path
-    link: Link = field(default_factory=Link)
+    trajectory: Positional[Path]  # File of the trajectory.
+    out: Path  # New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
+    link: Link = field(default_factory=Link)  # How the robot is reached, and how fast it may be.
 
     def run(self) -> None:
         """Wait for the operator, follow, record."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
         from pixel2catch.cli.extras import needs_extra
-        from pixel2catch.identification.trajectory import Trajectory
+        from pixel2catch.identification.recording import Trajectory
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.follower import TrajectoryFollower
@@ -57,7 +49,7 @@ class Record:
         done = "followed to its end" if follower.is_done else "not followed to its end"
         print(f"{self.trajectory}: {done}; wrote {self.out}; several of them are identified with")
         for part in profile.robots:
-            options = " ".join(identify_options(part))
+            options = " ".join(identify_options(profile, part))
             print(f"pixel2catch identify {self.out} ... --out identified-{part.name} {options}")
 
     def _follow(self, follower: "TrajectoryFollower") -> None:
@@ -78,30 +70,26 @@ class Record:
             follower.run(lambda: stop.is_set, report)
 
 
-def identify_options(part: "RobotPart") -> list[str]:
+def identify_options(profile: "Profile", part: "RobotPart") -> list[str]:
     """What `identify` must be told of the topics and names of a part of a robot."""
     names = {place: f"{part.name}_{place}" for place in part.held}
     names |= {theirs.index_in_command: theirs.name_in_state for theirs in part.joints.values()}
     order = ",".join(names[place] for place in sorted(names))
-    renames = [
-        f"{ours}={theirs.name_in_state}"
-        for ours, theirs in part.joints.items()
-        if ours != theirs.name_in_state
-    ]
+    theirs = {ours: joint.name_in_state for ours, joint in part.joints.items()}
+    renames = [f"{ours}={name}" for ours, name in theirs.items() if ours != name]
+    robot = ["--workcell", profile.workcell, "--robot", part.name]
     topics = ["--joint-states-topic", part.state_topic.name]
     topics += ["--command-topic", f"{part.command_topic.name}={order}"]
-    return ["--robot", ROBOTS[part.name], *topics, *(["--rename", *renames] if renames else [])]
+    return [*robot, *topics, *(["--rename", *renames] if renames else [])]
 
 
 def whole_robot(trajectory: "Trajectory"):
     """The targets of all joints by time [rad]; joints that the trajectory leaves out hold the start pose."""
     import numpy as np
 
-    from pixel2catch.scene.constants import JOINTS
-
-    names = [joint.name for joint in JOINTS]
-    columns = [names.index(name) for name in trajectory.joints]
-    home = np.array([joint.home for joint in JOINTS])
+    joints = trajectory.workcell.joints
+    columns = [[joint.name for joint in joints].index(name) for name in trajectory.joints]
+    home = np.array([joint.home for joint in joints])
 
     def at(time: float) -> np.ndarray:
         target = home.copy()

@@ -16,9 +16,9 @@ from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder, Deployme
 from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
 from pixel2catch.errors import DeploymentError, PerceptionError
-from pixel2catch.perception.rosbag_images import opened_bag
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.messages import COMPRESSED_IMAGE, SUFFIX, uncompress
 from pixel2catch.ros2.profile import Profile

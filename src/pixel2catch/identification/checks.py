@@ -10,8 +10,9 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import correlate, correlation_lags, savgol_filter
 
+from pixel2catch.identification.joints import specs_of
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import JointSpec
+from pixel2catch.robots.spec import JointSpec
 
 MIN_SAMPLES = 50  # fewer measurements are not checked further (ours, half a second at 100 Hz)
 MAX_GAP = 0.1  # longest time without a measurement [s] (ours; a joint can start, move and stop in more)
@@ -25,14 +26,11 @@ Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms.
 
 LONG_STEP = 1.5  # a step is long from this multiple of the median on (ours)
 
-STALL_ANGLE = 2e-3
-"""A stall is seen from this much motion on [rad]. Source: ours, ten times the noise of a UR5e's positions."""
+STALL_ANGLE = 2e-3  # a stall is seen from this much motion on [rad] (ours, ten times a UR5e's noise)
 
-MAX_STALL_SHARE = 5e-3
-"""Largest share of stalled steps. Source: ours, a tenth of that recording's; a jerk can look like one."""
+MAX_STALL_SHARE = 5e-3  # of all steps (ours, a tenth of that recording's; a jerk can look like one)
 
-PROGRESS_RANGE = (0.8, 1.25)
-"""Plausible change of the positions over that by the speeds. Source: ours; degrees would give 0.017."""
+PROGRESS_RANGE = (0.8, 1.25)  # change of positions over that by speeds (ours; degrees would give 0.017)
 
 MOVING_SPEED = 0.02  # a joint that is slower stands still [rad/s] (ours, 0.7 % of the arm's largest speed)
 MAX_REPEATED_SHARE = 0.02  # largest share of samples that repeat the one before while the robot moves (ours)
@@ -46,20 +44,16 @@ target can seem late by half its step, because a command is taken to hold until 
 
 MOVED_ANGLE = 0.01  # a joint whose positions span less did not move [rad] (ours)
 
-MIN_CORRELATION = 0.5
-"""Smallest correlation of measured and commanded positions. Source: ours; swapped joints are near 0."""
+MIN_CORRELATION = 0.5  # smallest of measured and commanded positions (ours; swapped joints are near 0)
 
 SATURATED = 0.98  # a torque of this share of its limit counts as saturated (ours)
 
-MAX_SATURATED_SHARE = 0.1
-"""Largest share of saturated samples. Source: ours; some tell the scale of the gains, many hide the rest."""
+MAX_SATURATED_SHARE = 0.1  # of the samples (ours; some tell the scale of the gains, many hide the rest)
 
 MIN_SPEED_SHARE = 0.1  # speed that a joint must reach, as a share of its limit (ours)
 MIN_REVERSALS = 1  # a joint must reverse so often (ours; without a reversal friction looks like an offset)
 
-PEAK_QUANTILE = 0.995
-"""Speeds and accelerations beyond this quantile are no peaks, but single bad samples. Source: ours."""
-
+PEAK_QUANTILE = 0.995  # speeds and accelerations beyond are no peaks, but single bad samples (ours)
 
 SMOOTHING = 0.1
 """Length of the window in which a cubic is fitted for speed and acceleration [s].
@@ -194,7 +188,7 @@ def _joint_checks(recording: Recording, lag: float) -> Iterator[Check]:
     speed, acceleration = smoothed(recording.t_meas, recording.q)
     command = recording.held(recording.t_meas - lag)
     for column, joint in enumerate(recording.joints):
-        spec = recording.robot.specs[joint]
+        spec = specs_of(recording.workcell)[joint]
         effort = None if recording.effort is None else recording.effort[:, column]
         yield _following(joint, command[:, column], recording.q[:, column])
         yield _saturation(spec, effort)
@@ -229,22 +223,18 @@ def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) ->
     """
     least_speed, least_acceleration = MIN_SPEED_SHARE * spec.velocity_limit, spec.frictionloss / spec.armature
     reversals = num_reversals(speed)
+    top_speed, top = (np.quantile(np.abs(values), PEAK_QUANTILE) for values in (speed, acceleration))
     needs = {
-        f"{least_speed:.2f} rad/s": _peak(speed) < least_speed,
-        f"{least_acceleration:.1f} rad/s²": _peak(acceleration) < least_acceleration,
+        f"{least_speed:.2f} rad/s": top_speed < least_speed,
+        f"{least_acceleration:.1f} rad/s²": top < least_acceleration,
         f"{MIN_REVERSALS} reversal": reversals < MIN_REVERSALS,
     }
     lacking = ", ".join(text for text, is_lacking in needs.items() if is_lacking)
-    found = f"{_range(speed, 2)} rad/s, {_range(acceleration, 1)} rad/s², {reversals} reversals"
+    found = (
+        f"{speed.min():.2f} to {speed.max():.2f} rad/s, {acceleration.min():.1f} to "
+        f"{acceleration.max():.1f} rad/s², {reversals} reversals"
+    )
     return replace(_judged("excitation", not lacking, found, f"; needs {lacking}", spec.name), is_advice=True)
-
-
-def _peak(values: np.ndarray) -> float:
-    return float(np.quantile(np.abs(values), PEAK_QUANTILE))
-
-
-def _range(values: np.ndarray, digits: int) -> str:
-    return f"{values.min():.{digits}f} to {values.max():.{digits}f}"
 
 
 def num_reversals(speed: np.ndarray) -> int:

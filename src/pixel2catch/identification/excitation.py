@@ -17,11 +17,13 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.random import Generator
 
-from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.identification.joints import MOTION_RANGES, groups_of, joints_of, largest_step, specs_of
+from pixel2catch.identification.recording import REST, Trajectory
 from pixel2catch.identification.rehearsal import Assessment, assess
-from pixel2catch.identification.robot import ROBOT, Robot, largest_step
-from pixel2catch.identification.trajectory import REST, Trajectory
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RATE = 125.0
 """Targets in a second [Hz].
@@ -39,8 +41,7 @@ MAX_SECONDS = 600.0
 
 MAX_TRIES = 10  # tries until it is given up (ours)
 
-SPEED_SHARE = 0.8
-"""Share of the speed limit that commands use at full speed. Source: ours; joints pull at each other."""
+SPEED_SHARE = 0.8  # of the speed limit, that commands use at full speed (ours; joints pull at each other)
 
 NUM_TONES = 9
 BAND = (0.25, 5.0)
@@ -52,8 +53,7 @@ inertia shows above.
 
 FADE = 0.4  # time in which sines fade in and out [s] (ours)
 
-DWELL = (0.25, 0.65)
-"""Shortest and longest time between a joint's steps [s]. Source: ours, 2 to 5 time constants of the arm."""
+DWELL = (0.25, 0.65)  # time between a joint's steps [s] (ours, 2 to 5 time constants of the arm)
 
 POLICY_PERIOD = 0.05
 """Time between two targets like those of a policy [s].
@@ -63,8 +63,7 @@ Source: ours, 20 Hz: a little slower than our policies, so that the servos come 
 
 SLOW_SPEED = 0.15  # top speed of slow reversals [rad/s] (ours; dry friction turns around within 0.1 rad/s)
 
-NUM_TURNS = 6
-"""Groups of joints that move in turns: each joint of the arm alone, and one joint of each finger."""
+NUM_TURNS = 6  # groups of joints that move in turns: a joint of the arm alone, and one of each finger
 
 Row = Float64[np.ndarray, " num_joints"]
 Offsets = Float64[np.ndarray, "num_times num_joints"]
@@ -74,21 +73,26 @@ Offsets = Float64[np.ndarray, "num_times num_joints"]
 class ExcitationCfg:
     """What to draw."""
 
-    robot: str = ROBOT.whole  # what moves: one of the robot's parts
+    workcell: WorkcellSpec = UR5E_ALLEGRO  # whose joints move
+    robot: str | None = None  # which of them: one of its parts; none is all
     seconds: float = 40.0  # duration, rest included [s]
     seed: int = 0  # seed of everything that is drawn
     speed: float = 1.0  # factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn."""
-        if self.robot not in ROBOT.parts:
-            raise UnknownNameError("robot", self.robot, ROBOT.parts)
+        joints_of(self.workcell, self.part)
         if not 0.0 < self.seconds <= MAX_SECONDS:
             raise InvalidValueError(f"seconds is {self.seconds:g}; it must be up to {MAX_SECONDS:g}")
         if not 0.0 < self.speed <= 1.0:
             raise InvalidValueError(f"speed is {self.speed:g}; it must be above 0 and at most 1")
         if self.seed < 0:
             raise InvalidValueError(f"seed is {self.seed}; it must be 0 or more")
+
+    @property
+    def part(self) -> str:
+        """The name of what moves."""
+        return self.robot or self.workcell.name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,20 +109,27 @@ class Envelope:
 
     @classmethod
     def of(
-        cls, joints: Sequence[str], speed: float, shrunk: Mapping[str, float], robot: Robot = ROBOT
+        cls,
+        joints: Sequence[str],
+        speed: float,
+        shrunk: Mapping[str, float],
+        workcell: WorkcellSpec = UR5E_ALLEGRO,
     ) -> "Envelope":
         """The envelope of some joints, in joint order.
 
-        Args:
-            joints: Their names.
-            speed: Factor on speed, acceleration and jumps; 1 is full.
-            shrunk: Factors on everything, by joint; 1 where there is none.
-            robot: Whose joints.
+        The speed is a factor on speed, acceleration and jumps, 1 is full; joints may be shrunk, by name, with
+        factors on everything.
         """
-        specs, groups = [robot.specs[name] for name in joints], [robot.group_of[name] for name in joints]
+        known, groups = specs_of(workcell), groups_of(workcell)
+        specs, ranges = (
+            [known[name] for name in joints],
+            [MOTION_RANGES[groups[name].role] for name in joints],
+        )
         share = np.array([shrunk.get(name, 1.0) for name in joints])
         lower, upper, home = np.array([(spec.lower, spec.upper, spec.home) for spec in specs]).T
-        margin, swing, acceleration = np.array([(g.margin, g.swing, g.acceleration) for g in groups]).T
+        margin, swing, acceleration = np.array(
+            [(each.margin, each.swing, each.acceleration) for each in ranges]
+        ).T
         lower, upper = lower + margin, upper - margin
         swing = share * np.minimum(swing, (upper - lower) / 2)
         pace = speed * share
@@ -247,7 +258,7 @@ SEGMENTS: tuple[tuple[Signal, float], ...] = (
 
 
 def find_excitation(
-    cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None], robot: Robot = ROBOT
+    cfg: ExcitationCfg, dynamics: JointDynamics, report: Callable[[str], None]
 ) -> tuple[Trajectory, Assessment]:
     """Draw a trajectory, and shrink it until a robot of some dynamics, simulated, follows it without a fault.
 
@@ -259,7 +270,7 @@ def find_excitation(
     shrunk: dict[str, float] = {}
     reasons = ""
     for _ in range(MAX_TRIES):
-        trajectory = draw_excitation(cfg, shrunk, robot)
+        trajectory = draw_excitation(cfg, shrunk)
         assessment = assess(trajectory, dynamics)
         if not assessment.faults:
             return trajectory, assessment
@@ -271,7 +282,7 @@ def find_excitation(
     raise InvalidValueError(f"no safe excitation: at last, {reasons}. Try another seed or less speed.")
 
 
-def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float], robot: Robot = ROBOT) -> Trajectory:
+def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajectory:
     """Draw one trajectory; whether a robot can follow it is not known yet.
 
     Joints may be shrunk: their motion gets a factor.
@@ -280,18 +291,19 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float], robot: Robo
         InvalidValueError: If too little time is left for the kinds of motion.
     """
     rng = np.random.default_rng(cfg.seed)
-    envelope = Envelope.of(robot.parts[cfg.robot], cfg.speed, shrunk, robot)
+    joints = joints_of(cfg.workcell, cfg.part)
+    envelope = Envelope.of(joints, cfg.speed, shrunk, cfg.workcell)
     parts = _parts(rng, envelope, cfg.seconds)
     edges = np.cumsum([0, *(len(offsets) for _, offsets in parts)]) / RATE
     spans = {name: edges[i : i + 2].tolist() for i, (name, _) in enumerate(parts) if name not in STILL}
     positions = envelope.center + np.concatenate([offsets for _, offsets in parts])
     return Trajectory(
-        robot=robot,
+        workcell=cfg.workcell,
         joints=envelope.joints,
         times=np.arange(len(positions)) / RATE,
         positions=positions,
         header={
-            "robot": cfg.robot,
+            "robot": cfg.part,
             "seed": cfg.seed,
             "speed": cfg.speed,
             "shrunk": dict(shrunk),

@@ -42,15 +42,13 @@ FINE = 0.2  # step that is worth to be taken, in standard errors of what is fitt
 MAX_STEPS = 6  # steps under one Jacobian (ours; each is about a fifth of the one before, or of no use)
 MAX_STEP = 1.0  # longest step of a coordinate (ours; farther away motion is another)
 
-DAMPINGS = (0.0, 0.1, 10.0)
-"""Marquardt's factors; of their steps, all tried at once, the best is taken. Source: ours."""
+DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; of their steps, tried at once, the best is taken (ours)
 
 DIFFERENCE = 1e-2
 """Step of the finite differences, in the coordinates of the fit. Source: ours; much less than a 95 % interval
 of what is worth fitting, and more than the kinks that a torque limit makes."""
 
-LEAST_RESIDUAL = 1e-6
-"""Residuals count as at least so large [rad]. Source: ours, two orders below the noise of encoders."""
+LEAST_RESIDUAL = 1e-6  # residuals count as at least so large [rad] (ours, far below the noise of encoders)
 
 Point = Float[np.ndarray, "num_joints num_free"]
 Residuals = Float[np.ndarray, "num_settled num_joints"]
@@ -226,15 +224,16 @@ class _Problem:
         scale shows weakly, and differences of large derivatives would not tell it. Coupled directions are
         felt by the joints that the motion of a joint moves, too.
         """
-        joints, free = self._dynamics.joints, self._cfg.free
-        robot, chain = self._motion.robot, self._motion.robot.coupled(joints)
+        free, coupled = self._cfg.free, self._motion.coupled
+        groups = self._motion.groups
+        together = groups == np.array(list(dict.fromkeys(groups)))[:, None]
         steps, felt_by = [], []
         for name in free:
             along = np.isin(free, SCALE if name == "stiffness" else name) & np.isin(free, names)
-            moved = robot.owned(joints) if name == "latency" else np.eye(len(joints), dtype=bool)
-            for group in moved if name in names else ():
-                steps.append(np.outer(group, along).astype(float))
-                felt_by.append(chain[group].any(axis=0) if is_coupled else group)
+            moved = together if name == "latency" else np.eye(len(groups), dtype=bool)
+            for joints in moved if name in names else ():
+                steps.append(np.outer(joints, along).astype(float))
+                felt_by.append(coupled[joints].any(axis=0) if is_coupled else joints)
         return Directions(steps=np.array(steps), felt_by=np.array(felt_by))
 
     def report(self, residuals: Residuals) -> None:

@@ -11,13 +11,14 @@ from jaxtyping import Bool, Float
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
 from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.fit import Fit, FitCfg, fit_dynamics
+from pixel2catch.identification.joints import groups_of, joints_of, parts
 from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import ROBOT, Robot
 from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robots.joint_dynamics import SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STIFF_FACTOR = 10.0
@@ -26,8 +27,7 @@ STIFF_FACTOR = 10.0
 Source: ours; the controller's feed-forward makes that servo look stiffer than positions can tell.
 """
 
-STIFF_LAG = 0.003
-"""Damping over stiffness of the servo behind a command filter [s]. Source: real UR5, target to position."""
+STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
 
 NO_HOLD_OUT = "none"  # what is held out if everything is to be fitted
 CONFIDENCE = 1.96  # standard deviations in half a 95 % interval
@@ -36,8 +36,7 @@ LAG = "damping / stiffness"  # name of the ratio that says how far a joint lags 
 RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "rad"}
 """The ratios that decide how a joint follows its command, with their units."""
 
-LEAST_HALF_WIDTH = 0.02
-"""Half-width that is always left, as a share. Source: ours; gains drift with temperature and load."""
+LEAST_HALF_WIDTH = 0.02  # is always left, as a share (ours; gains drift with temperature and load)
 
 Positions = Float[np.ndarray, "num_settled num_joints"]
 
@@ -46,7 +45,8 @@ Positions = Float[np.ndarray, "num_settled num_joints"]
 class Start:
     """What is known before a fit."""
 
-    robot: str  # what is fitted: one of the robot's parts
+    workcell: WorkcellSpec  # whose joints are fitted
+    robot: str  # what is fitted: one of its parts
     file: DynamicsFile | None  # the dynamics file that was given, if any
     before: JointDynamics  # the robot's joints in it; those that are not in it are nominal
     first: JointDynamics  # the same, with a command filter in front where one is to be fitted
@@ -106,29 +106,44 @@ class Identification:
         return tuple(motion for motion in self.motions if motion.source.is_held_out == is_held_out)
 
 
-def start_of_fit(part: str, path: Path | None, fits_filter: bool, robot: Robot = ROBOT) -> Start:
+def start_of_fit(
+    part: str, path: Path | None, fits_filter: bool, workcell: WorkcellSpec = UR5E_ALLEGRO
+) -> Start:
     """Read what is known, from a dynamics file if there is one.
 
     Without a file, the servo behind a filter that is to be fitted is taken to be stiff.
 
     Raises:
-        InvalidValueError: If the file cannot be read, or the robot has joints without such a filter.
+        UnknownNameError: If there is no such part.
+        InvalidValueError: If the file cannot be read, or the part has joints without such a filter.
     """
-    if fits_filter and part != robot.ur_part:
-        raise InvalidValueError(
-            f"--filter is the UR5e's and --robot is {part}; identify --robot ur5e with it, then --robot "
-            "allegro with the dynamics file of the first as --start: the result has both."
-        )
-    file = DynamicsFile.load(path) if path else None
-    nominal = JointDynamics.nominal()
-    before = (file.dynamics.over(nominal) if file else nominal).select(robot.parts[part])
+    joints = joints_of(workcell, part)
+    if fits_filter:
+        _require_arm(part, joints, workcell)
+    file = DynamicsFile.load(path, workcell) if path else None
+    nominal = JointDynamics.nominal(specs=workcell.joints)
+    before = (file.dynamics.over(nominal) if file else nominal).select(joints)
     first = before
     if fits_filter:
         servo = before if file else stiff(before)
         gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
         lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
         first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
-    return Start(robot=part, file=file, before=before, first=first)
+    return Start(workcell=workcell, robot=part, file=file, before=before, first=first)
+
+
+def _require_arm(part: str, joints: Sequence[str], workcell: WorkcellSpec) -> None:
+    """Refuse a part that has joints of hands, whose commands no filter precedes."""
+    groups = groups_of(workcell)
+    if any(groups[joint].role != "arm" for joint in joints):
+        arm, hand = (
+            next(name for name, those in parts(workcell).items() if {groups[j].role for j in those} == {role})
+            for role in ("arm", "hand")
+        )
+        raise InvalidValueError(
+            f"--filter is an arm's and --robot is {part}; identify --robot {arm} with it, then --robot "
+            f"{hand} with the dynamics file of the first as --start: the result has both."
+        )
 
 
 def stiff(nominal: JointDynamics) -> JointDynamics:
@@ -265,11 +280,12 @@ def ratios(fit: Fit) -> tuple[Ratio, ...]:
 
 def identified(fit: Fit, start: Start) -> DynamicsFile:
     """The result as training takes it; joints of the file before that were not fitted are carried over."""
-    old = start.file or DynamicsFile(dynamics=fit.dynamics)
-    return DynamicsFile(dynamics=fit.dynamics.over(old.dynamics), gains=gain_ranges(fit, old.gains))
+    old = start.file or DynamicsFile(dynamics=fit.dynamics, workcell=start.workcell)
+    gains = gain_ranges(fit, old.gains, start.workcell)
+    return dataclasses.replace(old, dynamics=fit.dynamics.over(old.dynamics), gains=gains)
 
 
-def gain_ranges(fit: Fit, before: GainRanges) -> GainRanges:
+def gain_ranges(fit: Fit, before: GainRanges, workcell: WorkcellSpec = UR5E_ALLEGRO) -> GainRanges:
     """How much a training has to randomise the gains: their 95 % intervals.
 
     They are never wider than the paper's ranges and never a single point. Gains that were not fitted keep
@@ -284,10 +300,10 @@ def gain_ranges(fit: Fit, before: GainRanges) -> GainRanges:
     lag = next((ratio.half_width for ratio in ratios(fit) if ratio.name == LAG), unknown)
     if "stiffness" not in widths:
         lag, damping = damping, unknown
-    columns = {name: list(values) for name, values in dataclasses.asdict(before.of(UR5E_ALLEGRO)).items()}
-    widest = GainRanges().of(UR5E_ALLEGRO)
+    columns = {name: list(values) for name, values in dataclasses.asdict(before.of(workcell)).items()}
+    widest, order = GainRanges().of(workcell), [joint.name for joint in workcell.joints]
     for j, name in enumerate(fit.dynamics.joints):
-        row = list(ROBOT.specs).index(name)
+        row = order.index(name)
         if np.isfinite(stiffness[j]):
             columns["stiffness_scale"][row] = _within(widest.stiffness_scale[row], stiffness[j])
         if np.isfinite(damping[j]) or np.isfinite(lag[j]):

@@ -1,17 +1,27 @@
 """Reading a recording, whatever wrote it: our npz files, logs of RTDE, bags of ROS 2."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
-from pixel2catch.identification.recording import REMEDY, Place, Recording, held, read_table, require_motion
-from pixel2catch.identification.robot import ROBOT, Robot
-from pixel2catch.identification.rosbag_messages import PARSERS, SPEED_AND_EFFORT, Fields, JointMessage, parser
+from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
+from pixel2catch.identification.joints import find_part, joints_of, specs_of
+from pixel2catch.identification.recording import REMEDY, Place, Recording, held, require_motion
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.ros2.bags import (
+    BAG_SUFFIXES,
+    MOTION_FIELDS,
+    MOTION_TYPES,
+    BagMessage,
+    JointMotion,
+    decoded,
+    joint_motion,
+    opened_bag,
+)
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -24,7 +34,6 @@ MEASURED_FILE = "rtde.csv"
 COMMAND_FILE = "commands.csv"
 """Commands: `t, q_0` … `q_5`, written by whoever sent them. RTDE's `target_q` is what the controller made of
 them, with hardly any lag, and not the command."""
-
 
 FORMATS = (
     f"an .npz file in the canonical layout, a folder with {MEASURED_FILE} and {COMMAND_FILE}, "
@@ -61,7 +70,11 @@ class Names:
 
     @classmethod
     def parse(
-        cls, command_topics: Sequence[str], measured_topic: str, renames: Sequence[str], robot: Robot = ROBOT
+        cls,
+        command_topics: Sequence[str],
+        measured_topic: str,
+        renames: Sequence[str],
+        workcell: WorkcellSpec = UR5E_ALLEGRO,
     ) -> "Names":
         """Read the options of the command line.
 
@@ -69,7 +82,7 @@ class Names:
             command_topics: Each `TOPIC`, `TOPIC=ROBOT` or `TOPIC=JOINT,JOINT,…` with the recording's names.
             measured_topic: As in `Names`.
             renames: Each `OURS=THEIRS`.
-            robot: Whose joints are ours.
+            workcell: Whose joints are ours.
 
         Raises:
             UnknownNameError: If a joint that is renamed is none of ours.
@@ -82,8 +95,8 @@ class Names:
                 raise InvalidValueError(
                     f"--rename {rename}: not of the form OURS=THEIRS, such as index_joint_1=joint_1.0"
                 )
-            if ours not in robot.specs:
-                raise UnknownNameError("joint", ours, robot.specs)
+            if ours not in specs_of(workcell):
+                raise UnknownNameError("joint", ours, specs_of(workcell))
             pairs.append((ours, theirs))
         _require_once("--rename", [ours for ours, _ in pairs])
         _require_once("--rename", [theirs for _, theirs in pairs])
@@ -91,7 +104,7 @@ class Names:
         topics = []
         for text in command_topics:
             name, _, joints = text.partition("=")
-            known = robot.parts.get(joints) or names.ours(joints.split(",")) if joints else ()
+            known = find_part(workcell, joints) or names.ours(joints.split(",")) if joints else ()
             topics.append(CommandTopic(name=name, joints=known))
         _require_once("--command-topic", [topic.name for topic in topics])
         return replace(names, command_topics=tuple(topics))
@@ -104,25 +117,23 @@ def _require_once(option: str, names: Sequence[str]) -> None:
 
 
 def read_recording(
-    path: Path, part: str = ROBOT.whole, names: Names | None = None, robot: Robot = ROBOT
+    path: Path, part: str, names: Names | None = None, workcell: WorkcellSpec = UR5E_ALLEGRO
 ) -> Recording:
-    """Read the motion of a robot's part, in joint order; what the file or folder is chooses the reader.
+    """Read the motion of a work cell's part, in joint order; what the file or folder is chooses the reader.
 
     Raises:
         RecordingError: If it is of no known format, lacks a joint, or says what cannot be.
-        UnknownNameError: If there is no such robot.
+        UnknownNameError: If there is no such part.
     """
-    if part not in robot.parts:
-        raise UnknownNameError("robot", part, robot.parts)
-    joints, names = robot.parts[part], names or Names()
+    joints, names = joints_of(workcell, part), names or Names()
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
-    if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists():
-        return read_rosbag(path, joints, names, robot)
+    if path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").exists():
+        return read_rosbag(path, joints, names, workcell)
     if path.is_dir() and any((path / name).exists() for name in (MEASURED_FILE, COMMAND_FILE)):
-        return _read_rtde(path, robot).select(joints)
+        return _read_rtde(path, workcell).select(joints)
     if path.suffix == ".npz":
-        return Recording.load(path, names.ours, robot).select(joints)
+        return Recording.load(path, names.ours, workcell).select(joints)
     if path.suffix == ".parquet":
         raise RecordingError(
             f"{path}: parquet is not read; save its columns with numpy.savez as an .npz file of the arrays "
@@ -131,21 +142,89 @@ def read_recording(
     raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")
 
 
-def _read_rtde(folder: Path, robot: Robot) -> Recording:
-    """A folder of two logs. RTDE's currents are in ampere, its moments are targets: there is no effort."""
-    joints = robot.parts[robot.ur_part]
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A text table: cells become numbers when a column is asked for."""
+
+    path: Path
+    names: tuple[str, ...]  # names of the columns
+    rows: tuple[tuple[str, ...], ...]  # cells as text, row by row
+    place: Place  # what rows are called in messages: lines of the file, counted from 1
+
+    def column(self, name: str) -> np.ndarray:
+        """The numbers of a column.
+
+        Raises:
+            RecordingError: If there is no such column, or a cell is no number.
+        """
+        if name not in self.names:
+            raise RecordingError(
+                f"{self.path}: no column {name}; it has {', '.join(self.names)}. "
+                "Record this column, or give it this name in the first line."
+            )
+        index = self.names.index(name)
+        numbers = np.empty(len(self.rows))
+        for i, row in enumerate(self.rows):
+            try:
+                numbers[i] = float(row[index])
+            except ValueError:
+                raise RecordingError(
+                    f"{self.place.at(i)}, column {name}: '{row[index]}' is no number; "
+                    "correct or cut this line."
+                ) from None
+        return numbers
+
+    def columns(self, names: Iterable[str]) -> np.ndarray:
+        """The numbers of several columns, shape (rows, columns); raises as `column` does."""
+        return np.stack([self.column(name) for name in names], axis=-1)
+
+
+def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
+    """Read a table of cells between commas, or between spaces where there is no comma.
+
+    Its first line names the columns, unless their names are given.
+
+    Raises:
+        RecordingError: If the file cannot be read, is empty, or a line has too few or too many cells.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").strip().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: not a readable text file ({error}).") from None
+    cells = [line.split(",") if "," in line else line.split() for line in lines]
+    rows = tuple(tuple(cell.strip() for cell in row) for row in cells)
+    first = 0 if names else 1
+    if len(rows) <= first:
+        raise RecordingError(f"{path}: empty, there is no line of numbers; record again.")
+    place = Place(source=str(path), row="line", first_row=1 + first)
+    table = Table(path=path, names=names or rows[0], rows=rows[first:], place=place)
+    for i, row in enumerate(table.rows):
+        if len(row) != len(table.names):
+            raise RecordingError(
+                f"{place.at(i)}: {len(row)} columns instead of {len(table.names)}; "
+                "correct or cut this line (the last one may have been cut off while recording)."
+            )
+    return table
+
+
+def _read_rtde(folder: Path, workcell: WorkcellSpec) -> Recording:
+    """Two logs of the first arm. RTDE's currents are in ampere, its moments targets: there is no effort."""
+    arms = [group.name for group in workcell.groups if group.role == "arm"]
+    if not arms:
+        raise RecordingError(f"{folder}: logs of an arm; '{workcell.name}' has none, choose a --workcell.")
+    joints = joints_of(workcell, arms[0])
     command, measured = read_table(folder / COMMAND_FILE), read_table(folder / MEASURED_FILE)
     q_cmd_names, q_names, qd_names = (
         [f"{prefix}_{i}" for i in range(len(joints))] for prefix in ("q", "actual_q", "actual_qd")
     )
     t_cmd, q_cmd = command.column("t"), command.columns(q_cmd_names)
-    require_motion(command.place, joints, t_cmd, q_cmd, robot=robot)
+    require_motion(command.place, joints, t_cmd, q_cmd, workcell=workcell)
     t_meas, q = measured.column("timestamp"), measured.columns(q_names)
     has_speed = any(name.startswith("actual_qd_") for name in measured.names)
     qd = measured.columns(qd_names) if has_speed else None
-    require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]), robot=robot)
+    require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]), workcell=workcell)
     arrays = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
-    return Recording(name=str(folder), robot=robot, joints=joints, **arrays)
+    return Recording(name=str(folder), workcell=workcell, joints=joints, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +234,8 @@ class _Stream:
     joints: tuple[str, ...]  # those of the wanted joints that it has, the columns
     recorded: tuple[str, ...]  # all joints that it has, for messages
     times: np.ndarray  # when each message was sent [ns]
-    fields: Fields  # `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them
+    # `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them
+    fields: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,12 +244,14 @@ class _Bag:
 
     path: Path
     reader: "AnyReader"
-    robot: Robot
+    workcell: WorkcellSpec
     joints: tuple[str, ...]
     names: Names
 
 
-def read_rosbag(path: Path, joints: tuple[str, ...], names: Names, robot: Robot = ROBOT) -> Recording:
+def read_rosbag(
+    path: Path, joints: tuple[str, ...], names: Names, workcell: WorkcellSpec = UR5E_ALLEGRO
+) -> Recording:
     """Read the motion of some joints from a rosbag2 (MCAP or SQLite), its folder or file.
 
     A topic's times are its header stamps, or the bag's receive times if any header has none. All are counted
@@ -179,8 +261,8 @@ def read_rosbag(path: Path, joints: tuple[str, ...], names: Names, robot: Robot 
     Raises:
         RecordingError: If a topic or joint is missing, or a message says what cannot be.
     """
-    with _opened(path) as reader:
-        bag = _Bag(path=path, reader=reader, robot=robot, joints=joints, names=names)
+    with opened_bag(path, RecordingError, "identification") as reader:
+        bag = _Bag(path=path, reader=reader, workcell=workcell, joints=joints, names=names)
         topics = names.command_topics or (CommandTopic(name=_only_command_topic(bag)),)
         command_ns, q_cmd = _merged(bag, topics)
         measured = _read_topic(bag, CommandTopic(name=names.measured_topic))
@@ -188,49 +270,26 @@ def read_rosbag(path: Path, joints: tuple[str, ...], names: Names, robot: Robot 
     start = min(command_ns[0], measured.times[0])
     return Recording(
         name=str(path),
-        robot=robot,
+        workcell=workcell,
         joints=joints,
-        t_cmd=_seconds(command_ns - start),
+        t_cmd=(command_ns - start) / 1e9,
         q_cmd=q_cmd,
-        t_meas=_seconds(measured.times - start),
+        t_meas=(measured.times - start) / 1e9,
         q=measured.fields["position"],
         qd=measured.fields.get("velocity"),
         effort=measured.fields.get("effort"),
     )
 
 
-def _seconds(nanoseconds: np.ndarray) -> np.ndarray:
-    return nanoseconds.astype(np.float64) / 1e9
-
-
-@contextmanager
-def _opened(path: Path) -> "Iterator[AnyReader]":
-    """The bag, closed afterwards; whatever a damaged one makes the library raise becomes one error."""
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ModuleNotFoundError as error:
-        raise RecordingError(
-            f"{path}: reading bags needs {error.name}; pip install 'pixel2catch[identification]'."
-        ) from None
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            yield reader
-    except Pixel2CatchError:
-        raise
-    except Exception as error:
-        raise RecordingError(f"{path}: not a readable rosbag2 ({error}); try 'ros2 bag reindex'.") from error
-
-
 def _only_command_topic(bag: _Bag) -> str:
     """The one topic that can carry commands."""
     types = {connection.topic: connection.msgtype for connection in bag.reader.connections}
     measured = bag.names.measured_topic
-    found = sorted(topic for topic, kind in types.items() if kind in PARSERS and topic != measured)
+    found = sorted(topic for topic, kind in types.items() if kind in MOTION_TYPES and topic != measured)
     if len(found) != 1:
         raise RecordingError(
             f"{bag.path}: {len(found)} topics could carry the commands ({', '.join(found) or 'none'}); "
-            f"record one of type {', '.join(PARSERS)}, or name those that do with --command-topic."
+            f"record one of type {', '.join(MOTION_TYPES)}, or name those that do with --command-topic."
         )
     return found[0]
 
@@ -241,8 +300,7 @@ def _merged(bag: _Bag, topics: Sequence[CommandTopic]) -> tuple[np.ndarray, np.n
     There is a row for each time at which a command was sent; what was not sent then holds.
     """
     streams = [_read_topic(bag, topic) for topic in topics]
-    source = f"{bag.path}, topic {', '.join(topic.name for topic in topics)}"
-    _require_all(source, bag.joints, streams)
+    _require_all(f"{bag.path}, topic {', '.join(topic.name for topic in topics)}", bag.joints, streams)
     times = streams[0].times
     for stream in streams[1:]:
         times = np.sort(np.concatenate((times, stream.times[~np.isin(stream.times, times)])))
@@ -275,27 +333,28 @@ def _read_topic(bag: _Bag, topic: CommandTopic) -> _Stream:
     concerned = [pair for pair in everything if not pair[1].joints or {*pair[1].joints} & {*bag.joints}]
     if 0 < len(concerned) < len(everything):
         everything, place = concerned, replace(place, row="message of these joints")
-    received, messages = zip(*everything, strict=True)
-    if messages[0].joints and topic.joints:
+    received, motions = zip(*everything, strict=True)
+    first = motions[0]
+    if first.joints and topic.joints:
         raise RecordingError(
-            f"{place.source}: its messages name the joints {', '.join(messages[0].joints)}; "
+            f"{place.source}: its messages name the joints {', '.join(first.joints)}; "
             f"leave out '=...' behind --command-topic {topic.name}."
         )
-    recorded = messages[0].joints or topic.joints or bag.joints
+    recorded = first.joints or topic.joints or bag.joints
+    for i, motion in enumerate(motions):
+        _require_same_order(place.at(i), motion, first, len(recorded))
     joints = tuple(joint for joint in bag.joints if joint in recorded)
-    for i, message in enumerate(messages):
-        _require_same_order(place.at(i), message, messages[0], len(recorded))
     order = [recorded.index(joint) for joint in joints]
-    names = ["position", *(n for n in SPEED_AND_EFFORT if all(n in message.fields for message in messages))]
-    fields = {name: np.stack([message.fields[name] for message in messages])[:, order] for name in names}
-    stamps = [message.stamp for message in messages]
-    times = np.array(stamps if all(stamps) else received, dtype=np.int64)
-    require_motion(place, joints, _seconds(times - times[0]), *fields.values(), robot=bag.robot)
+    names = [name for name in MOTION_FIELDS if all(name in motion.fields for motion in motions)]
+    fields = {name: np.stack([motion.fields[name] for motion in motions])[:, order] for name in names}
+    stamps = [message.stamp for message in received]
+    times = np.array(stamps if all(stamps) else [message.received for message in received], dtype=np.int64)
+    require_motion(place, joints, (times - times[0]) / 1e9, *fields.values(), workcell=bag.workcell)
     return _Stream(joints=joints, recorded=recorded, times=times, fields=fields)
 
 
-def _messages(bag: _Bag, place: Place, topic: str) -> list[tuple[int, JointMessage]]:
-    """Receive time [ns] and content of every message on a topic, with our names of the joints."""
+def _messages(bag: _Bag, place: Place, topic: str) -> list[tuple[BagMessage, JointMotion]]:
+    """Every message on a topic, and what it says, with our names of the joints."""
     connections = [connection for connection in bag.reader.connections if connection.topic == topic]
     if not connections:
         names = ", ".join(sorted({connection.topic for connection in bag.reader.connections}))
@@ -303,22 +362,21 @@ def _messages(bag: _Bag, place: Place, topic: str) -> list[tuple[int, JointMessa
             f"{bag.path}: no topic {topic}; recorded are: {names or 'none'}. Record it, too."
         )
     messages = []
-    for connection, time, data in bag.reader.messages(connections):
-        where = place.at(len(messages))
-        message = parser(where, connection.msgtype)(where, bag.reader.deserialize(data, connection.msgtype))
-        messages.append((time, replace(message, joints=bag.names.ours(message.joints))))
+    for i, message in enumerate(decoded(bag.reader, connections)):
+        motion = joint_motion(place.at(i), message)
+        messages.append((message, replace(motion, joints=bag.names.ours(motion.joints))))
     if not messages:
         raise RecordingError(f"{place.source}: empty, there is no message; record again.")
     return messages
 
 
-def _require_same_order(where: str, message: JointMessage, first: JointMessage, num_joints: int) -> None:
-    if message.joints != first.joints:
+def _require_same_order(where: str, motion: JointMotion, first: JointMotion, num_joints: int) -> None:
+    if motion.joints != first.joints:
         raise RecordingError(
-            f"{where}: joints {', '.join(message.joints)}, but the first message has "
+            f"{where}: joints {', '.join(motion.joints)}, but the first message has "
             f"{', '.join(first.joints)}; two publishers share the topic: record them on topics of their own."
         )
-    for name, values in message.fields.items():
+    for name, values in motion.fields.items():
         if len(values) != num_joints:
             raise RecordingError(
                 f"{where}: {len(values)} numbers in {name} for {num_joints} joints; publish one number a "

@@ -1,18 +1,48 @@
-"""What was commanded and what was measured, each on its own clock: the input of the identification."""
+"""What joints were commanded and did, each on its own clock, and targets that they shall follow; as files."""
 
+import io
+import json
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, Float64, Shaped
 
-from pixel2catch.errors import RecordingError, UnknownNameError
-from pixel2catch.identification.robot import ROBOT, Robot
+from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
+from pixel2catch.files import write_atomically
+from pixel2catch.identification.joints import MOTION_RANGES, groups_of, largest_step, specs_of
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 REMEDY = "Record the missing joints, rename them (--rename OURS=THEIRS), or choose another --robot."
 """What to do about joints that are not there."""
+
+FORMAT_VERSION = 1
+"""Version of the trajectory files."""
+
+REST = 1.0
+"""Least time at rest, at the beginning and at the end of a trajectory [s].
+
+Source: ours; a recording's first half second is not compared, and a servo settles in about as long.
+"""
+
+UNREADABLE = (
+    OSError,
+    EOFError,
+    BadZipFile,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    Pixel2CatchError,
+)
+"""What reading a file that is no trajectory, or none to follow, can raise."""
+
+TOLERANCE = 1e-9  # excess of a limit that is rounding [rad, s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +75,11 @@ class Recording:
 
     Raises:
         RecordingError: If a shape, time or value cannot be; the message says where.
-        UnknownNameError: If the robot has no such joint.
+        UnknownNameError: If the work cell has no such joint.
     """
 
     name: str = "recording"  # what messages and reports call it
-    robot: Robot = ROBOT  # whose joints they are
+    workcell: WorkcellSpec = UR5E_ALLEGRO  # whose joints they are
     joints: tuple[str, ...]  # names of the joints, the columns of all arrays
     t_cmd: Float64[np.ndarray, " num_commands"]  # send times of the commands [s], not decreasing
     # commanded positions [rad]; each holds until the next
@@ -63,14 +93,12 @@ class Recording:
 
     def __post_init__(self) -> None:
         """Refuse what no robot can have done."""
-        for joint in self.joints:
-            if joint not in self.robot.specs:
-                raise UnknownNameError("joint", joint, self.robot.specs)
+        _require_known(self.joints, self.workcell)
         commanded = Place(source=f"{self.name}: q_cmd")
-        require_motion(commanded, self.joints, self.t_cmd, self.q_cmd, robot=self.robot)
+        require_motion(commanded, self.joints, self.t_cmd, self.q_cmd, workcell=self.workcell)
         measured = Place(source=f"{self.name}: q, qd, effort")
         extra = [values for values in (self.qd, self.effort) if values is not None]
-        require_motion(measured, self.joints, self.t_meas, self.q, *extra, robot=self.robot)
+        require_motion(measured, self.joints, self.t_meas, self.q, *extra, workcell=self.workcell)
 
     def held(self, time: Float[np.ndarray, " num_times"]) -> Float[np.ndarray, "num_times num_joints"]:
         """The command at some times of its own clock [s]; see `held`."""
@@ -93,10 +121,10 @@ class Recording:
             name: values if name.startswith("t_") else values[:, columns]
             for name, values in self._arrays().items()
         }
-        return Recording(name=self.name, joints=joints, robot=self.robot, **arrays)
+        return Recording(name=self.name, joints=joints, workcell=self.workcell, **arrays)
 
     def save(self, path: Path) -> None:
-        """Write the canonical file: an npz with the arrays under the names of the attributes.
+        """Write the canonical file: an npz with the arrays under the names of the fields.
 
         Raises:
             RecordingError: If the file exists; nothing is overwritten.
@@ -109,7 +137,9 @@ class Recording:
 
     @staticmethod
     def load(
-        path: Path, ours: Callable[[Iterable[str]], tuple[str, ...]] = tuple, robot: Robot = ROBOT
+        path: Path,
+        ours: Callable[[Iterable[str]], tuple[str, ...]] = tuple,
+        workcell: WorkcellSpec = UR5E_ALLEGRO,
     ) -> "Recording":
         """Read a canonical file; `ours` makes our names of its names of joints.
 
@@ -132,17 +162,24 @@ class Recording:
             raise RecordingError(
                 f"{path}: not a readable npz file ({error}); record or convert it again."
             ) from None
-        unknown = [joint for joint in joints if joint not in robot.specs]
+        known = specs_of(workcell)
+        unknown = [joint for joint in joints if joint not in known]
         if unknown:
             raise RecordingError(
                 f"{path}: {', '.join(unknown)} are no joints of ours; rename them (--rename OURS=THEIRS), "
-                f"or leave them out. Ours are {', '.join(robot.specs)}."
+                f"or leave them out. Ours are {', '.join(known)}."
             )
-        return Recording(name=str(path), robot=robot, joints=joints, **arrays)
+        return Recording(name=str(path), workcell=workcell, joints=joints, **arrays)
 
     def _arrays(self) -> dict[str, np.ndarray]:
         arrays = {field.name: getattr(self, field.name) for field in fields(self)[3:]}
         return {name: values for name, values in arrays.items() if values is not None}
+
+
+def _require_known(joints: Iterable[str], workcell: WorkcellSpec) -> None:
+    for joint in joints:
+        if joint not in specs_of(workcell):
+            raise UnknownNameError("joint", joint, specs_of(workcell))
 
 
 def require_motion(
@@ -151,7 +188,7 @@ def require_motion(
     time: np.ndarray,
     positions: np.ndarray,
     *others: np.ndarray,
-    robot: Robot = ROBOT,
+    workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> None:
     """Refuse motion that no robot can have done, whatever file it came from.
 
@@ -170,8 +207,13 @@ def require_motion(
                 f"{place.source}: shape {values.shape}, but {shape[0]} times and {shape[1]} joints need "
                 f"{shape}; give every time one row and every joint one column."
             )
-        _require_finite(place, joints, values)
-    _require_finite(place, ("time",), time[:, None])
+    for columns, values in (*((joints, each) for each in (positions, *others)), (("time",), time[:, None])):
+        if not np.isfinite(values).all():
+            row, column = map(int, np.argwhere(~np.isfinite(values))[0])
+            raise RecordingError(
+                f"{place.at(row)}, column {columns[column]}: {values[row, column]} is no number; "
+                "cut the recording before this row or record again."
+            )
     backwards = np.flatnonzero(np.diff(time) < 0)
     if len(backwards):
         row = int(backwards[0]) + 1
@@ -179,7 +221,8 @@ def require_motion(
             f"{place.at(row)}: time runs backwards, {time[row]:.6f} s after {time[row - 1]:.6f} s; "
             "split the recording here, or sort it if two writers shared the file."
         )
-    reach = np.array([robot.group_of[joint].reach for joint in joints])
+    groups = groups_of(workcell)
+    reach = np.array([MOTION_RANGES[groups[joint].role].reach for joint in joints])
     beyond = np.argwhere(np.abs(positions) > reach)
     if len(beyond):
         row, column = map(int, beyond[0])
@@ -189,75 +232,116 @@ def require_motion(
         )
 
 
-def _require_finite(place: Place, columns: tuple[str, ...], values: np.ndarray) -> None:
-    if not np.isfinite(values).all():
-        row, column = map(int, np.argwhere(~np.isfinite(values))[0])
-        raise RecordingError(
-            f"{place.at(row)}, column {columns[column]}: {values[row, column]} is no number; "
-            "cut the recording before this row or record again."
-        )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """Targets of some joints that a robot can be let loose on; it begins and ends at rest in the same pose.
 
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """A text table: cells become numbers when a column is asked for."""
-
-    path: Path
-    names: tuple[str, ...]  # names of the columns
-    rows: tuple[tuple[str, ...], ...]  # cells as text, row by row
-    place: Place  # what rows are called in messages: lines of the file, counted from 1
-
-    def column(self, name: str) -> np.ndarray:
-        """The numbers of a column.
-
-        Raises:
-            RecordingError: If there is no such column, or a cell is no number.
-        """
-        if name not in self.names:
-            raise RecordingError(
-                f"{self.path}: no column {name}; it has {', '.join(self.names)}. "
-                "Record this column, or give it this name in the first line."
-            )
-        index = self.names.index(name)
-        numbers = np.empty(len(self.rows))
-        for i, row in enumerate(self.rows):
-            try:
-                numbers[i] = float(row[index])
-            except ValueError:
-                raise RecordingError(
-                    f"{self.place.at(i)}, column {name}: '{row[index]}' is no number; "
-                    "correct or cut this line."
-                ) from None
-        return numbers
-
-    def columns(self, names: Iterable[str]) -> np.ndarray:
-        """The numbers of several columns, shape (rows, columns); raises as `column` does."""
-        return np.stack([self.column(name) for name in names], axis=-1)
-
-
-def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
-    """Read a table of cells between commas, or between spaces where there is no comma.
-
-    Its first line names the columns, unless their names are given.
+    A target holds until the next one, as a command in a recording does: whoever follows the trajectory sends,
+    in every turn of its loop, the target that is due (`at`). The file is an npz: `joints` (names), `times`
+    [s], `positions` [rad], and `header`, a JSON text that says whose joints they are, and where the targets
+    come from.
 
     Raises:
-        RecordingError: If the file cannot be read, is empty, or a line has too few or too many cells.
+        InvalidValueError: If a robot should not follow it; the message says where.
+        RecordingError: If a value is no number, or times and positions do not fit together.
+        UnknownNameError: If the work cell has no such joint.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").strip().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: not a readable text file ({error}).") from None
-    cells = [line.split(",") if "," in line else line.split() for line in lines]
-    rows = tuple(tuple(cell.strip() for cell in row) for row in cells)
-    first = 0 if names else 1
-    if len(rows) <= first:
-        raise RecordingError(f"{path}: empty, there is no line of numbers; record again.")
-    place = Place(source=str(path), row="line", first_row=1 + first)
-    table = Table(path=path, names=names or rows[0], rows=rows[first:], place=place)
-    for i, row in enumerate(table.rows):
-        if len(row) != len(table.names):
-            raise RecordingError(
-                f"{place.at(i)}: {len(row)} columns instead of {len(table.names)}; "
-                "correct or cut this line (the last one may have been cut off while recording)."
+
+    workcell: WorkcellSpec = UR5E_ALLEGRO  # whose joints they are
+    # names of the joints, the columns, in joint order; the others hold the start pose
+    joints: tuple[str, ...]
+    times: Float64[np.ndarray, " num_targets"]  # when each target is due [s], from 0
+    positions: Float64[np.ndarray, "num_targets num_joints"]  # the targets [rad]
+    header: dict[str, Any] = field(default_factory=dict)  # where they come from: anything that JSON can hold
+
+    def __post_init__(self) -> None:
+        """Refuse what no robot should be sent."""
+        known = specs_of(self.workcell)
+        _require_known(self.joints, self.workcell)
+        if not self.joints or list(self.joints) != [name for name in known if name in self.joints]:
+            raise InvalidValueError(
+                f"joints are {list(self.joints)}; name each once, in the order {list(known)}"
             )
-    return table
+        place = Place(source="targets")
+        require_motion(place, self.joints, self.times, self.positions, workcell=self.workcell)
+        late = np.flatnonzero(np.diff(self.times) <= 0.0)
+        if self.times[0] != 0.0 or len(late):
+            row = int(late[0]) + 1 if len(late) else 0
+            raise InvalidValueError(
+                f"target {row} is due at {self.times[row]:g} s; times begin at 0 and grow"
+            )
+        self._require_limits()
+        is_end = (self.times <= REST) | (self.times >= self.duration - REST)
+        moves = (np.abs(self.positions - self.positions[0]) > TOLERANCE) & is_end[:, None]
+        self._refuse(moves, f"parts from the start pose in the first or last {REST:g} s, which are for rest")
+        if self.duration < 2 * REST:
+            raise InvalidValueError(f"it lasts {self.duration:g} s; it needs {REST:g} s of rest at each end")
+
+    @property
+    def duration(self) -> float:
+        """Time of the last target [s]."""
+        return float(self.times[-1])
+
+    def at(self, time: Float64[np.ndarray, " num_times"]) -> Float64[np.ndarray, "num_times num_joints"]:
+        """The targets that are due at some times [s]; before the first and after the last they hold."""
+        return held(self.times, self.positions, time)
+
+    def save(self, path: Path) -> None:
+        """Write the file.
+
+        Raises:
+            InvalidValueError: If it exists; nothing is overwritten.
+        """
+        if path.exists():
+            raise InvalidValueError(f"{path} exists; choose another name or remove it.")
+        header = {"format_version": FORMAT_VERSION, "workcell": self.workcell.name, **self.header}
+        arrays = {"joints": np.array(self.joints), "times": self.times, "positions": self.positions}
+        buffer = io.BytesIO()
+        text = json.dumps(header, allow_nan=False)
+        np.savez_compressed(buffer, allow_pickle=False, header=np.array(text), **arrays)
+        write_atomically({path: buffer.getvalue()})
+
+    @staticmethod
+    def load(path: Path) -> "Trajectory":
+        """Read a file, with all checks; one that names no work cell is of the paper's.
+
+        Raises:
+            InvalidValueError: If it is no such file, or a robot should not follow it.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                header = json.loads(str(file["header"]))
+                version = header.pop("format_version")
+                if version != FORMAT_VERSION:
+                    raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+                return Trajectory(
+                    workcell=find_workcell(header.pop("workcell", UR5E_ALLEGRO.name)),
+                    joints=tuple(map(str, np.atleast_1d(file["joints"]))),
+                    times=np.asarray(file["times"], dtype=np.float64),
+                    positions=np.asarray(file["positions"], dtype=np.float64),
+                    header=header,
+                )
+        except UNREADABLE as error:
+            raise InvalidValueError(
+                f"cannot follow the trajectory '{path}': {error}. Write it again with 'pixel2catch excite'."
+            ) from error
+
+    def _require_limits(self) -> None:
+        specs = [specs_of(self.workcell)[name] for name in self.joints]
+        lower, upper = np.array([(spec.lower, spec.upper) for spec in specs]).T
+        excess = np.maximum(lower - self.positions, self.positions - upper)
+        self._refuse(excess > TOLERANCE, "is beyond the joint's limits")
+        steps = np.abs(np.diff(self.positions, axis=0, prepend=self.positions[:1]))
+        allowed = np.array([largest_step(spec) for spec in specs])
+        self._refuse(
+            steps > allowed + TOLERANCE, "is farther from the target before than the servo's speed allows"
+        )
+
+    def _refuse(self, is_bad: np.ndarray, reason: str) -> None:
+        """Name the first bad target."""
+        if is_bad.any():
+            row, column = map(int, np.argwhere(is_bad)[0])
+            raise InvalidValueError(
+                f"target {row} ({self.times[row]:.3f} s) of {self.joints[column]}, "
+                f"{self.positions[row, column]:.4f} rad, {reason}"
+            )

@@ -15,15 +15,21 @@ from numpy.random import Generator
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.identification.checks import Check, check_recording
-from pixel2catch.identification.recording import Recording
-from pixel2catch.identification.robot import ROBOT, Robot
+from pixel2catch.identification.joints import (
+    groups_of,
+    hanging_on,
+    recorded_model,
+    specs_of,
+    watched_model,
+)
+from pixel2catch.identification.recording import Recording, Trajectory
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, friction_torque, is_settled
-from pixel2catch.identification.trajectory import Trajectory
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-STALLED_TURN = 0.04
-"""Length of a turn of a loop that stalls [s]. Source: a real UR5 recording, where 5 % of them did."""
+STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
 
 MIN_PHYSICS_HZ = 120.0  # fewest physics steps in a second. Source: paper, the rate of a training.
 
@@ -100,7 +106,7 @@ def _blank(trajectory: Trajectory, cfg: RecorderCfg, rng: Generator) -> Recordin
     start = rng.uniform(0.0, cfg.read_period)
     t_meas = start + turns_of_a_loop(rng, trajectory.duration - start, cfg.read_period, cfg.stall)
     return Recording(
-        robot=trajectory.robot,
+        workcell=trajectory.workcell,
         joints=trajectory.joints,
         t_cmd=t_cmd,
         q_cmd=trajectory.at(t_cmd),
@@ -117,12 +123,11 @@ def rehearse(
     folder.mkdir(parents=True, exist_ok=True)
     for number, recording in enumerate(recordings, start=1):
         recording.save(folder / f"recording-{number}.npz")
-    DynamicsFile(dynamics=truth).save(folder / "truth.json")
+    DynamicsFile(dynamics=truth, workcell=trajectories[0].workcell).save(folder / "truth.json")
 
 
-def unlike_nominal(rng: Generator, joints: Sequence[str], latency: float = 0.012) -> JointDynamics:
+def unlike_nominal(rng: Generator, nominal: JointDynamics, latency: float = 0.012) -> JointDynamics:
     """Dynamics up to 40 % off the nominal ones in every parameter, and with a latency [s]."""
-    nominal = JointDynamics.nominal(joints)
     names = ("stiffness", "damping", "frictionloss", "armature")
     factors = {name: getattr(nominal, name) * rng.uniform(0.7, 1.4, len(nominal.joints)) for name in names}
     return nominal.with_values(**factors, latency=latency)
@@ -177,17 +182,17 @@ def clearances(
     joints: Sequence[str],
     time: Float64[np.ndarray, " num_times"],
     positions: Float64[np.ndarray, "num_times num_joints"],
-    robot: Robot = ROBOT,
+    workcell: WorkcellSpec = UR5E_ALLEGRO,
 ) -> tuple[Clearance, ...]:
     """The least distances over a motion, one for each of `RULES`, by MuJoCo's own collision detection.
 
     The joints are at some positions [rad] at some times [s]; others hold the start pose.
     """
-    model = robot.watched_model(HORIZON)
+    model = watched_model(workcell, HORIZON)
     data = mujoco.MjData(model)
-    data.qpos[:] = [spec.home for spec in robot.specs.values()]
+    data.qpos[:] = [spec.home for spec in workcell.joints]
     columns = [int(model.joint(name).qposadr[0]) for name in joints]
-    rules = _rule_of_pairs(model, robot)
+    rules = _rule_of_pairs(model, workcell)
     least = [Clearance(rule=rule) for rule in RULES]
     for now, row in zip(time, positions, strict=True):
         data.qpos[columns] = row
@@ -205,14 +210,19 @@ def clearances(
     return tuple(least)
 
 
-def _rule_of_pairs(model: mujoco.MjModel, robot: Robot) -> np.ndarray:
-    """Which of `RULES` holds for two geoms, shape (geoms, geoms); -1 for those that stand on each other."""
-    body = [model.body(owner).name for owner in model.geom_bodyid]
-    carried = tuple(name for group in robot.groups for name in group.bodies)
-    is_hand = np.array([name.startswith(carried) for name in body])
-    is_table = np.array([name == "table" for name in body])
-    is_standing = np.array([name in robot.standing for name in body])
-    rules = np.where(is_hand[:, None] & is_hand, 2, 1)
+def _rule_of_pairs(model: mujoco.MjModel, workcell: WorkcellSpec) -> np.ndarray:
+    """Which of `RULES` holds for two geoms, shape (geoms, geoms); -1 for those that stand on each other.
+
+    The root of a robot and the link that turns on it stand on the table; a hand is all that hangs on a palm.
+    """
+    body, parents = model.geom_bodyid, model.body_parentid
+    roots = [model.body(each.prefix + each.robot.root).id for each in workcell.robots]
+    is_standing = np.isin(body, roots) | np.isin(parents[body], roots)
+    is_table = body == model.body("table").id
+    rules = np.ones((len(body), len(body)), dtype=int)
+    for palm in workcell.palms:
+        is_hand = hanging_on(parents)[model.body(palm.spec.body).id][body]
+        rules[is_hand[:, None] & is_hand] = 2
     rules[is_table[:, None] | is_table] = 0
     rules[(is_table[:, None] & is_standing) | (is_standing[:, None] & is_table)] = -1
     return rules
@@ -248,7 +258,7 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
     """
     (recording,) = simulated_recordings([trajectory], dynamics, PERFECT, np.random.default_rng(0))
     speed = np.diff(recording.q, axis=0) / FIT_DT
-    near = clearances(recording.joints, recording.t_meas, recording.q, recording.robot)
+    near = clearances(recording.joints, recording.t_meas, recording.q, recording.workcell)
     return Assessment(
         recording=recording,
         speed=np.abs(speed).max(axis=0),
@@ -263,7 +273,7 @@ def _limit_faults(recording: Recording, speed: np.ndarray) -> list[Fault]:
     """Joints beyond their limits of position or speed."""
     faults = []
     for column, joint in enumerate(recording.joints):
-        spec, q = recording.robot.specs[joint], recording.q[:, column]
+        spec, q = specs_of(recording.workcell)[joint], recording.q[:, column]
         excess, top = max(spec.lower - q.min(), q.max() - spec.upper), np.abs(speed[:, column]).max()
         if excess > LIMIT_TOLERANCE:
             text = f"{joint} moves {excess:.3f} rad beyond its limits"
@@ -276,12 +286,12 @@ def _limit_faults(recording: Recording, speed: np.ndarray) -> list[Fault]:
 
 def _clearance_faults(recording: Recording, near: Sequence[Clearance]) -> list[Fault]:
     """Parts that come too near to each other; the arm is shrunk where it moves and has a part in it."""
-    joints, carries_others = recording.joints, recording.robot.carries_others
-    faults = []
+    groups, faults = groups_of(recording.workcell), []
     for clearance in near:
         if not clearance.is_kept:
-            moved = [joint for joint in joints if carries_others(joint) != clearance.rule.is_of_hand]
-            faults.append(Fault(text=clearance.sentence(), joints=tuple(moved or joints)))
+            role = "hand" if clearance.rule.is_of_hand else "arm"
+            moved = tuple(joint for joint in recording.joints if groups[joint].role == role)
+            faults.append(Fault(text=clearance.sentence(), joints=moved or recording.joints))
     return faults
 
 
@@ -289,7 +299,7 @@ def _torque_share(
     recording: Recording, speed: np.ndarray, dynamics: JointDynamics
 ) -> Float64[np.ndarray, " num_joints"]:
     """Top torque of the servos, found backwards from the motion: what moves masses and overcomes friction."""
-    model = recording.robot.recorded_model(recording.joints, FIT_DT)
+    model = recorded_model(recording.workcell, recording.joints, FIT_DT)
     model.dof_armature[:] = dynamics.armature
     data = mujoco.MjData(model)
     top = np.zeros(len(recording.joints))
@@ -297,4 +307,4 @@ def _torque_share(
         data.qpos[:], data.qvel[:], data.qacc[:] = q, before, jump / FIT_DT
         mujoco.mj_inverse(model, data)
         top = np.maximum(top, np.abs(data.qfrc_inverse - friction_torque(dynamics.frictionloss, before)))
-    return top / np.array([recording.robot.specs[joint].effort_limit for joint in recording.joints])
+    return top / np.array([specs_of(recording.workcell)[joint].effort_limit for joint in recording.joints])

@@ -1,9 +1,11 @@
 """What an identification leaves: the dynamics file, the report for people, and its numbers for programs.
 
-The report is one HTML file that needs nothing but itself.
+The report is one HTML file that needs nothing but itself. People with any kind of colour vision tell the
+colours of its pictures apart. Source: Okabe and Ito 2008; grey: ours.
 """
 
 import base64
+import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -11,12 +13,24 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from pixel2catch.files import require_free_folder, write_atomically
-from pixel2catch.identification.figures import COLORS, joint_picture
 from pixel2catch.identification.fit import LATENCY_UNIT
-from pixel2catch.identification.identify import Identification, half_widths, ratios, tracking_errors
+from pixel2catch.identification.identify import (
+    Identification,
+    Motion,
+    half_widths,
+    ratios,
+    tracking_errors,
+)
+from pixel2catch.identification.joints import short, specs_of
+from pixel2catch.identification.recording import Trajectory
+from pixel2catch.identification.rehearsal import Assessment
 from pixel2catch.identification.report_tables import (
     Grid,
     errors_grid,
@@ -27,7 +41,6 @@ from pixel2catch.identification.report_tables import (
     ratios_grid,
     whole_checks_grid,
 )
-from pixel2catch.identification.robot import short
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files
@@ -36,26 +49,19 @@ NOTHING_HELD_OUT = (
     "Nothing was held out: the errors are those of motion that was fitted, and do not tell how well other "
     "motion is simulated. Record at least two motions."
 )
-"""What a reader must know who trusts the errors."""
-
 COMMAND_IS_BETTER = (
     "Of some joints, the command predicts the motion better than the simulation does. Either the model does "
     "not fit, or what was recorded as command is the controller's own target (such as RTDE's target_q), "
     "which is not what was sent."
 )
-"""What the error of the command says."""
-
 TRACKING = (
     "Predicted minus measured positions. 'command' predicts that the joint is where it is told to be at "
     "once. The first half second of a recording is not compared."
 )
-"""What the errors are."""
-
 RANDOMISATION = (
     "Intervals where they are narrower than the paper's ranges, else the paper's. The dynamics file "
     "has them; 'pixel2catch train --dynamics' draws from them."
 )
-"""What a training makes of the result."""
 
 STYLE = """
 body { font: 14px/1.45 system-ui, sans-serif; color: #1c1c1c; margin: 2rem auto; padding: 0 1rem;
@@ -92,6 +98,23 @@ code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere }
 """
 """Look of the page, on a screen and on paper."""
 
+COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}  # of a report
+ZOOM = 1.5  # length of the close look [s]: about the fastest motion
+
+MARGINS = {"left": 0.07, "right": 0.985, "bottom": 0.16, "top": 0.98, "wspace": 0.14, "hspace": 0.12}
+"""Room for the labels, as shares of the picture."""
+
+PLAIN: dict[Any, Any] = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
+LINED: dict[Any, Any] = {
+    **PLAIN,
+    "font.size": 8,
+    "axes.edgecolor": "#5B5B5B",
+    "axes.grid": True,
+    "grid.color": "#E9E9E9",
+    "axes.axisbelow": True,
+    "lines.linewidth": 1.0,
+}
+
 Content = dict[str, Any]
 
 
@@ -119,22 +142,19 @@ def write_report(folder: Path, result: Identification, circumstances: Mapping[st
 
 def report_page(result: Identification, circumstances: Mapping[str, Any]) -> str:
     """The report as a page."""
-    title = f"System identification: {result.start.robot}"
-    errors, parameters = errors_grid(result), parameters_grid(result)
-    ratio, ranges = ratios_grid(result.fit), ranges_grid(result)
-    each_joint = [joint_checks_grid(motion) for motion in result.motions]
+    title, ratio = f"System identification: {result.start.robot}", ratios_grid(result.fit)
+    open_ends = _listing(open_questions(result.fit)) or _element("p", "Every direction is identified.")
     parts = [
         _element("h1", title),
         *_summary(result),
-        *(_element("h2", errors.title), _element("p", TRACKING), _table(errors)),
-        *(_element("h2", parameters.title), _table(parameters)),
-        *([_element("h2", ratio.title), _table(ratio)] if ratio.rows else []),
-        _element("h2", "What is not identified"),
-        _listing(open_questions(result.fit)) or _element("p", "Every direction is identified."),
-        *(_element("h2", ranges.title), _element("p", RANDOMISATION), _table(ranges)),
+        _section(errors_grid(result), TRACKING),
+        _section(parameters_grid(result)),
+        _section(ratio) if ratio.rows else "",
+        _element("h2", "What is not identified") + open_ends,
+        _section(ranges_grid(result), RANDOMISATION),
         *_pictures(result),
-        *(_element("h2", "Data checks"), _table(whole_checks_grid(result.motions))),
-        *(part for grid in each_joint for part in (_element("h3", grid.title), _table(grid))),
+        _section(whole_checks_grid(result.motions)),
+        *(_section(joint_checks_grid(motion), tag="h3") for motion in result.motions),
         *_circumstances(result, circumstances),
     ]
     head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style>'
@@ -210,8 +230,8 @@ def _listing(texts: Sequence[str]) -> str:
     return f"<ul>{''.join(_element('li', text) for text in texts)}</ul>" if texts else ""
 
 
-def _table(grid: Grid) -> str:
-    """A table, without its title."""
+def _section(grid: Grid, text: str = "", tag: str = "h2") -> str:
+    """A table below its title."""
     head = "".join(_element("th", column) for column in grid.columns)
     rows = ""
     for row in grid.rows:
@@ -221,14 +241,18 @@ def _table(grid: Grid) -> str:
             note = _element("small", cell.note) if cell.note else ""
             cells += f"<td{kind}>{escape(cell.text)}{note}</td>"
         rows += f"<tr>{cells}</tr>\n"
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n<tbody>{rows}</tbody></table></div>'
+    table = f"<table><thead><tr>{head}</tr></thead>\n<tbody>{rows}</tbody></table>"
+    title = _element(tag, grid.title) + (_element("p", text) if text else "")
+    return f'{title}\n<div class="scroll">{table}</div>'
 
 
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:
     """All numbers of the report, in SI units, by joint."""
     fit, joints = result.fit, result.fit.dynamics.joints
-    groups = {"held_out": result.of(is_held_out=True), "fitted": result.of(is_held_out=False)}
-    errors = {group: tracking_errors(motions) if motions else {} for group, motions in groups.items()}
+    errors = {
+        group: tracking_errors(motions) if (motions := result.of(is_held_out)) else {}
+        for group, is_held_out in (("held_out", True), ("fitted", False))
+    }
     return {
         "robot": result.start.robot,
         "free": list(fit.free),
@@ -279,3 +303,92 @@ def _interval(value: float, half_width: float) -> Content:
     """A value whose logarithm has an interval."""
     factor = float(np.exp(half_width))
     return {"value": float(value), "interval": [float(value) / factor, float(value) * factor]}
+
+
+def joint_picture(motion: Motion, column: int) -> bytes:
+    """Position of a column's joint as commanded, measured and simulated, its errors, and a close look."""
+    with matplotlib.rc_context(LINED):
+        figure = Figure(figsize=(10.0, 2.6), dpi=120)  # its own layout engine would draw it three times
+        grid = figure.add_gridspec(2, 2, height_ratios=(3, 1), width_ratios=(5, 3), **MARGINS)
+        whole, close = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[:, 1])
+        errors = figure.add_subplot(grid[1, 0], sharex=whole)
+        _draw_positions(whole, motion, column)
+        _draw_positions(close, motion, column)
+        for name in ("before", "after"):
+            error = getattr(motion, name)[:, column] - motion.measured[:, column]
+            errors.plot(_time(motion), 1e3 * error, color=COLORS[name], linewidth=0.8)
+        _zoom_in(close, motion, column)
+        whole.tick_params(labelbottom=False)
+        whole.set_ylabel("position [rad]")
+        errors.set(ylabel="error [mrad]", xlabel="time [s]")
+        figure.align_ylabels([whole, errors])
+        close.set_xlabel("time [s]")
+        return _png(figure)
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer)
+    return buffer.getvalue()
+
+
+def _time(motion: Motion) -> np.ndarray:
+    return motion.time - motion.recording.t_meas[0]
+
+
+def _draw_positions(axes: Axes, motion: Motion, column: int) -> None:
+    recording, time = motion.recording, _time(motion)
+    sent, command = recording.t_cmd - recording.t_meas[0], recording.q_cmd[:, column]
+    axes.step(sent, command, where="post", color=COLORS["command"], linewidth=0.8)
+    axes.plot(time, motion.before[:, column], color=COLORS["before"])
+    axes.plot(time, motion.measured[:, column], color=COLORS["measured"], linewidth=1.6)
+    axes.plot(time, motion.after[:, column], color=COLORS["after"], linestyle=(0, (4, 2)))
+    axes.set_xlim(time[0], time[-1])
+
+
+def _zoom_in(axes: Axes, motion: Motion, column: int) -> None:
+    """Show the time about the largest change within a fifth of what is shown."""
+    time, position = _time(motion), motion.measured[:, column]
+    length = min(ZOOM, time[-1] - time[0])
+    later = np.interp(time + length / 5, time, position)
+    middle = time[np.argmax(np.abs(later - position))] + length / 10
+    left = np.clip(middle - length / 2, time[0], time[-1] - length)
+    is_shown = (time >= left) & (time <= left + length)
+    paths = (motion.measured, motion.before, motion.after, motion.command)
+    shown = np.stack([path[is_shown, column] for path in paths])
+    low, high = shown.min(), shown.max()
+    margin = 0.05 * max(high - low, 1e-3)
+    axes.set(xlim=(left, left + length), ylim=(low - margin, high + margin))
+
+
+def motion_picture(trajectory: Trajectory, assessment: Assessment) -> bytes:
+    """Commands and simulated motion of every joint over time, with the joints' limits where they are near."""
+    segments = trajectory.header.get("segments", {})
+    with matplotlib.rc_context(PLAIN):
+        num_joints = len(trajectory.joints)
+        figure = Figure(figsize=(12.0, 0.8 + 1.15 * num_joints), dpi=110, layout="constrained")
+        panels = np.atleast_1d(figure.subplots(num_joints, 1, sharex=True))
+        for column, (axes, joint) in enumerate(zip(panels, trajectory.joints, strict=True)):
+            _draw_trajectory(axes, trajectory, assessment, column)
+            axes.set_ylabel(f"{short(joint)}\n[rad]")
+        for name, (start, _) in segments.items():
+            panels[0].text(start, 1.02, name.replace("_", " "), transform=panels[0].get_xaxis_transform())
+        panels[-1].set_xlabel("time [s]")
+        panels[-1].set_xlim(0.0, trajectory.duration)
+        handles = panels[0].get_legend_handles_labels()
+        figure.legend(*handles, loc="outside lower center", ncols=3, frameon=False)
+        return _png(figure)
+
+
+def _draw_trajectory(axes: Axes, trajectory: Trajectory, assessment: Assessment, column: int) -> None:
+    """Command, motion, limits and segments of one joint."""
+    spec = specs_of(trajectory.workcell)[trajectory.joints[column]]
+    command, recording = trajectory.positions[:, column], assessment.recording
+    axes.step(trajectory.times, command, where="post", color=COLORS["after"], lw=0.7, label="command")
+    axes.plot(recording.t_meas, recording.q[:, column], color="#D55E00", lw=0.9, label="simulated motion")
+    low, high = command.min() - 0.1, command.max() + 0.1
+    for limit, label in ((spec.lower, "limit of the joint"), (spec.upper, "")):
+        axes.axhline(limit, color="#8A8A8A", lw=0.8, ls="--", label=label)
+    for span in trajectory.header.get("segments", {}).values():
+        axes.axvspan(*span, color="#F0F0F0")
+    axes.set_ylim(low, high)

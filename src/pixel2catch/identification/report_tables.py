@@ -1,6 +1,6 @@
 """The tables of a report as values, for the terminal and the page alike; and what is not identified."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,11 +19,10 @@ from pixel2catch.identification.identify import (
     ratios,
     tracking_errors,
 )
+from pixel2catch.identification.joints import short
 from pixel2catch.identification.rehearsal import Assessment
-from pixel2catch.identification.robot import ROBOT, short
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robots.joint_dynamics import PARAMETERS
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 WELL_KNOWN = 0.1
 """Half-width of an interval up to which a parameter counts as identified: 10 %, or 1 ms. Source: ours."""
@@ -32,27 +31,23 @@ NOTABLE = 0.3  # share of a weak direction's largest component from which a para
 UNKNOWN_SHARE = 0.9  # an interval of this share of the prior's tells nothing that was not assumed (ours)
 WIDE = 0.3  # half-width from which an interval is told as a factor, not in percent (ours)
 
-UNITS = {
-    "stiffness": "N·m/rad",
-    "damping": "N·m·s/rad",
-    "frictionloss": "N·m",
-    "armature": "kg·m²",
-    "latency": "ms",
-    "filter_gain": "1/s²",
-    "filter_lookahead": "s",
-}
-"""Units in which parameters are told."""
 
-EXCITATION = {
-    "stiffness": "add motion that reaches the torque limit, or a known payload",
-    "damping": "add faster motion",
-    "frictionloss": "add slow reversals",
-    "armature": "add steps and faster changes of speed",
-    "latency": "add steps",
-    "filter_gain": "add steps",
-    "filter_lookahead": "add 20 Hz targets of changing speed",
+class Told(NamedTuple):
+    """How a parameter is told: its unit, and what motion shows it in positions."""
+
+    unit: str
+    excitation: str
+
+
+TOLD = {
+    "stiffness": Told("N·m/rad", "add motion that reaches the torque limit, or a known payload"),
+    "damping": Told("N·m·s/rad", "add faster motion"),
+    "frictionloss": Told("N·m", "add slow reversals"),
+    "armature": Told("kg·m²", "add steps and faster changes of speed"),
+    "latency": Told("ms", "add steps"),
+    "filter_gain": Told("1/s²", "add steps"),
+    "filter_lookahead": Told("s", "add 20 Hz targets of changing speed"),
 }
-"""What shows a parameter in positions."""
 
 FILTER = ("filter_gain", "filter_lookahead")  # parameters that a joint without a filter does not have
 
@@ -106,14 +101,13 @@ def check_grid(name: str, checks: Sequence[Check]) -> Grid:
 
 def whole_checks_grid(motions: Sequence[Motion]) -> Grid:
     """The checks that are about whole recordings."""
-    rows = [
+    rows = tuple(
         (Cell(motion.recording.name), Cell(check.name), _verdict(check), Cell(check.detail))
         for motion in motions
         for check in motion.source.checks
         if check.joint is None
-    ]
-    columns = ("recording", "check", "verdict", "found")
-    return Grid(title="Clocks and samples", columns=columns, rows=tuple(rows))
+    )
+    return Grid(title="Data checks", columns=("recording", "check", "verdict", "found"), rows=rows)
 
 
 def joint_checks_grid(motion: Motion) -> Grid:
@@ -141,18 +135,12 @@ def errors_grid(result: Identification) -> Grid:
             values.append([*errors, np.sqrt(np.mean(errors**2))])
     rows = []
     for name, *row in zip([*map(short, result.fit.dynamics.joints), "all joints"], *values, strict=True):
-        verdicts = [_improvement(columns, row, i) for i in range(len(row))]
-        texts = [f"{1e3 * value:.2f}" for value in row]
-        rows.append((Cell(name), *map(Cell, texts, verdicts)))
+        cells = [Cell(f"{1e3 * value:.2f}") for value in row]
+        for i in range(2, len(row), 3):  # less than before, and than that of the command
+            verdict = "BAD" if row[i] >= row[i - 1] else "weak" if row[i] >= row[i - 2] else "good"
+            cells[i] = cells[i]._replace(verdict=verdict)
+        rows.append((Cell(name), *cells))
     return Grid(title="Tracking error, RMS [mrad]", columns=("joint", *columns), rows=tuple(rows))
-
-
-def _improvement(columns: Sequence[str], row: Sequence[float], i: int) -> str:
-    """Verdict on an error after the fit: less than before and than that of the command, to the left."""
-    if not columns[i].endswith("after"):
-        return ""
-    command, before, after = row[i - 2 : i + 1]
-    return "BAD" if after >= before else "weak" if after >= command else "good"
 
 
 def parameters_grid(result: Identification) -> Grid:
@@ -168,7 +156,7 @@ def parameters_grid(result: Identification) -> Grid:
             width = widths[name][j] if name in widths else None
             cells.append(_parameter(name, value, old, width, fit.prior))
         rows.append(tuple(cells))
-    columns = ("joint", *(f"{name} [{UNITS[name]}]" for name in names))
+    columns = ("joint", *(f"{name} [{TOLD[name].unit}]" for name in names))
     return Grid(title="Parameters with 95 % intervals", columns=columns, rows=tuple(rows))
 
 
@@ -211,10 +199,11 @@ def ratios_grid(fit: Fit) -> Grid:
 
 def ranges_grid(result: Identification) -> Grid:
     """Ranges of the factors on the gains in a training."""
-    paper, ranges = GainRanges().of(UR5E_ALLEGRO), result.file.gains.of(UR5E_ALLEGRO)
-    rows = []
+    workcell = result.start.workcell
+    paper, ranges = GainRanges().of(workcell), result.file.gains.of(workcell)
+    order, rows = [joint.name for joint in workcell.joints], []
     for joint in result.fit.dynamics.joints:
-        i = list(ROBOT.specs).index(joint)
+        i = order.index(joint)
         is_relative = ranges.is_damping_relative[i]
         cells = [Cell(short(joint))]
         for name in ("stiffness_scale", "damping_scale"):
@@ -253,31 +242,30 @@ class WeakDirection:
     def proposal(self) -> str:
         """What to do about it."""
         fixed = "stiffness" if self.is_scale and "stiffness" in self.parameters else self.parameters[0]
-        return f"fix {fixed} (leave it out of what is free), or {EXCITATION[fixed]}"
+        return f"fix {fixed} (leave it out of what is free), or {TOLD[fixed].excitation}"
 
 
 def weak_directions(fit: Fit, limit: float = WELL_KNOWN) -> tuple[WeakDirection, ...]:
-    """The directions in which a joint's parameters are less known than a half-width, widest first."""
+    """The directions in which a joint's parameters are less known than a half-width, widest first.
+
+    Named are the parameters that take part in a direction.
+    """
     found = []
     for joint, covariance in zip(fit.dynamics.joints, fit.covariance, strict=True):
         variances, directions = np.linalg.eigh(covariance)
-        for variance, direction in zip(variances, directions.T, strict=True):
-            if CONFIDENCE * np.sqrt(variance) > limit:
-                found.append(_named(joint, fit.free, direction, CONFIDENCE * float(np.sqrt(variance))))
+        for half_width, along in zip(CONFIDENCE * np.sqrt(variances), directions.T, strict=True):
+            if half_width > limit:
+                order = np.argsort(-np.abs(along))
+                part = [i for i in order if abs(along[i]) > NOTABLE * abs(along[order[0]])]
+                is_scale = all(fit.free[i] in SCALE and along[i] * along[part[0]] > 0 for i in part)
+                weak = WeakDirection(
+                    joint=joint,
+                    parameters=tuple(fit.free[i] for i in part),
+                    half_width=float(half_width),
+                    is_scale=is_scale and len(part) > 1,
+                )
+                found.append(weak)
     return tuple(sorted(found, key=lambda weak: -weak.half_width))
-
-
-def _named(joint: str, free: Sequence[str], direction: np.ndarray, half_width: float) -> WeakDirection:
-    """Name the parameters that take part in a direction."""
-    order = [int(i) for i in np.argsort(-np.abs(direction))]
-    part = [i for i in order if abs(direction[i]) > NOTABLE * abs(direction[order[0]])]
-    is_scale = all(free[i] in SCALE and direction[i] * direction[part[0]] > 0 for i in part)
-    return WeakDirection(
-        joint=joint,
-        parameters=tuple(free[i] for i in part),
-        half_width=half_width,
-        is_scale=is_scale and len(part) > 1,
-    )
 
 
 def open_questions(fit: Fit) -> list[str]:
@@ -285,36 +273,29 @@ def open_questions(fit: Fit) -> list[str]:
     groups: dict[tuple[frozenset[str], bool], list[WeakDirection]] = {}
     for weak in weak_directions(fit):
         groups.setdefault((frozenset(weak.parameters), weak.is_scale), []).append(weak)
-    return [
-        f"{weak.meaning}: {weak.proposal}."
-        for weak in (_together(group, fit.dynamics.joints) for group in groups.values())
-    ]
+    questions = []
+    for widest, *others in groups.values():
+        weak_joints = {widest.joint, *(weak.joint for weak in others)}
+        names = ", ".join(short(joint) for joint in fit.dynamics.joints if joint in weak_joints)
+        together = replace(widest, joint=names)
+        questions.append(f"{together.meaning}: {together.proposal}.")
+    return questions
 
 
-def _together(group: Iterable[WeakDirection], joints: Sequence[str]) -> WeakDirection:
-    """The widest of some directions, in the name of all their joints."""
-    widest, *_ = ordered = sorted(group, key=lambda weak: -weak.half_width)
-    names = [joint for joint in joints if joint in {weak.joint for weak in ordered}]
-    return replace(widest, joint=", ".join(map(short, names)))
-
-
-def motion_table(title: str, assessment: Assessment) -> Table:
+def motion_grid(title: str, assessment: Assessment) -> Grid:
     """One line a joint: range, top speed and acceleration, reversals, and torque as a share of its limit."""
-    numbers = ("from [rad]", "to [rad]", "[rad/s]", "[rad/s²]", "reversals", "torque [%]")
-    table = Table(title=title)
-    for i, column in enumerate(("joint", "verdict", *numbers)):
-        table.add_column(Text(column), justify="left" if i < 2 else "right", no_wrap=i == 0)
     q = assessment.recording.q
     speed, acceleration = smoothed(assessment.recording.t_meas, q)
+    rows = []
     for j, check in enumerate(assessment.checks):
-        table.add_row(
-            check.joint,
-            Text(check.verdict, style=STYLES[check.verdict]),
+        numbers = (
             f"{q[:, j].min():.2f}",
             f"{q[:, j].max():.2f}",
             f"{assessment.speed[j]:.2f}",
             f"{np.abs(acceleration[:, j]).max():.1f}",
-            str(num_reversals(speed[:, j])),
+            f"{num_reversals(speed[:, j])}",
             f"{100 * assessment.torque_share[j]:.0f}",
         )
-    return table
+        rows.append((Cell(check.joint or ""), _verdict(check), *map(Cell, numbers)))
+    numbers = ("from [rad]", "to [rad]", "[rad/s]", "[rad/s²]", "reversals", "torque [%]")
+    return Grid(title=title, columns=("joint", "verdict", *numbers), rows=tuple(rows))

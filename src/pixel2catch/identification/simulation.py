@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 from pixel2catch.envs.command_path import filtered
 from pixel2catch.envs.servo import EFFORT_MARGIN, FRICTION_SPEED
 from pixel2catch.errors import RecordingError
+from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of
 from pixel2catch.identification.recording import Recording, held
 from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
 from pixel2catch.sim.batch import BatchSimulation
@@ -30,8 +31,7 @@ Source: ours; in excitation up to the torque limits, positions of the arm are wi
 6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone they would be off by up to 1.8.
 """
 
-START_WINDOW = 0.1
-"""Measurements whose parabola begins a motion [s]. Source: ours; a tenth of a servo's settling."""
+START_WINDOW = 0.1  # measurements whose parabola begins a motion [s] (ours, a tenth of a settling)
 
 SETTLING = 0.5
 """Time in which errors of the start fade [s]; it is not compared. Source: ours, 3.6 times damping over
@@ -115,12 +115,8 @@ class Servos:
     ) -> None:
         """Give every copy of the simulation its dynamics.
 
-        Args:
-            simulation: The copies.
-            dynamics: Of each.
-            efforts: Largest torques [N·m].
-            link_inertia: What a joint moves beside its armature [kg·m²].
-            dt: Time step [s].
+        Efforts are the largest torques [N·m], the inertia of the links is what a joint moves beside its
+        armature [kg·m²], the time step is in [s].
         """
         self._stiffness, self._damping, self._friction, armature = (
             np.stack([getattr(each, name) for each in dynamics])
@@ -241,7 +237,7 @@ class RecordedMotion:
         """
         if not recordings:
             raise RecordingError("there is no recording to simulate; give at least one.")
-        self.robot, self.joints = recordings[0].robot, recordings[0].joints
+        self.joints, workcell = recordings[0].joints, recordings[0].workcell
         for recording in recordings:
             if recording.joints != self.joints:
                 raise RecordingError(
@@ -249,14 +245,21 @@ class RecordedMotion:
                     f"{self.joints}; give recordings of the same joints."
                 )
         self._dt = physics_dt
-        self._efforts = np.array([self.robot.specs[name].effort_limit for name in self.joints])
+        self.groups = np.array([groups_of(workcell)[name].name for name in self.joints])  # of each joint
+        self._efforts = np.array([specs_of(workcell)[name].effort_limit for name in self.joints])
         self._motions = [_Motion.of(recording, physics_dt) for recording in recordings]
-        self._model = self.robot.recorded_model(self.joints, physics_dt)
+        self._model = recorded_model(workcell, self.joints, physics_dt)
         data, inertia = mujoco.MjData(self._model), np.zeros((self._model.nv, self._model.nv))
         data.qpos[:] = self._motions[0].start[0]
         mujoco.mj_forward(self._model, data)
         mujoco.mj_fullM(self._model, data, inertia)
         self._link_inertia = np.diagonal(inertia) - self._model.dof_armature
+
+    @property
+    def coupled(self) -> Bool[np.ndarray, "num_joints num_joints"]:
+        """Which joints (columns) each one moves: the rest of its chain in its group, and what hangs on it."""
+        hangs = hanging_on(self._model.dof_parentid)
+        return hangs | (hangs.T & (self.groups[:, None] == self.groups))
 
     @property
     def measured(self) -> Settled:

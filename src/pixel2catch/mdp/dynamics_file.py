@@ -21,34 +21,29 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True, kw_only=True)
 class DynamicsFile:
-    """Content of a dynamics file; the defaults are the simulator's robot and the paper's ranges.
+    """Content of a dynamics file; the defaults are the simulator's robot and the paper's ranges."""
 
-    Attributes:
-        dynamics: Dynamics of some joints or of all.
-        gains: How the gains are randomised; those of other joints are not in the file.
-        workcell: Whose joints they are.
-    """
-
+    #: Dynamics of some joints or of all.
     dynamics: JointDynamics = field(default_factory=JointDynamics.nominal)
+    #: How the gains are randomised; those of other joints are not in the file.
     gains: GainRanges = field(default_factory=GainRanges)
-    workcell: WorkcellSpec = UR5E_ALLEGRO
+    workcell: WorkcellSpec = UR5E_ALLEGRO  #: Whose joints they are.
 
     def save(self, path: Path) -> None:
         """Write the file, all of it or nothing. Its folder must exist."""
         full = dataclasses.asdict(self.gains.of(self.workcell))
         names = [joint.name for joint in self.workcell.joints if joint.name in self.dynamics.joints]
-        dynamics, rows = self.dynamics.select(names), _rows(self.dynamics.select(names), self.workcell)
+        dynamics = self.dynamics.select(names)
+        rows = _rows(dynamics, self.workcell)
         ranges = {name: [values[row] for row in rows] for name, values in full.items()}
         content = {"format_version": FORMAT_VERSION, **dynamics.to_dict(), "gain_ranges": ranges}
         write_atomically({path: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()})
 
     @classmethod
     def load(cls, path: Path | None, workcell: WorkcellSpec = UR5E_ALLEGRO) -> "DynamicsFile":
-        """Read a file; without its ranges the gains keep the paper's.
+        """Read a file of a work cell's joints; no file is the nominal robot.
 
-        Args:
-            path: The file; none is the nominal robot.
-            workcell: Whose joints it tells of.
+        Without ranges in it, the gains keep the paper's.
 
         Raises:
             InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
@@ -89,14 +84,12 @@ def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSp
             raise InvalidValueError(f"gain_ranges has the unknown entry '{name}'")
         if len(values) != len(rows):
             raise InvalidValueError(f"{name} has {len(values)} entries; it needs {len(rows)}")
-        parse = _flag if name == "is_damping_relative" else _range
         for row, value in zip(rows, values, strict=True):
-            columns[name][row] = parse(value)
+            columns[name][row] = _flag(value) if name == "is_damping_relative" else _range(*value)
     return GainRanges(**{name: tuple(values) for name, values in columns.items()}).of(workcell)
 
 
-def _range(value: Any) -> Range:
-    low, high = value
+def _range(low: Any, high: Any) -> Range:
     return float(low), float(high)
 
 

@@ -19,9 +19,8 @@ from av.error import FFmpegError
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.rosbag_images import bag_frames
+from pixel2catch.ros2.bags import BAG_SUFFIXES
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
-
-BAG_SUFFIXES = (".mcap", ".db3")
 
 PHASE = 0.5
 """Control steps from the first image to the first tick. Source: ours; half a step, so that no jitter of a
@@ -52,18 +51,12 @@ class Tick:
 
 @dataclass(frozen=True, kw_only=True)
 class SourceCfg:
-    """Where to find images.
+    """Where to find images."""
 
-    Attributes:
-        name: A video file; the folder, .mcap or .db3 file of a bag; or the number or device of a camera.
-        topic: The topic of a bag's images; None for the only one.
-        joint_states: The topic of a bag's joint states.
-        joints: Names of the robot's joints, in joint order; none if their positions are not asked for.
-    """
-
-    name: str
-    topic: str | None = None
-    joint_states: str = "/joint_states"
+    name: str  #: A video file; the folder, .mcap or .db3 file of a bag; or the number or device of a camera.
+    topic: str | None = None  #: The topic of a bag's images; None for the only one.
+    joint_states: str = "/joint_states"  #: The topic of a bag's joint states.
+    #: Names of the robot's joints, in joint order; none if their positions are not asked for.
     joints: tuple[str, ...] = ()
 
 
@@ -224,10 +217,8 @@ def live_ticks(
 ) -> Generator[Tick, None, None]:
     """Yield a tick in every control step, until the camera is gone; a step that is late is left out.
 
-    Args:
-        capture: The open camera; it is closed at the end.
-        notes: Gets why it ended.
-        longest_stall: Time without a new image after which the camera is taken to be gone [s].
+    The open camera is closed at the end. It is taken to be gone after the longest stall without a new image
+    [s]; notes get why it ended.
 
     Raises:
         PerceptionError: If no first image comes.

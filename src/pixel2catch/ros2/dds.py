@@ -48,12 +48,7 @@ PLAIN_TYPES = {
 def dds_type(name: str, store: Typestore = STORE) -> Any:
     """Describe a message to DDS: `sensor_msgs/msg/Image` is `sensor_msgs::msg::dds_::Image_`.
 
-    Args:
-        name: ROS type.
-        store: Where it is defined.
-
-    Returns:
-        A type of cyclonedds, made from bytes, which are its attribute `cdr`.
+    It is a type of cyclonedds, made from bytes, which are its attribute `cdr`.
     """
     package, kind, short = name.split("/")
     fields = {field: _field_type(description, store) for field, description in store.fielddefs[name][1]}
@@ -128,14 +123,10 @@ class NodeAnnouncement:
             return None
         return cls(participant, node_name, store) if MESSAGE in store.types else None
 
-    def add_reader(self, reader: Entity) -> None:
-        """Announce a subscription of the node."""
-        self._readers.append(self._gid(reader))
-        self._announce()
-
-    def add_writer(self, writer: Entity) -> None:
-        """Announce a publisher of the node."""
-        self._writers.append(self._gid(writer))
+    def add(self, endpoint: DataReader | DataWriter) -> None:
+        """Announce a subscription or a publisher of the node."""
+        known = self._readers if isinstance(endpoint, DataReader) else self._writers
+        known.append(self._gid(endpoint))
         self._announce()
 
     def _gid(self, entity: Entity) -> Any:
@@ -216,12 +207,9 @@ class DdsTransport(Transport):
     """A node of the DDS domain ROS_DOMAIN_ID."""
 
     def __init__(self, node_name: str, clock: RealClock, *, loopback: bool = False) -> None:
-        """Join.
+        """Join; by loopback, to speak to this machine only, whatever CYCLONEDDS_URI says.
 
-        Args:
-            node_name: What ROS's tools show, where they know the version of ROS (ROS_DISTRO).
-            clock: Tells when messages arrive.
-            loopback: Whether to speak to this machine only, whatever CYCLONEDDS_URI says.
+        ROS's tools show the name where they know the version of ROS (ROS_DISTRO).
 
         Raises:
             DeploymentError: DDS cannot be started.
@@ -243,11 +231,11 @@ class DdsTransport(Transport):
         self._announcement = NodeAnnouncement.of(self._participant, node_name)
 
     def publisher(self, topic: Topic) -> Publisher:
-        """Announce a topic that this node sends."""
+        """See `Transport.publisher`."""
         qos = Qos(_durability(topic), NEVER_BLOCK, Policy.History.KeepLast(1), _user_data(topic))
         writer = DataWriter(self._participant, self._dds_topic(topic), qos)
         if self._announcement:
-            self._announcement.add_writer(writer)
+            self._announcement.add(writer)
         publisher = _DdsPublisher(topic, writer)
         self._kept.append(publisher)  # the library would take it off the network with its last reference
         return publisher
@@ -257,7 +245,7 @@ class DdsTransport(Transport):
         reader = self._reader(topic, depth)
         self._news.attach(ReadCondition(reader, NEW))
         if self._announcement:
-            self._announcement.add_reader(reader)
+            self._announcement.add(reader)
         subscription = _DdsSubscription(reader, depth, self._clock)
         self._kept.append(subscription)
         return subscription

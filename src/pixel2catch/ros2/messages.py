@@ -64,6 +64,11 @@ def header(stamp: float, frame_id: str = "") -> Any:
     return STORE.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
 
 
+def nanoseconds(header: Any) -> int:
+    """Time of a header since the epoch [ns]; 0 if it has none."""
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
 def seconds(header: Any) -> float:
     """Time of a header since the epoch [s]."""
     return header.stamp.sec + 1e-9 * header.stamp.nanosec
@@ -72,6 +77,7 @@ def seconds(header: Any) -> float:
 JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT_ARRAY = "std_msgs/msg/Float64MultiArray"
 IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BOOLEAN = "std_msgs/msg/Bool"
 NUMBER = "std_msgs/msg/Float64"
@@ -89,32 +95,20 @@ Pixels = UInt8[np.ndarray, "height width 3"]
 
 @dataclass(frozen=True, kw_only=True)
 class JointReading:
-    """What a joint state says.
+    """What a joint state says."""
 
-    Attributes:
-        names: The sender's names of the joints, as many as it likes, in its order.
-        position: Their positions [rad].
-        stamp: When they were measured [s].
-    """
-
-    names: tuple[str, ...]
-    position: Float[np.ndarray, " num_joints"]
-    stamp: float
+    names: tuple[str, ...]  # the sender's names of the joints, as many as it likes, in its order
+    position: Float[np.ndarray, " num_joints"]  # their positions [rad]
+    stamp: float  # when they were measured [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageReading:
-    """An image as it arrived.
+    """An image as it arrived."""
 
-    Attributes:
-        pixels: Red, green and blue; it cannot be written into, as it may be the message itself.
-        stamp: When it was exposed [s].
-        encoding: How the message had it.
-    """
-
-    pixels: Pixels
-    stamp: float
-    encoding: str
+    pixels: Pixels  # it cannot be written into, as it may be the message itself
+    stamp: float  # when it was exposed [s]
+    encoding: str  # how the message had it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,11 +155,7 @@ def float_array(values: Iterable[float]) -> bytes:
 
 
 def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:
-    """Decode numbers without names.
-
-    Raises:
-        DeploymentError: It is damaged.
-    """
+    """Decode numbers without names; raises as `decode` does."""
     return float64(decode(data, FLOAT_ARRAY).data)
 
 
@@ -175,27 +165,36 @@ def image(pixels: Pixels, stamp: float, frame_id: str = OPTICAL_FRAME) -> bytes:
     return encode(IMAGE, header(stamp, frame_id), height, width, "rgb8", 0, 3 * width, np.ravel(pixels))
 
 
+def pixels_of(message: Any) -> Pixels | None:
+    """The pixels of a decoded image of one of `CHANNELS`, not copied if it is rgb8 without padding.
+
+    None if its size and its bytes do not agree.
+    """
+    height, width, step = message.height, message.width, message.step
+    if min(height, width) < 1 or step < 3 * width or len(message.data) < height * step:
+        return None
+    rows = np.asarray(message.data)[: height * step].reshape(height, step)[:, : 3 * width]
+    return np.ascontiguousarray(rows.reshape(height, width, 3)[..., CHANNELS[message.encoding]])
+
+
 def read_image(data: bytes) -> ImageReading:
-    """Decode an image; one that is rgb8 without padding is not copied.
+    """Decode an image; see `pixels_of`.
 
     Raises:
         DeploymentError: It is damaged, of another encoding, or its size and its bytes do not agree.
     """
     message = decode(data, IMAGE)
-    height, width, step = message.height, message.width, message.step
     if message.encoding not in CHANNELS:
         raise DeploymentError(
             f"an image is encoded as '{message.encoding}'; have the camera send {' or '.join(CHANNELS)}."
         )
-    if min(height, width) < 1 or step < 3 * width or len(message.data) < height * step:
+    pixels = pixels_of(message)
+    if pixels is None:
         raise DeploymentError(
-            f"an image of {width} x {height} has {len(message.data)} bytes, {step} a row: it is damaged."
+            f"an image of {message.width} x {message.height} has {len(message.data)} bytes, "
+            f"{message.step} a row: it is damaged."
         )
-    rows = message.data[: height * step].reshape(height, step)[:, : 3 * width]
-    pixels = rows.reshape(height, width, 3)[..., CHANNELS[message.encoding]]
-    return ImageReading(
-        pixels=np.ascontiguousarray(pixels), stamp=seconds(message.header), encoding=message.encoding
-    )
+    return ImageReading(pixels=pixels, stamp=seconds(message.header), encoding=message.encoding)
 
 
 def camera_info(camera: CameraSpec, stamp: float) -> bytes:
@@ -248,8 +247,6 @@ safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
 robot_mode, read_robot_mode = _single(ROBOT_MODE, int, "mode")
 
 
-COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
-
 FORMAT = "rgb8; jpeg compressed bgr8"
 """What was compressed, and how. Source: image_transport."""
 
@@ -275,17 +272,23 @@ def compress(data: bytes) -> bytes:
     return encode(COMPRESSED_IMAGE, header(reading.stamp, OPTICAL_FRAME), FORMAT, jpeg)
 
 
+def uncompressed(message: Any) -> Pixels | None:
+    """The pixels of a decoded compressed image; None if it is damaged."""
+    import cv2
+
+    data = np.frombuffer(bytes(message.data), dtype=np.uint8)
+    pixels = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    return None if pixels is None else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+
+
 def uncompress(data: bytes) -> bytes:
     """A JPEG message as an image message.
 
     Raises:
         DeploymentError: It is damaged.
     """
-    import cv2
-
     message = decode(data, COMPRESSED_IMAGE)
-    jpeg = np.frombuffer(bytes(message.data), dtype=np.uint8)
-    pixels = cv2.imdecode(jpeg, cv2.IMREAD_COLOR) if len(jpeg) else None
+    pixels = uncompressed(message)
     if pixels is None:
         raise DeploymentError("a compressed image cannot be read: it is damaged.")
-    return image(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), seconds(message.header))
+    return image(pixels, seconds(message.header))

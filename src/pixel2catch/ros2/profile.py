@@ -1,75 +1,75 @@
-"""The robot profile: what a laboratory calls its topics and joints, and the order of its drivers."""
+"""The robot profile: what a laboratory calls its topics and joints, and the order of its drivers.
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+It is a file of YAML that a person owns. The fields and types of the dataclasses here are its schema; errors
+name file, key and fix.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Literal
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
+import yaml
 from jaxtyping import Float, Int
 
-from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
+from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading, JointReading
-from pixel2catch.ros2.schema import TopicType, read_yaml
 from pixel2catch.ros2.transport import Topic
-from pixel2catch.scene.constants import JOINTS
 
-NAMES = tuple(joint.name for joint in JOINTS)
-"""Our names of the joints, in joint order."""
+PROFILES = Path(__file__).parent / "profiles"
+"""The profiles that are shipped."""
 
 COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)
 """Types of the messages that take commands."""
 
 
+@dataclass(frozen=True)
+class TopicType:
+    """Of a field that is a topic, and in the file its name: `Annotated[Topic, TopicType(type)]`."""
+
+    type: str  #: ROS type of its messages.
+    is_latched: bool = False  #: Whether late subscribers get the last one.
+
+
 @dataclass(frozen=True, kw_only=True)
 class DriverJoint:
-    """What a driver calls a joint.
+    """What a driver calls a joint."""
 
-    Attributes:
-        name_in_state: Its name in the joint states.
-        index_in_command: Its place in a command.
-    """
-
-    name_in_state: str
-    index_in_command: int
+    name_in_state: str  #: Its name in the joint states.
+    index_in_command: int  #: Its place in a command.
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotPart:
-    """One driver, of the arm or of the hand.
+    """One driver, of a joint group of the work cell; its profile checks it."""
 
-    Attributes:
-        name: What it moves.
-        joints: Its joints, by our names.
-        state_topic: Topic of the joint states; another part may use it, too.
-        command_topic: Topic of the commands, and the type that this driver takes.
-        command_size: How many numbers a command has.
-        held: Where joints are kept that are none of ours [rad], by their place in a command.
-        rate_hz: How often the driver takes a command [Hz].
-    """
-
-    name: Literal["arm", "hand"]
-    joints: dict[str, DriverJoint]
+    name: str  #: The joint group that it moves, such as "arm" or "hand".
+    joints: dict[str, DriverJoint]  #: Its joints, by our names.
     state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]
-    command_topic: Topic
-    command_size: int
+    """Topic of the joint states; another part may use it, too."""
+    command_topic: Topic  #: Topic of the commands, and the type that this driver takes.
+    command_size: int  #: How many numbers a command has.
+    #: Where joints are kept that are none of ours [rad], by their place in a command.
     held: dict[int, float] = field(default_factory=dict)
-    rate_hz: float
+    rate_hz: float  #: How often the driver takes a command [Hz].
+    joint_order: tuple[str, ...] = ()  #: All joints of the work cell, which the profile fills in.
 
-    def __post_init__(self) -> None:
+    def require_complete(self) -> None:
         """Refuse a part that would leave a number of its command to chance."""
         for joint in self.joints:
-            if joint not in NAMES:
-                raise UnknownNameError("joint", joint, NAMES)
+            if joint not in self.joint_order:
+                raise UnknownNameError("joint", joint, self.joint_order)
         if self.command_topic.type not in COMMANDS:
             raise UnknownNameError("type of commands", self.command_topic.type, COMMANDS)
         all_theirs = self.joints.values()
-        require_once("the joint state's name", (theirs.name_in_state for theirs in all_theirs))
+        _require_once("the joint state's name", (theirs.name_in_state for theirs in all_theirs))
         places = [*(theirs.index_in_command for theirs in all_theirs), *self.held]
-        require_once("the command's place", places)
+        _require_once("the command's place", places)
         if sorted(places) != list(range(self.command_size)):
             raise InvalidValueError(
                 f"a command has places 0 to {self.command_size - 1}, joints and held have {sorted(places)}: "
@@ -81,7 +81,7 @@ class RobotPart:
     @cached_property
     def ids(self) -> Int[np.ndarray, " part_joints"]:
         """Places of its joints in joint order."""
-        return np.array([NAMES.index(joint) for joint in self.joints], dtype=np.int64)
+        return np.array([self.joint_order.index(joint) for joint in self.joints], dtype=np.int64)
 
     @cached_property
     def _template(self) -> tuple[np.ndarray, np.ndarray]:
@@ -91,12 +91,10 @@ class RobotPart:
         return values, np.array([theirs.index_in_command for theirs in self.joints.values()], dtype=np.int64)
 
     def command(self, joint_pos_target: Float[np.ndarray, " num_joints"], stamp: float = 0.0) -> bytes:
-        """Encode the command of this part.
+        """Encode the command of this part, from the targets of all joints in joint order [rad].
 
-        Args:
-            joint_pos_target: Targets of all joints, in joint order [rad].
-            stamp: When it is sent [s], for drivers that take joint states; these have no names then, as the
-                drivers go by the order.
+        The stamp [s] is for drivers that take joint states; these have no names then, as the drivers go by
+        the order.
         """
         template, places = self._template
         values = template.copy()
@@ -110,12 +108,7 @@ class RobotPart:
     ) -> Int[np.ndarray, " num_read"]:
         """Write those joints of this part that a joint state has into the positions of all; it may lack some.
 
-        Args:
-            reading: The joint state.
-            joint_pos: Positions of all joints, in joint order [rad]; written into.
-
-        Returns:
-            Which of them were written.
+        The positions are in joint order [rad]; returned is which of them were written.
 
         Raises:
             DeploymentError: It has one of them twice.
@@ -126,7 +119,7 @@ class RobotPart:
 
     @cached_property
     def _wanted(self) -> tuple[tuple[str, int], ...]:
-        return tuple((theirs.name_in_state, NAMES.index(joint)) for joint, theirs in self.joints.items())
+        return tuple(zip((j.name_in_state for j in self.joints.values()), self.ids.tolist(), strict=True))
 
 
 @lru_cache(maxsize=64)
@@ -140,38 +133,22 @@ def _columns(names: tuple[str, ...], wanted: tuple[tuple[str, int], ...]) -> tup
     return columns, ids
 
 
-def require_once(what: str, values: Iterable[str | int]) -> None:
-    """Refuse a value that is given twice.
-
-    Raises:
-        InvalidValueError: If one is.
-    """
+def _require_once(what: str, values: Iterable[str | int]) -> None:
     values = list(values)
     twice = sorted({str(value) for value in values if values.count(value) > 1})
     if twice:
         raise InvalidValueError(f"{what} {', '.join(twice)} is given twice; give it once")
 
 
-PROFILES = Path(__file__).parent / "profiles"
-"""The profiles that are shipped."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class CameraProfile:
-    """The camera's driver.
+    """The camera's driver."""
 
-    Attributes:
-        image: Topic of the images.
-        info: Topic of the lens, if there is one.
-        width: Image width [px].
-        height: Image height [px].
-        encoding: Encoding of the images.
-    """
-
-    image: Annotated[Topic, TopicType(messages.IMAGE)]
+    image: Annotated[Topic, TopicType(messages.IMAGE)]  #: Topic of the images.
+    #: Topic of the lens, if there is one.
     info: Annotated[Topic, TopicType(messages.CAMERA_INFO)] | None = None
-    width: int
-    height: int
+    width: int  #: Image width [px].
+    height: int  #: Image height [px].
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
 
     def require(self, reading: ImageReading) -> None:
@@ -190,95 +167,89 @@ class CameraProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class StatusTopics:
-    """What the arm's driver says of itself; what is left out is not watched.
-
-    Attributes:
-        safety_mode: Topic of the safety mode.
-        robot_mode: Topic of the robot's mode.
-        program_running: Topic that says whether the driver's program runs.
-        speed_scaling: Topic of the speed scaling [%].
-    """
+    """What the arm's driver says of itself; what is left out is not watched."""
 
     safety_mode: Annotated[Topic, TopicType(messages.SAFETY_MODE, is_latched=True)] | None = None
     robot_mode: Annotated[Topic, TopicType(messages.ROBOT_MODE, is_latched=True)] | None = None
+    #: Whether the driver's program runs.
     program_running: Annotated[Topic, TopicType(messages.BOOLEAN, is_latched=True)] | None = None
-    speed_scaling: Annotated[Topic, TopicType(messages.NUMBER)] | None = None
+    speed_scaling: Annotated[Topic, TopicType(messages.NUMBER)] | None = None  #: In percent.
 
 
-def _own(name: str, message: str) -> Topic:
+def _own(name: str, message: str = messages.BOOLEAN) -> Topic:
     return Topic(name=f"/pixel2catch/{name}", type=message)
+
+
+BooleanTopic = Annotated[Topic, TopicType(messages.BOOLEAN)]
+TextTopic = Annotated[Topic, TopicType(messages.TEXT)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class OperatorTopics:
-    """Our own topics, between the operator and the deployment.
+    """Our own topics, between the operator and the deployment."""
 
-    Attributes:
-        arm: The operator asks to arm.
-        dead_man: The operator holds the dead-man's switch.
-        stop: The operator stops.
-        prompt: The operator points at the object.
-        status: What the deployment does.
-    """
-
-    arm: Annotated[Topic, TopicType(messages.BOOLEAN)] = field(default=_own("arm", messages.BOOLEAN))
-    dead_man: Annotated[Topic, TopicType(messages.BOOLEAN)] = field(
-        default=_own("dead_man", messages.BOOLEAN)
-    )
-    stop: Annotated[Topic, TopicType(messages.BOOLEAN)] = field(default=_own("stop", messages.BOOLEAN))
-    prompt: Annotated[Topic, TopicType(messages.TEXT)] = field(default=_own("prompt", messages.TEXT))
-    status: Annotated[Topic, TopicType(messages.TEXT)] = field(default=_own("status", messages.TEXT))
+    arm: BooleanTopic = field(default=_own("arm"))  #: The operator asks to arm.
+    dead_man: BooleanTopic = field(default=_own("dead_man"))  #: The operator holds the dead-man's switch.
+    stop: BooleanTopic = field(default=_own("stop"))  #: The operator stops.
+    #: The operator points at the object.
+    prompt: TextTopic = field(default=_own("prompt", messages.TEXT))
+    status: TextTopic = field(default=_own("status", messages.TEXT))  #: What the deployment does.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """A robot with its drivers and its camera.
-
-    Attributes:
-        name: Its name.
-        workcell: Name of the work cell whose robot it is.
-        camera: The camera's driver.
-        robots: The drivers of arm and hand.
-        status: What the arm's driver says of itself.
-        operator: Topics of the operator.
-    """
+    """A robot with its drivers and its camera."""
 
     name: str
-    workcell: str
+    workcell: str  #: Name of the work cell whose robot it is, or a Python file that defines `WORKCELLS`.
     camera: CameraProfile
-    robots: tuple[RobotPart, ...]
+    robots: tuple[RobotPart, ...]  #: A driver for each joint group.
     status: StatusTopics = StatusTopics()
     operator: OperatorTopics = OperatorTopics()
 
     def __post_init__(self) -> None:
-        """Refuse two drivers for one joint or on one topic."""
-        require_once("the joint", (joint for part in self.robots for joint in part.joints))
-        require_once("the command topic", (part.command_topic.name for part in self.robots))
+        """Give the parts the joint order; refuse what is not in the work cell, or driven twice."""
+        from pixel2catch.workcells import (
+            find_workcell,
+        )  # which needs MuJoCo: not where a profile is unpickled
+
+        workcell = find_workcell(self.workcell)
+        order = tuple(joint.name for joint in workcell.joints)
+        parts = tuple(replace(part, joint_order=order) for part in self.robots)
+        object.__setattr__(self, "robots", parts)
+        groups = [group.name for group in workcell.groups]
+        for i, part in enumerate(parts):
+            try:
+                if part.name not in groups:
+                    raise UnknownNameError("joint group", part.name, groups)
+                part.require_complete()
+            except Pixel2CatchError as error:
+                raise InvalidValueError(f"robots[{i}]: {error}") from error
+        _require_once("the joint", (joint for part in parts for joint in part.joints))
+        _require_once("the command topic", (part.command_topic.name for part in parts))
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> "Profile":
-        """Read a shipped profile by its name, or a file.
-
-        Args:
-            name_or_path: The name, or the path of a .yaml file.
+        """Read a shipped profile by its name, or a .yaml file by its path.
 
         Raises:
             UnknownNameError: There is no such profile.
             DeploymentError: The file cannot be read, or is no profile; the message names the key and the fix.
         """
         path = Path(name_or_path)
-        if path.suffix in (".yaml", ".yml"):
-            return read_yaml(path, cls)
-        shipped = {file.stem: file for file in sorted(PROFILES.glob("*.yaml"))}
-        if str(name_or_path) not in shipped:
-            raise UnknownNameError("profile", str(name_or_path), [*shipped, "a .yaml file of yours"])
-        return read_yaml(shipped[str(name_or_path)], cls)
+        if path.suffix not in (".yaml", ".yml"):
+            shipped = {file.stem: file for file in sorted(PROFILES.glob("*.yaml"))}
+            if str(name_or_path) not in shipped:
+                raise UnknownNameError("profile", str(name_or_path), [*shipped, "a .yaml file of yours"])
+            path = shipped[str(name_or_path)]
+        try:
+            content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise DeploymentError(f"{path}: cannot be read ({error}); correct it.") from error
+        return _parse(str(path), content, cls)
 
     def require(self, joints: Iterable[str]) -> None:
         """Refuse a policy that moves joints which this robot does not have.
-
-        Args:
-            joints: Our names of the policy's joints.
 
         Raises:
             DeploymentError: Some are missing; the message names them.
@@ -289,3 +260,64 @@ class Profile:
                 f"profile '{self.name}' has no {', '.join(missing)}, which the policy moves: add them to the "
                 "joints of a part, or take a policy for this robot."
             )
+
+
+def _parse(place: str, value: Any, kind: Any) -> Any:
+    """A value of a type, or an error that names the place."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _topic(place, _plain(place, value, str), kind.__metadata__[0])
+    if origin is UnionType or NoneType in arguments:
+        inner = next(argument for argument in arguments if argument is not NoneType)
+        return None if value is None else _parse(place, value, inner)
+    if origin is Literal:
+        if value not in arguments:
+            raise DeploymentError(f"{place}: {UnknownNameError('value', str(value), arguments)}")
+        return value
+    if origin is tuple:
+        entries = enumerate(_plain(place, value, list))
+        return tuple(_parse(f"{place}[{i}]", entry, arguments[0]) for i, entry in entries)
+    if origin is dict:
+        pairs = _mapping(place, value).items()
+        return {_parse(place, k, arguments[0]): _parse(f"{place}.{k}", v, arguments[1]) for k, v in pairs}
+    if is_dataclass(kind):
+        return _record(place, _mapping(place, value), kind)
+    return _plain(place, value, kind)
+
+
+def _topic(place: str, name: str, sends: TopicType) -> Topic:
+    if not name.startswith("/"):
+        raise DeploymentError(f"{place}: '{name}' is no topic; write its whole name: '/{name}'.")
+    return Topic(name=name, type=sends.type, is_latched=sends.is_latched)
+
+
+def _record(place: str, value: Mapping[Any, Any], kind: Any) -> Any:
+    hints = get_type_hints(kind, include_extras=True)
+    for key in value:
+        if key not in hints:
+            raise DeploymentError(f"{place}: {UnknownNameError('key', str(key), hints)}")
+    needed = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    missing = [name for name in needed if name not in value]
+    if missing:
+        raise DeploymentError(f"{place}: {', '.join(missing)} missing; add it.")
+    try:
+        return kind(**{key: _parse(f"{place}: {key}", entry, hints[key]) for key, entry in value.items()})
+    except DeploymentError:
+        raise
+    except Pixel2CatchError as error:
+        raise DeploymentError(f"{place}: {error}") from error
+
+
+def _plain(place: str, value: Any, kind: type) -> Any:
+    """A text or a number; a whole number is one with a fraction, too."""
+    if kind is float and type(value) is int:
+        return float(value)
+    if type(value) is not kind:
+        raise DeploymentError(f"{place}: {value!r} is not of type {kind.__name__}; correct it.")
+    return value
+
+
+def _mapping(place: str, value: Any) -> Mapping[Any, Any]:
+    if not isinstance(value, dict):
+        raise DeploymentError(f"{place}: {value!r} has no keys; write 'key: value'.")
+    return value

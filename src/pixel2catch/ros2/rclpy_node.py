@@ -32,13 +32,8 @@ class RosTransport(Transport):
     def __init__(self, node_name: str, clock: Clock, *, loopback: bool = False) -> None:
         """Join.
 
-        Args:
-            node_name: Name of the node.
-            clock: Tells when messages arrive.
-            loopback: Whether the node may speak to this machine only.
-
         Raises:
-            DeploymentError: It may, and ROS 2 is not set so.
+            DeploymentError: By loopback it may speak to this machine only, and ROS 2 is not set so.
         """
         if loopback and not any(os.environ.get(name) == value for name, value in LOCALHOST.items()):
             settings = " or ".join(f"{name}={value}" for name, value in LOCALHOST.items())
@@ -56,12 +51,14 @@ class RosTransport(Transport):
     def publisher(self, topic: Topic) -> Publisher:
         """Announce a topic that this node sends."""
         self._num_own[topic.name] = self._num_own.get(topic.name, 0) + 1
-        return _RosPublisher(self._node.create_publisher(_type(topic), topic.name, _writer_qos(topic)))
+        return _RosPublisher(
+            self._node.create_publisher(_type(topic), topic.name, _qos(topic, 1, is_reader=False))
+        )
 
     def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
         """Begin to listen to a topic."""
         queue = self._queues.add(depth)
-        qos = _reader_qos(topic, depth)
+        qos = _qos(topic, depth, is_reader=True)
         self._node.create_subscription(_type(topic), topic.name, queue.put, qos, raw=True)
         return queue
 
@@ -101,17 +98,16 @@ def _type(topic: Topic) -> Any:
         ) from error
 
 
-def _writer_qos(topic: Topic) -> QoSProfile:
-    """Reliable; latched topics keep the last message for late subscribers."""
-    return QoSProfile(depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=_durability(topic))
+def _qos(topic: Topic, depth: int, *, is_reader: bool) -> QoSProfile:
+    """Writers are reliable, and keep the last message of latched topics for late subscribers.
 
-
-def _reader_qos(topic: Topic, depth: int) -> QoSProfile:
-    """Best effort hears every publisher; latched messages must be asked for reliably."""
-    best_effort, reliable = QoSReliabilityPolicy.BEST_EFFORT, QoSReliabilityPolicy.RELIABLE
-    reliability = reliable if topic.is_latched else best_effort
-    return QoSProfile(depth=depth, reliability=reliability, durability=_durability(topic))
-
-
-def _durability(topic: Topic) -> QoSDurabilityPolicy:
-    return QoSDurabilityPolicy.TRANSIENT_LOCAL if topic.is_latched else QoSDurabilityPolicy.VOLATILE
+    A best-effort reader hears every publisher; latched messages must be asked for reliably.
+    """
+    is_reliable = topic.is_latched or not is_reader
+    return QoSProfile(
+        depth=depth,
+        reliability=(QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT),
+        durability=(
+            QoSDurabilityPolicy.TRANSIENT_LOCAL if topic.is_latched else QoSDurabilityPolicy.VOLATILE
+        ),
+    )

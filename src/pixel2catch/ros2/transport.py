@@ -29,14 +29,10 @@ class Clock(ABC):
 
 @final
 class RealClock(Clock):
-    """Seconds that pass at a stated rate, the same ones in every process of one machine.
-
-    Attributes:
-        rate: Seconds of this clock in a real second: 1 for a robot, less where a twin is too slow.
-    """
+    """Seconds that pass at a stated rate, the same ones in every process of one machine."""
 
     def __init__(self, rate: float = 1.0) -> None:
-        """Begin.
+        """Begin, with so many seconds in a real one: 1 for a robot, less where a twin is too slow.
 
         Raises:
             InvalidValueError: The rate is out of range.
@@ -62,30 +58,19 @@ class RealClock(Clock):
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
-    """What is published under a name.
+    """What is published under a name."""
 
-    Attributes:
-        name: ROS name, such as "/joint_states".
-        type: ROS type, such as "sensor_msgs/msg/JointState".
-        is_latched: Whether late subscribers get the last message (transient local, reliable).
-    """
-
-    name: str
-    type: str
-    is_latched: bool = False
+    name: str  #: ROS name, such as "/joint_states".
+    type: str  #: ROS type, such as "sensor_msgs/msg/JointState".
+    is_latched: bool = False  #: Whether late subscribers get the last message (transient local, reliable).
 
 
 @dataclass(frozen=True, kw_only=True)
 class Message:
-    """One message as it arrived.
+    """One message as it arrived."""
 
-    Attributes:
-        data: CDR, with its header of four bytes.
-        arrival: When it was received, `Clock.now` [s].
-    """
-
-    data: bytes
-    arrival: float
+    data: bytes  #: CDR, with its header of four bytes.
+    arrival: float  #: When it was received, `Clock.now` [s].
 
 
 class Publisher(ABC):
@@ -113,12 +98,7 @@ class Transport(ABC):
 
     @abstractmethod
     def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
-        """Begin to listen to a topic.
-
-        Args:
-            topic: The topic.
-            depth: Messages that are kept until they are taken.
-        """
+        """Begin to listen to a topic; so many messages are kept until they are taken."""
 
     @abstractmethod
     def num_other_publishers(self, topic: Topic) -> int:
@@ -149,13 +129,7 @@ TRANSPORTS = {
 
 
 def make_transport(name: str, node_name: str, loopback: bool, clock: RealClock) -> Transport:
-    """Join the network.
-
-    Args:
-        name: "dds" for DDS by itself, "ros" for rclpy of a sourced ROS 2.
-        node_name: Name of the node.
-        loopback: Whether to speak to this machine only.
-        clock: Tells when messages arrive.
+    """Join the network by one of `TRANSPORTS`; by loopback, to speak to this machine only.
 
     Raises:
         UnknownNameError: There is no such transport.
@@ -164,18 +138,14 @@ def make_transport(name: str, node_name: str, loopback: bool, clock: RealClock) 
     if name not in TRANSPORTS:
         raise UnknownNameError("transport", name, TRANSPORTS)
     try:
-        return _join(name, node_name, loopback, clock)
+        if name == "dds":
+            from pixel2catch.ros2.dds import DdsTransport
+
+            return DdsTransport(node_name, clock, loopback=loopback)
+        from pixel2catch.ros2.rclpy_node import RosTransport
+
+        return RosTransport(node_name, clock, loopback=loopback)
     except ImportError as error:
         raise DeploymentError(
             f"the transport '{name}' cannot be loaded ({error}): {TRANSPORTS[name]}."
         ) from error
-
-
-def _join(name: str, node_name: str, loopback: bool, clock: RealClock) -> Transport:
-    if name == "dds":
-        from pixel2catch.ros2.dds import DdsTransport
-
-        return DdsTransport(node_name, clock, loopback=loopback)
-    from pixel2catch.ros2.rclpy_node import RosTransport
-
-    return RosTransport(node_name, clock, loopback=loopback)
