@@ -84,4 +84,7 @@ class GraphedFunction(Generic[Result]):
             self._around(),
         ):
             self._result = self._function(*self._arguments)
+        # PyTorch begins a capture by writing the generator's state on the stream of the capture; the first
+        # replay writes it anew, on this stream, and must come later.
+        torch.cuda.synchronize(self._device)
         return graph
