@@ -9,20 +9,16 @@ if TYPE_CHECKING:
     from pixel2catch.methods import Method
     from pixel2catch.policy import Policy
 
-VIDEO_THROWS = 2
-"""Throws in the video: drawing them takes about ten seconds each without a GPU."""
+VIDEO_THROWS = 2  #: Throws in the video: drawing them takes about ten seconds each without a GPU.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Catch:
     """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short video."""
 
-    throws: int = 300
-    """Throws of seen objects, and again as many of unseen ones."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
-    video: Path = Path("catch.mp4")
-    """The video file."""
+    throws: int = 300  #: Throws of seen objects, and again as many of unseen ones.
+    seed: int = 0  #: Seed of everything that is drawn.
+    video: Path = Path("catch.mp4")  #: The video file.
 
     def run(self) -> None:
         """Evaluate, print the results beside the paper's, and write the video."""

@@ -12,11 +12,8 @@ from rich.console import Console
 if TYPE_CHECKING:
     from pixel2catch.evaluation.protocol import Trials
 
-TABLE_WIDTH = 100
-"""Width of tables where there is no terminal [characters]."""
-
-BEAT_SECONDS = 20.0
-"""Time between two signs of life where there is no terminal [s]."""
+TABLE_WIDTH = 100  #: Width of tables where there is no terminal [characters].
+BEAT_SECONDS = 20.0  #: Time between two signs of life where there is no terminal [s].
 
 
 def results_console() -> Console:

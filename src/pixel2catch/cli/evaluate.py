@@ -15,30 +15,23 @@ if TYPE_CHECKING:
 class Evaluate:
     """Evaluate a policy: rounds of throws with all noise and randomisation, and a test of every hold."""
 
+    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
-    """Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit."""
+    #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
-    """What is thrown: seen, unseen, real, names of objects, or several of them."""
-    num_envs: int = 100
-    """Throws in a round."""
-    trials: int = 10
-    """Rounds."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
-    device: str = "cpu"
-    """Where to simulate: cpu, cuda, cuda:1, ..."""
-    physics_hz: float = 600.0
-    """Physics steps in a second; training's default is the paper's 120."""
+    num_envs: int = 100  #: Throws in a round.
+    trials: int = 10  #: Rounds.
+    seed: int = 0  #: Seed of everything that is drawn.
+    device: str = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
+    physics_hz: float = 600.0  #: Physics steps in a second; training's default is the paper's 120.
+    #: Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal robot, also
+    #: for a policy that was trained with a dynamics file.
     dynamics: Path | None = None
-    """Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal robot, also
-    for a policy that was trained with a dynamics file."""
+    #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
+    #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: Path | None = None
-    """Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
-    policy. Default: the camera that the policy was trained for, known exactly."""
-    json: bool = False
-    """Print all metrics as one JSON object."""
-    out: Path | None = None
-    """File that gets the same JSON object, all of it or nothing."""
+    json: bool = False  #: Print all metrics as one JSON object.
+    out: Path | None = None  #: File that gets the same JSON object, all of it or nothing.
 
     def run(self) -> None:
         """Evaluate and print."""

@@ -56,11 +56,8 @@ DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera
 'pixel2catch COMMAND --help' explains a command, 'pixel2catch --version' prints the version.
 'pixel2catch --import FILE.py COMMAND ...' knows the methods that a Python file of yours registers."""
 
-EXIT_ERROR = 2
-"""Exit status of an error that the user can mend."""
-
-EXIT_INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+EXIT_ERROR = 2  #: Exit status of an error that the user can mend.
+EXIT_INTERRUPTED = 130  #: Exit status after Ctrl-C, as shells have it.
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -14,8 +14,7 @@ from pixel2catch.twin.config import RehearsalCfg
 if TYPE_CHECKING:
     from pixel2catch.twin.rehearsal import Outcome
 
-REPORT = "report.json"
-"""The report's file in the folder that it writes; the processes' words lie beside it."""
+REPORT = "report.json"  #: The report's file in the folder that it writes; the processes' words lie beside it.
 
 
 @dataclass(frozen=True, kw_only=True)

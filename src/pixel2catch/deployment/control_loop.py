@@ -33,20 +33,11 @@ POLL = 0.002
 LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
 """Age up to which an image waits for its decision [s]: the policy gets the box of before. Source: ours."""
 
-PATIENCE = 1.5 * CONTROL_DT
-"""Time after an image from which the next one is missing [s]. Source: ours."""
-
-QUANTILE = 0.9
-"""Share of the images that are looked at in time. Source: ours."""
-
-STEP = 0.0005
-"""How fast the time is adapted, for each image [s]. Source: ours."""
-
-NUM_LOOKS = 60
-"""Looks that a timer learns from: two to four seconds. Source: ours."""
-
-SHIFT = 0.0005
-"""How far a control step may be longer or shorter than it should be [s]. Source: ours."""
+PATIENCE = 1.5 * CONTROL_DT  #: Time after an image from which the next one is missing [s]. Source: ours.
+QUANTILE = 0.9  #: Share of the images that are looked at in time. Source: ours.
+STEP = 0.0005  #: How fast the time is adapted, for each image [s]. Source: ours.
+NUM_LOOKS = 60  #: Looks that a timer learns from: two to four seconds. Source: ours.
+SHIFT = 0.0005  #: How far a control step may be longer or shorter than it should be [s]. Source: ours.
 
 
 class DecisionDelay:

@@ -13,8 +13,7 @@ from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.motion import Joints
 
-PERIOD = 0.01
-"""Time between two commands [s]. Source: ours."""
+PERIOD = 0.01  #: Time between two commands [s]. Source: ours.
 
 
 class TrajectoryFollower:

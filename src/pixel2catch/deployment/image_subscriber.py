@@ -15,11 +15,8 @@ from pixel2catch.ros2.transport import Clock, Message, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.motion import Joints
 
-DEPTH = 4
-"""Images that are kept until they are looked at; only the newest is. Source: ours."""
-
-MEMORY = 0.5
-"""How long joint positions are remembered [s]. Source: ours; longer than an image may be late."""
+DEPTH = 4  #: Images that are kept until they are looked at; only the newest is. Source: ours.
+MEMORY = 0.5  #: How long joint positions are remembered [s]. Source: ours; longer than an image may be late.
 
 LENS_TOLERANCE = 0.02
 """Relative difference of focal lengths, and of the centre by the width, that is none. Source: ours."""

@@ -12,8 +12,7 @@ from pixel2catch.perception.segmenter import Prompt
 from pixel2catch.ros2.transport import Clock
 from pixel2catch.scene.constants import CONTROL_DT
 
-ROUNDING = 1e-9
-"""Difference of two times that is none [s]."""
+ROUNDING = 1e-9  #: Difference of two times that is none [s].
 
 LONGEST_WAIT = 0.25 * CONTROL_DT
 """Time after which an image that waits is passed over for the next one [s].

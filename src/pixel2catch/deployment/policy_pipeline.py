@@ -148,8 +148,7 @@ to an age, which is now of this image and now of the one before, it catches 69 %
 where perception takes 10 to 17 ms by chance.
 """
 
-MEMORY = 8
-"""Boxes that are kept at least, one an image."""
+MEMORY = 8  #: Boxes that are kept at least, one an image.
 
 LONGEST_LOOK = 0.4
 """Age of the newest image that was looked at from which perception hangs [s].

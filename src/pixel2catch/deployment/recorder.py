@@ -20,12 +20,10 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
 from pixel2catch.servo.link import LoopEnd, ServoStatus
 
-MOST_WAITING = 128 * 2**20
-"""Messages that wait to be written [bytes]: 4 s of images. Source: ours."""
+MOST_WAITING = 128 * 2**20  #: Messages that wait to be written [bytes]: 4 s of images. Source: ours.
 
 
-Convert = Callable[[bytes], bytes]
-"""Makes what is written of what was recorded, such as a smaller image."""
+Convert = Callable[[bytes], bytes]  #: Makes what is written of what was recorded, such as a smaller image.
 
 
 class _Entry(NamedTuple):
@@ -131,14 +129,9 @@ SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)
 ORDERS = Topic(name="/pixel2catch/orders", type=messages.FLOAT_ARRAY)
 """What the servo was told, `PolicyCommand.row`."""
 
-DEPTH = 512
-"""Messages that are kept between two control steps."""
-
-RESOLUTION = 1e-6
-"""Least time between two messages of a topic [s]: readers of bags sort by it."""
-
-Images = Literal["jpeg", "raw", "none"]
-"""How images are recorded; raw ones are 27 MB a second."""
+DEPTH = 512  #: Messages that are kept between two control steps.
+RESOLUTION = 1e-6  #: Least time between two messages of a topic [s]: readers of bags sort by it.
+Images = Literal["jpeg", "raw", "none"]  #: How images are recorded; raw ones are 27 MB a second.
 
 
 class DeploymentRecorder:

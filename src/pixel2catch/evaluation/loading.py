@@ -23,8 +23,7 @@ At 120 Hz an object of 4.5 m/s is up to 38 mm inside the hand before a step sees
 must not live by that; at 600 Hz it is 8 mm at the most.
 """
 
-DEFAULT_POLICY = "catch_alone+fit"
-"""The shipped policy that commands take where none is named."""
+DEFAULT_POLICY = "catch_alone+fit"  #: The shipped policy that commands take where none is named.
 
 
 def shipped_policies() -> dict[str, Path]:

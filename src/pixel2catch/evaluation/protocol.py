@@ -35,20 +35,14 @@ from pixel2catch.scene.constants import CONTROL_DT
 TRIAL_STEPS = EpisodeCfg().max_steps
 """Control steps in which reaching and success count: those of a training episode."""
 
-HOLD_TEST_STEPS = 30
-"""Control steps of the hold test: 1.0 s. Source: ours."""
-
-SHAKE_STEPS = 15
-"""Control steps of the shake: 0.5 s. Source: ours."""
+HOLD_TEST_STEPS = 30  #: Control steps of the hold test: 1.0 s. Source: ours.
+SHAKE_STEPS = 15  #: Control steps of the shake: 0.5 s. Source: ours.
 
 TEST_STEPS = HOLD_TEST_STEPS + SHAKE_STEPS
 ROUND_STEPS = TRIAL_STEPS + TEST_STEPS
 
-LEAST_PARTS = 2
-"""Parts of the hand (palm, fingers) that must touch a held object. Source: ours."""
-
-SHAKE_FREQUENCY = 3.0
-"""Frequency of the shake [Hz]: one and a half periods. Source: ours."""
+LEAST_PARTS = 2  #: Parts of the hand (palm, fingers) that must touch a held object. Source: ours.
+SHAKE_FREQUENCY = 3.0  #: Frequency of the shake [Hz]: one and a half periods. Source: ours.
 
 SHAKE_LEAD = (0.058, 0.058)
 """How far the shake puts an arm joint's target from its position [rad]: pan moves the palm sideways, lift up
@@ -63,18 +57,13 @@ acceleration is 4.9 m/s² (3.9 to 6.8) without action noise and 9 m/s² (6 to 17
 class EvaluationCfg:
     """What is thrown at a policy."""
 
-    objects: tuple[str, ...]
-    """Names of the objects; each throw draws one."""
-    num_envs: int = 100
-    """Throws in a round. Source: paper."""
-    trials: int = 10
-    """Rounds. Source: paper."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
-    device: str = "cpu"
-    """"cpu" or a CUDA device."""
+    objects: tuple[str, ...]  #: Names of the objects; each throw draws one.
+    num_envs: int = 100  #: Throws in a round. Source: paper.
+    trials: int = 10  #: Rounds. Source: paper.
+    seed: int = 0  #: Seed of everything that is drawn.
+    device: str = "cpu"  #: "cpu" or a CUDA device.
+    #: The task, with all its noise; objects and endings are set here.
     task: CatchEnvCfg = field(default_factory=CatchEnvCfg)
-    """The task, with all its noise; objects and endings are set here."""
 
     def __post_init__(self) -> None:
         """Refuse an evaluation of nothing."""
@@ -122,20 +111,14 @@ class Trials:
 class RoundState:
     """How far each trial of a round is."""
 
-    record: EpisodeRecord
-    """What happened in the trial."""
-    is_running: Bool[Tensor, " num_envs"]
-    """Whether it is not decided yet."""
-    is_testing: Bool[Tensor, " num_envs"]
-    """Whether there was a success, which is being tested."""
-    test_steps: Int[Tensor, " num_envs"]
-    """Control steps of the test so far."""
+    record: EpisodeRecord  #: What happened in the trial.
+    is_running: Bool[Tensor, " num_envs"]  #: Whether it is not decided yet.
+    is_testing: Bool[Tensor, " num_envs"]  #: Whether there was a success, which is being tested.
+    test_steps: Int[Tensor, " num_envs"]  #: Control steps of the test so far.
+    #: Whether enough parts touched the object at every step of the hold test so far.
     is_firm: Bool[Tensor, " num_envs"]
-    """Whether enough parts touched the object at every step of the hold test so far."""
-    is_verified: Bool[Tensor, " num_envs"]
-    """Whether the hold passed both tests."""
-    action: Float[Tensor, "num_envs num_joints"]
-    """Last actions in joint order."""
+    is_verified: Bool[Tensor, " num_envs"]  #: Whether the hold passed both tests.
+    action: Float[Tensor, "num_envs num_joints"]  #: Last actions in joint order.
 
     def chosen(
         self, action: Float[Tensor, "num_envs num_joints"], workcell: WorkcellSpec

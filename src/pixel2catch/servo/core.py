@@ -41,8 +41,7 @@ from pixel2catch.servo.watchdogs import (
     is_recent,
 )
 
-ROUNDING = 1e-6
-"""Excess of a limit that is rounding: policies are of single precision [rad, rad/s]."""
+ROUNDING = 1e-6  #: Excess of a limit that is rounding: policies are of single precision [rad, rad/s].
 
 
 class Mode(IntEnum):

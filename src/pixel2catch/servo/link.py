@@ -16,8 +16,7 @@ from pixel2catch.servo.motion import Joints
 BUFFER_SIZE = 1 << 20
 """Memory that is asked for in each direction [bytes]; Linux gives what its own limit allows. Source: ours."""
 
-_LONGEST = 4096
-"""More than any packet has [bytes]."""
+_LONGEST = 4096  #: More than any packet has [bytes].
 
 _FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 

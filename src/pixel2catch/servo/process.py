@@ -33,8 +33,7 @@ SERVO, CONTROL_LOOP = -10, -8
 Source: ours. Without it a busy machine takes the cores from the policy first: it works in one long piece.
 """
 
-REAL_TIME_PRIORITY = 10
-"""Priority among real-time processes. Source: ours."""
+REAL_TIME_PRIORITY = 10  #: Priority among real-time processes. Source: ours.
 
 
 def set_niceness(niceness: int) -> None:
@@ -55,8 +54,7 @@ PATIENCE = 10.0
 DEPTH = 16
 """Messages that are kept from one tick to the next: several senders may share a topic. Source: ours."""
 
-POLL_TIME = 0.2
-"""Time between two counts of the other publishers [s]. Source: ours."""
+POLL_TIME = 0.2  #: Time between two counts of the other publishers [s]. Source: ours.
 
 SCALING_DIGITS = 3
 """Digits to which a share of the speed counts: the driver multiplies two fractions. Source: ours."""

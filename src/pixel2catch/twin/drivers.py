@@ -40,8 +40,7 @@ LATENCY = 0.015
 Source: ours, for half the exposure, readout and transfer.
 """
 
-MOST_WAITING = 2
-"""Images that may be in work; while there are as many, the next is lost."""
+MOST_WAITING = 2  #: Images that may be in work; while there are as many, the next is lost.
 
 Joints = Float[np.ndarray, " num_part_joints"]
 

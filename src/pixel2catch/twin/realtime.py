@@ -76,8 +76,7 @@ def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure],
         yield lambda exposure: process.submit(_draw, exposure)
 
 
-_VIEWS: list[RoomCamera] = []
-"""The view of a process that draws."""
+_VIEWS: list[RoomCamera] = []  #: The view of a process that draws.
 
 
 def _open(scene: SceneCfg, seed: int) -> None:
@@ -115,8 +114,7 @@ class ClockStats:
         )
 
 
-OnCycle = Callable[[LabNode, ClockStats], bool]
-"""Called after every cycle; says whether to go on."""
+OnCycle = Callable[[LabNode, ClockStats], bool]  #: Called after every cycle; says whether to go on.
 
 
 def serve(cfg: TwinCfg, task: CatchEnvCfg, on_cycle: OnCycle) -> ClockStats:

@@ -25,17 +25,13 @@ from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.lab_node import COMMAND, PROFILE, STATE
 
-POLL = 0.005
-"""Time between two looks at the network [s]. Source: ours."""
-
-STEP_TIME = 10.0
-"""Time in which each step of a throw must be done [s]. Source: ours."""
+POLL = 0.005  #: Time between two looks at the network [s]. Source: ours.
+STEP_TIME = 10.0  #: Time in which each step of a throw must be done [s]. Source: ours.
 
 START_TIME = 600.0
 """Real time in which both processes must be there [s]: on loaded machines imports are slow. Source: ours."""
 
-END_TIME = 120.0
-"""Real time in which a process must have ended [s]."""
+END_TIME = 120.0  #: Real time in which a process must have ended [s].
 
 
 class RehearsalOperator:

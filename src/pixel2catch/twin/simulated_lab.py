@@ -92,14 +92,10 @@ _YES = torch.ones(1, dtype=torch.bool)
 class Phase(StrEnum):
     """How far a throw is."""
 
-    EMPTY = "empty"
-    """There is no object in the room."""
-    HELD = "held"
-    """The thrower holds it."""
-    FLYING = "flying"
-    """It was thrown, and is not decided yet."""
-    OVER = "over"
-    """It was caught, dropped, or its time is over."""
+    EMPTY = "empty"  #: There is no object in the room.
+    HELD = "held"  #: The thrower holds it.
+    FLYING = "flying"  #: It was thrown, and is not decided yet.
+    OVER = "over"  #: It was caught, dropped, or its time is over.
 
 
 @final

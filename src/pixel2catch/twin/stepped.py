@@ -34,11 +34,8 @@ HOP = 0.0005
 Source: ours, for DDS between two processes.
 """
 
-ROUNDING = 1e-9
-"""Difference of two times that is none [s]."""
-
-Draw = Callable[[SimulatedLab, Exposure], Image]
-"""Draws what the camera sees."""
+ROUNDING = 1e-9  #: Difference of two times that is none [s].
+Draw = Callable[[SimulatedLab, Exposure], Image]  #: Draws what the camera sees.
 
 
 class SteppedRehearsal:
@@ -104,8 +101,7 @@ def _done(image: Image) -> "Future[Image]":
     return future
 
 
-GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))
-"""Colours of plain images."""
+GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))  #: Colours of plain images.
 
 
 def rehearse_stepped(

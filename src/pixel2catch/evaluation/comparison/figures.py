@@ -25,8 +25,7 @@ from pixel2catch.scene.scene import SceneCfg, build_model
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours that people with any kind of colour vision tell apart. Source: Okabe and Ito 2008; grey: ours."""
 
-MARKERS = "oDPsv^X"
-"""Marks beside the colours, for print without colour."""
+MARKERS = "oDPsv^X"  #: Marks beside the colours, for print without colour.
 
 STYLE: dict[Any, Any] = {
     "font.size": 10,
@@ -40,19 +39,15 @@ STYLE: dict[Any, Any] = {
     "lines.solid_capstyle": "round",
 }
 
-NUM_THROWS = 40
-"""Paths that are drawn."""
-
-SIDE, TOP = (0, 2), (0, 1)
-"""Coordinates of the two views."""
+NUM_THROWS = 40  #: Paths that are drawn.
+SIDE, TOP = (0, 2), (0, 1)  #: Coordinates of the two views.
 
 RELEASE, AIM, PATH = PALETTE[3], PALETTE[4], PALETTE[0]
 ARM, WOOD, VIEW = "#5B5B5B", "#C9B79C", "#B07C00"
 CHAIN = ("base_link", "shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link")
 """Bodies that the arm is drawn through; the palm comes last."""
 
-VIEW_LENGTH = 5.0
-"""How far the edges of the camera's view are drawn [m]: beyond the picture."""
+VIEW_LENGTH = 5.0  #: How far the edges of the camera's view are drawn [m]: beyond the picture.
 
 
 def look(method: str) -> dict[str, Any]:

@@ -19,8 +19,7 @@ from pathlib import Path
 
 from pixel2catch.errors import StudyError
 
-POLL_SECONDS = 0.2
-"""Time between two looks at the running jobs [s]."""
+POLL_SECONDS = 0.2  #: Time between two looks at the running jobs [s].
 
 GRACE_SECONDS = 120.0
 """Time that a job gets to end in order when it is asked to [s]. Source: ours, a rollout and a checkpoint."""
@@ -44,28 +43,22 @@ class Status(Enum):
 class Job:
     """A command that has to be run once."""
 
-    name: str
-    """Name of the job and of its log."""
-    kind: str
-    """Which slots run it."""
+    name: str  #: Name of the job and of its log.
+    kind: str  #: Which slots run it.
+    #: Program and arguments for the device of a slot, asked for when the job starts.
     command: Callable[[str], Sequence[str]]
-    """Program and arguments for the device of a slot, asked for when the job starts."""
-    is_done: Callable[[], bool]
-    """Whether its result is there."""
-    after: tuple[str, ...] = ()
-    """Names of earlier jobs that must be done before."""
+    is_done: Callable[[], bool]  #: Whether its result is there.
+    after: tuple[str, ...] = ()  #: Names of earlier jobs that must be done before.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
     """A place that runs one job at a time."""
 
-    kind: str
-    """What it runs."""
-    device: str
-    """What it computes on."""
+    kind: str  #: What it runs.
+    device: str  #: What it computes on.
+    #: Environment variables that its jobs get beside those of this process.
     environment: Mapping[str, str] = field(default_factory=dict)
-    """Environment variables that its jobs get beside those of this process."""
 
 
 @contextlib.contextmanager

@@ -27,8 +27,7 @@ from pixel2catch.evaluation.report import (
 )
 from pixel2catch.mdp.throws import ThrowCfg
 
-DASH = "\N{EN DASH}"
-"""What stands where there is no number."""
+DASH = "\N{EN DASH}"  #: What stands where there is no number.
 
 PICTURES = {
     "curves.png": (

@@ -42,14 +42,10 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 class PolicyEntry:
     """A policy of the suite."""
 
-    name: str
-    """Its name in tables and folders."""
-    folder: Path
-    """Where it is."""
-    method: str
-    """Name of the method that it was trained with."""
-    task: str = "nominal"
-    """Name of the task that it was trained for."""
+    name: str  #: Its name in tables and folders.
+    folder: Path  #: Where it is.
+    method: str  #: Name of the method that it was trained with.
+    task: str = "nominal"  #: Name of the task that it was trained for.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,8 +21,7 @@ from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.suite import REALITY
 from pixel2catch.evaluation.stress.trained import is_trained_on
 
-SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")
-"""Rates that the tables keep."""
+SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")  #: Rates that the tables keep.
 
 REAL_ROBOT: dict[str, float] = {
     "proposed": 52.8,
@@ -38,14 +37,9 @@ Interval = tuple[float, float]
 PALETTE = "viridis"
 """A sequential palette for any kind of colour vision. Source: Smith and van der Walt 2015, Matplotlib."""
 
-DARK = 60.0
-"""S.R. [%] under which a cell is dark enough for white letters."""
-
-UNTRAINED = "*"
-"""Mark of a setting that a policy was not trained on."""
-
-ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95
-"""Size of a cell [inch]."""
+DARK = 60.0  #: S.R. [%] under which a cell is dark enough for white letters.
+UNTRAINED = "*"  #: Mark of a setting that a policy was not trained on.
+ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95  #: Size of a cell [inch].
 
 
 def make_table(results: Sequence[Result], contents: Sequence[Json]) -> Json:
@@ -165,14 +159,11 @@ def _reality(policies: Json, settings: Json) -> Json:
 class Order:
     """Two orders of the same methods, best first."""
 
-    simulated: tuple[str, ...]
-    """By S.R. in simulation."""
-    real: tuple[str, ...]
-    """By S.R. on the real robot."""
+    simulated: tuple[str, ...]  #: By S.R. in simulation.
+    real: tuple[str, ...]  #: By S.R. on the real robot.
+    #: Kendall's tau-b of the two: 1 is the same order, -1 the opposite one, 0 if all rates are equal.
     tau: float
-    """Kendall's tau-b of the two: 1 is the same order, -1 the opposite one, 0 if all rates are equal."""
-    num_settled: int
-    """Pairs of methods whose 95 % intervals in simulation do not overlap."""
+    num_settled: int  #: Pairs of methods whose 95 % intervals in simulation do not overlap.
 
     def sentence(self) -> str:
         """What it amounts to, in words."""

@@ -14,8 +14,7 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.scene.constants import JOINTS
 
-Change = Callable[[CatchEnvCfg], CatchEnvCfg]
-"""A task, changed; a change can be sent to another process."""
+Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: A task, changed; a change can be sent to another process.
 
 AIR_DENSITY = 1.2
 """Density of air at 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded."""
@@ -103,12 +102,9 @@ def together(*changes: FieldChange) -> FieldChange:
 class Level:
     """One strength of a disturbance."""
 
-    label: str
-    """What the tables call it, without the unit."""
-    change: Change
-    """What it does to the task."""
-    source: str
-    """Where the number comes from."""
+    label: str  #: What the tables call it, without the unit.
+    change: Change  #: What it does to the task.
+    source: str  #: Where the number comes from.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,8 +167,7 @@ HUMAN = part(
 CAMERA_MOUNT = part("sensing", camera_offset=0.02, camera_turn=radians(1.0), focal_error=0.02)
 DETECTOR = part("sensing", box_bias=5.0, drop_rate=0.15, latency_steps=(2, 4))
 FLIGHT = together(AIR, HUMAN, part("throws", spin=10.0))
-REALITY = "reality"
-"""Label of the level that has something of everything."""
+REALITY = "reality"  #: Label of the level that has something of everything.
 
 EVERYTHING = together(
     part(
@@ -304,8 +299,7 @@ _ALL = (
     ),
 )
 
-AXES: dict[str, Axis] = {axis.name: axis for axis in _ALL}
-"""All axes by name, in the order of the tables."""
+AXES: dict[str, Axis] = {axis.name: axis for axis in _ALL}  #: All axes by name, in the order of the tables.
 
 
 def select_settings(names: Sequence[str]) -> tuple[Setting, ...]:

@@ -23,8 +23,7 @@ BOUNDS = ("spin", "corner_noise", "edge_noise", "initial_joint_noise")
 SHARES = ("unstamped",)
 """Shares of the episodes in which something happens: what can happen in an episode is what counts."""
 
-TOLERANCE = 1e-9
-"""Rounding of numbers that were computed from other units."""
+TOLERANCE = 1e-9  #: Rounding of numbers that were computed from other units.
 
 
 def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
