@@ -25,18 +25,13 @@ class Rehearse:
     only). Images are rendered; on two cores that takes a slower clock, such as --clock 0.5, for both. With
     --lockstep there is one process, no network, and no real time: the same seed gives the same throws on a
     slow or busy machine, and times are those that are stated.
-
-    Attributes:
-        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-        rehearsal: What is rehearsed, and in what time.
-        out: New or empty folder for report.json and what both processes print.
-        json: Print the report as one JSON object.
     """
 
+    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[str | None] = None
-    rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)
-    out: Path = Path("rehearsal")
-    json: bool = False
+    rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)  #: What is rehearsed, and in what time.
+    out: Path = Path("rehearsal")  #: New or empty folder for report.json and what both processes print.
+    json: bool = False  #: Print the report as one JSON object.
 
     def run(self) -> None:
         """Rehearse, write the report and print it."""
