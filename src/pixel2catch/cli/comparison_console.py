@@ -40,12 +40,7 @@ class ProgressTable:
     """Shows a comparison on standard error while it runs; use as a context."""
 
     def __init__(self, logs: Mapping[str, Path], total: int) -> None:
-        """Prepare to show.
-
-        Args:
-            logs: The `metrics.csv` of every training, by name of the job.
-            total: Transitions of a training.
-        """
+        """Prepare to show trainings, each by its `metrics.csv`; all have the same total of transitions."""
         self._console = Console(stderr=True, highlight=False, soft_wrap=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._logs, self._total = logs, total

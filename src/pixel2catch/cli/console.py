@@ -28,12 +28,7 @@ def say(text: str) -> None:
 
 
 def round_reporter(name: str, num_rounds: int) -> Callable[["Trials"], None]:
-    """Function that prints a line after every round of an evaluation.
-
-    Args:
-        name: What is evaluated.
-        num_rounds: Rounds in all.
-    """
+    """Function that prints a line after every round of an evaluation of something."""
     successes: list[float] = []
 
     def report(trials: "Trials") -> None:
@@ -48,8 +43,7 @@ def round_reporter(name: str, num_rounds: int) -> Callable[["Trials"], None]:
 def working() -> Iterator[Callable[[str], None]]:
     """Show steps on standard error: a live line on a terminal, else a line for each and a sign of life.
 
-    Yields:
-        Function that is told a step before it is done.
+    It yields a function that is told a step before it is done.
     """
     console = Console(stderr=True, highlight=False)
     with _live(console) if console.is_terminal else _plain() as report:

@@ -111,9 +111,7 @@ class Reproduce:
     def _slots(self, devices: tuple[str, ...], shared: Mapping[str, str]) -> "list[Slot]":
         """Slots of trainings and evaluations, in turn on every device; a CPU does one evaluation at a time.
 
-        Args:
-            devices: Where to train.
-            shared: Environment variables with which processes share a GPU.
+        With the shared environment variables processes share a GPU.
         """
         from pixel2catch.evaluation.comparison.jobs import Slot
 

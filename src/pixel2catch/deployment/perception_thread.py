@@ -107,10 +107,9 @@ class ConcurrentPerception:
         self._waiting = (frame, self._clock.now())
 
     def go_on(self) -> PerceptionResult | None:
-        """Take what was seen, if a look is done, and begin with the next image; call it often.
+        """Take what was seen, if a look is done and not at a throw before, and begin with the next image.
 
-        Returns:
-            The look that is done; none if there is none, or if it was at a throw before.
+        Call it often.
 
         Raises:
             PerceptionError: The first image has the wrong size.

@@ -75,9 +75,7 @@ class Controller:
     ) -> Float[Tensor, "1 num_joints"]:
         """Decide where the joints shall be at the end of the next control step [rad].
 
-        Args:
-            joint_pos: Joint encoders in joint order [rad].
-            boxes: The last measured boxes of the object, as many as the method remembers.
+        Joint positions are in joint order [rad]; there are as many boxes as the method remembers.
 
         Raises:
             NonFiniteError: There is a NaN or an infinity; nothing is remembered of it.

@@ -53,7 +53,13 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         self._connections: dict[Topic, BagConnection] = {}
         self._waiting, self._lock = 0, Lock()
         self._queue: SimpleQueue[_Entry | None] = SimpleQueue()
-        self._writer = _open(folder)
+        try:
+            self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.open()
+        except (OSError, WriterError) as error:
+            raise DeploymentError(
+                f"{folder}: no recording can be made ({error}); choose another name."
+            ) from error
         self._thread = Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
 
@@ -110,17 +116,6 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
             self.problem = f"{type(error).__name__}: {error}"
             return False
         return True
-
-
-def _open(folder: Path) -> Writer:
-    try:
-        writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
-        writer.open()
-    except (OSError, WriterError) as error:
-        raise DeploymentError(
-            f"{folder}: no recording can be made ({error}); choose another name."
-        ) from error
-    return writer
 
 
 SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)

@@ -134,13 +134,7 @@ class RoundState:
         return select(self.is_testing, torch.cat(parts, dim=-1), action)
 
     def advanced(self, step: Step, action: Float[Tensor, "num_envs num_joints"], number: int) -> "RoundState":
-        """The state after a control step.
-
-        Args:
-            step: What the step returned.
-            action: The actions that it was given.
-            number: Control steps since the beginning of the round, this one included.
-        """
+        """The state after a control step with these actions; its number counts from 1 in the round."""
         is_counted = self.is_running if number <= TRIAL_STEPS else self.is_testing
         record = select(is_counted, step.record, self.record)
         test_steps = self.test_steps + self.is_testing.long()
@@ -163,14 +157,7 @@ class RoundState:
 def evaluate(
     actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
 ) -> Trials:
-    """Evaluate a policy.
-
-    Args:
-        actor: The policy.
-        method: The method that it was trained with.
-        cfg: What is thrown.
-        on_round: Called with the trials of every round.
-    """
+    """Evaluate a policy of a method; `on_round` is called with the trials of every round."""
     return play_rounds(cfg.make_env(method), actor, cfg.trials, on_round)
 
 
@@ -181,16 +168,11 @@ def play_rounds(
     on_round: Callable[[Trials], None] = lambda _: None,
     seed: int | None = None,
 ) -> Trials:
-    """Play rounds and close the environments.
+    """Play rounds in environments of `EvaluationCfg.make_env`, and close them.
 
-    Args:
-        env: The environments, made by `EvaluationCfg.make_env`.
-        actor: The policy.
-        num_rounds: How many.
-        on_round: Called with the trials of every round.
-        seed: Seed of the first round; the next round has the next one. Then all policies get the same throws:
-            without it, rounds end when every hold is decided, and the throws of the second depend on the
-            policy.
+    The seed is of the first round, and the next round has the next one: then all policies get the same
+    throws. Without it, rounds end when every hold is decided, and the throws of the second depend on the
+    policy.
     """
     rounds = []
     try:
@@ -237,10 +219,7 @@ def run_round(
 ) -> Trials:
     """Throw once in every environment; environments that have decided their trial are stepped on and ignored.
 
-    Args:
-        env: The environments, made by `EvaluationCfg.make_env`.
-        actor: The policy.
-        watch: Called after every control step; it must copy what it keeps, the next step overwrites it.
+    After every control step `watch` is called; it must copy what it keeps, the next step overwrites it.
     """
     observation = env.reset()
     actor.reset()

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -69,7 +70,7 @@ class Exposure:
     thrower: Callable[[float], Float[np.ndarray, "6"]]  #: Positions of the bystanders' joints at a time [s].
 
 
-class RoomCamera:
+class RoomCamera(AbstractContextManager["RoomCamera"]):
     """Takes images in a room; close it, or use it as a context manager, in the thread that made it.
 
     Without shadows it draws 30 images a second on a share of one core: what never moves is drawn once, and in
@@ -136,10 +137,6 @@ class RoomCamera:
     def close(self) -> None:
         """Free the drawing context."""
         self._renderer.close()
-
-    def __enter__(self) -> "RoomCamera":
-        """Return the camera itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""

@@ -51,12 +51,10 @@ class JointLimits:
     def of(
         cls, workcell: WorkcellSpec, share: float = 1.0, dynamics: JointDynamics | None = None
     ) -> "JointLimits":
-        """The limits of the robots of a work cell.
+        """The limits of the robots of a work cell, at a share of the full speed, more than 0 and up to 1.
 
-        Args:
-            workcell: The robots; joints of one role have the same limits where the spec does not say more.
-            share: Share of the full speed, more than 0 and up to 1.
-            dynamics: Of all joints, for their lag; the nominal ones if absent.
+        Joints of one role have the same limits where the spec does not say more. The lag is that of the
+        dynamics of all joints, nominal if absent.
 
         Sources:
             lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of

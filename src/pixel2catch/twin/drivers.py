@@ -97,11 +97,9 @@ class ArmDriver(Driver):
     """The UR's driver and its program on the robot, which ignores commands that ask for too large a step."""
 
     def __init__(self, position: Joints, lag: Joints) -> None:
-        """Begin with a running program that has no command yet.
+        """Begin where the joints are [rad], with a running program that has no command yet.
 
-        Args:
-            position: Where the joints are [rad].
-            lag: How far the joints are behind their target in a steady motion, per speed [s].
+        The lag is how far the joints are behind their target in a steady motion, per speed [s].
         """
         self._target, self._lag = position, lag
         self._silence = 0.0
@@ -158,11 +156,9 @@ class Camera:
     """The camera's driver: images on their way from exposure to wire."""
 
     def __init__(self, draw: Callable[[Exposure], "Future[Image]"], clock_error: float = 0.0) -> None:
-        """Begin without an image.
+        """Begin without an image, and with what begins to draw one.
 
-        Args:
-            draw: Begins to draw.
-            clock_error: How late the clock is that stamps the images [s].
+        The clock that stamps the images is late by its error [s].
         """
         self._draw, self._clock_error = draw, clock_error
         self._waiting: deque[tuple[float, Future[Image]]] = deque()

@@ -8,6 +8,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float, Int
 
+from pixel2catch.deployment.perception_thread import ROUNDING
 from pixel2catch.errors import DeploymentError
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
@@ -23,7 +24,6 @@ REQUESTS = '{"do": "prepare", "seed": 7}, {"do": "throw"}, {"do": "protective_st
 
 STATE = Topic(name="/twin/state", type=messages.TEXT)  #: What is true in the twin, 30 times a second.
 DEPTH = 64  #: Commands that wait while the twin is late.
-ROUNDING = 1e-9  #: Difference of two times that is none [s].
 
 Joints = Float[np.ndarray, " num_joints"]
 
@@ -183,11 +183,9 @@ class LabNode:
         return self.num_cycles * CYCLE
 
     def cycle(self, start: float, num_late: int = 0) -> None:
-        """Publish, take commands, and simulate until the next cycle.
+        """Publish, take commands, and simulate until the next cycle; so many are overdue besides this one.
 
-        Args:
-            start: Stamp of the beginning of the twin's time [s].
-            num_late: Cycles that are overdue besides this one.
+        The start is the stamp of the beginning of the twin's time [s].
         """
         encoders = self.lab.encoders(self.time)
         for part in self._parts:

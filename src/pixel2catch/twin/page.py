@@ -35,8 +35,7 @@ HOST = "127.0.0.1"  #: The page is for this machine only; others come by a tunne
 PERIOD = 1 / 15
 """Time between two changes of the page [s], in real time. Source: ours, light on a shared machine."""
 
-BOX_COLOR = (40, 220, 70)
-LINE = 2  #: Colour and width [px] of the box that the deployment sees.
+BOX_COLOR, LINE = (40, 220, 70), 2  #: Colour and width [px] of the box that the deployment sees.
 REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: What the twin is asked for by buttons.
 
 MAKERS = {

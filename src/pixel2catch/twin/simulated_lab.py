@@ -109,9 +109,7 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
     def __init__(self, task: CatchEnvCfg, seed: int) -> None:
         """Build the scene: a robot in its start pose, and an empty room.
 
-        Args:
-            task: What is thrown at which robot.
-            seed: Of the first start pose and of all noise.
+        The seed is of the first start pose and of all noise.
         """
         self.workcell = workcell = find_workcell(task.scene.workcell)
         num_joints = len(workcell.joints)

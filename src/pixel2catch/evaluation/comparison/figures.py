@@ -19,8 +19,9 @@ from pixel2catch.evaluation.report import MAIN_RATES
 from pixel2catch.mdp.throws import Range, ThrowCfg, sample_throws
 from pixel2catch.methods import METHODS
 from pixel2catch.robots.workcell import TABLE
-from pixel2catch.scene.constants import GRAVITY, JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells import find_workcell
 
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours that people with any kind of colour vision tell apart. Source: Okabe and Ito 2008; grey: ours."""
@@ -137,12 +138,7 @@ def _legend(figure: Figure, axes: Axes) -> None:
 
 
 def throws_figure(cfg: ThrowCfg, seed: int = 0) -> Figure:
-    """Draw throws from release to aim.
-
-    Args:
-        cfg: The ranges of the throws.
-        seed: Seed of the drawn paths.
-    """
+    """Draw throws from release to aim."""
     paths, arm = sample_paths(cfg, NUM_THROWS, seed), arm_points()
     ranges = {
         "release": (cfg.release_x, cfg.release_y, cfg.release_z),
@@ -176,9 +172,10 @@ def sample_paths(cfg: ThrowCfg, num_throws: int, seed: int) -> Float[ndarray, "n
 
 def arm_points() -> Float[ndarray, "num_points 3"]:
     """Positions [m] along the arm in its start pose, from the base to the palm."""
-    model = build_model(SceneCfg())
+    scene = SceneCfg()
+    model = build_model(scene)
     data = mujoco.MjData(model)
-    home = [joint.home for joint in JOINTS]
+    home = [joint.home for joint in find_workcell(scene.workcell).joints]
     data.qpos[: len(home)] = home
     mujoco.mj_kinematics(model, data)
     return np.array([*(data.body(name).xpos for name in CHAIN), data.site("palm").xpos])

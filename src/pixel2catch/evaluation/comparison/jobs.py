@@ -81,24 +81,17 @@ def locked(folder: Path) -> Iterator[int]:
 
 
 class Runner:
-    """Runs jobs in slots, the first ready one first. One that fails holds up only what comes after it.
-
-    Attributes:
-        status: How far every job is, by name.
-    """
+    """Runs jobs in slots, the first ready one first. One that fails holds up only what comes after it."""
 
     def __init__(
         self, jobs: Sequence[Job], slots: Sequence[Slot], logs: Path, lock: int | None = None
     ) -> None:
         """See what is done already; a job is not done as long as one before it is not.
 
-        Args:
-            jobs: The jobs, each behind those that it depends on.
-            slots: Where they run.
-            logs: Folder of their outputs, `NAME.log`.
-            lock: What `locked` gave; jobs hold it too, in case that they outlive this process.
+        The jobs come behind those that they depend on, and print to `NAME.log` in the folder of the logs.
+        They hold the lock that `locked` gave, too, in case that they outlive this process.
         """
-        self.status: dict[str, Status] = {}
+        self.status: dict[str, Status] = {}  #: How far every job is, by name.
         for job in jobs:
             is_done = self._is_ready(job) and job.is_done()
             self.status[job.name] = Status.DONE if is_done else Status.WAITING
@@ -111,11 +104,9 @@ class Runner:
         watch: Callable[[Mapping[str, Status]], None] = lambda _: None,
         is_stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Run until nothing is left that can be run.
+        """Run until nothing is left that can be run, and watch the status of all jobs at every look.
 
-        Args:
-            watch: Called at every look with the status of all jobs.
-            is_stopped: Whether to end early: running jobs are terminated, in order if they know how.
+        When it is stopped early, running jobs are terminated, in order if they know how.
         """
         self._logs.mkdir(parents=True, exist_ok=True)
         try:
@@ -195,9 +186,8 @@ def last_lines(path: Path, number: int = 15) -> str:
 def shared_gpus() -> Iterator[dict[str, str]]:
     """Run an MPS daemon of our own, which ends with the context; the GPU's settings stay as they are.
 
-    Yields:
-        The environment variables with which child processes find it; none where MPS is not to be had, or
-        where the caller's environment names a daemon already.
+    It yields the environment variables with which child processes find it; none where MPS is not to be had,
+    or where the caller's environment names a daemon already.
     """
     if "CUDA_MPS_PIPE_DIRECTORY" in os.environ or shutil.which(MPS_CONTROL) is None:
         yield {}

@@ -121,9 +121,7 @@ class ComparisonFolder:
     def open(self, plan: Plan, sessions: Sequence[Json]) -> None:
         """Begin a study, or go on with one; methods and seeds may be new to it.
 
-        Args:
-            plan: What is asked.
-            sessions: Versions and machine of the session that begins, if it does anything.
+        A session that does anything is given with its versions and machine.
 
         Raises:
             StudyError: If its results would not be comparable, or the results there are of no study.

@@ -65,9 +65,6 @@ TRAININGS_NOTE = "Trainings that run side by side on one device slow each other 
 def write_report(folder: ComparisonFolder) -> None:
     """Write the report of what is there; what is missing is left out.
 
-    Args:
-        folder: The study.
-
     Raises:
         StudyError: If there is no study.
         OSError: If it cannot be written; a report that was there before is still whole.

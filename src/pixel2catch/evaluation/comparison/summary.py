@@ -32,15 +32,7 @@ def mean_and_deviation(values: Sequence[float]) -> tuple[float, float | None]:
 
 
 def pooled(rates: Sequence[Metrics], name: str) -> Row:
-    """One rate over several seeds.
-
-    Args:
-        rates: Trials and rates of each seed.
-        name: Name of the rate.
-
-    Returns:
-        `mean` and `deviation` over the seeds, 95 % `interval` over all trials, and the `values`.
-    """
+    """One rate over seeds: `mean` and `deviation`, 95 % `interval` over all trials, and the `values`."""
     values = [result[name] for result in rates]
     mean, deviation = mean_and_deviation(values)
     interval = wilson_interval(*pooled_counts(rates, name))

@@ -43,12 +43,7 @@ ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95  #: Size of a cell [inch].
 
 
 def make_table(results: Sequence[Result], contents: Sequence[Json]) -> Json:
-    """The whole report as plain data.
-
-    Args:
-        results: The results, setting by setting, each with all policies.
-        contents: What `measure` returned for them.
-    """
+    """The whole report as plain data, of results setting by setting and what `measure` returned for them."""
     entries = [each.policy for each in results]
     policies = {each.name: {"method": each.method, "task": each.task} for each in entries}
     settings: dict[str, Json] = {}
@@ -57,7 +52,8 @@ def make_table(results: Sequence[Result], contents: Sequence[Json]) -> Json:
         row = {"axis": axis.name, "unit": axis.unit, "label": level.label, "source": level.source}
         row |= {"title": each.setting.title, "rates": {}}
         is_trained = is_trained_on(find_task(each.policy.task), level.change)
-        rates = _kept(content["metrics"]) | {"is_trained_on": is_trained}
+        kept = ("trials", *SHOWN, *(f"{name}_interval" for name in SHOWN))
+        rates = {name: content["metrics"][name] for name in kept} | {"is_trained_on": is_trained}
         settings.setdefault(each.setting.name, row)["rates"][each.policy.name] = rates
     means = {
         name: fmean(row["rates"][name]["success_rate"] for row in settings.values()) for name in policies
@@ -124,11 +120,6 @@ def _sources(table: Json) -> str:
     return "\n## Where the numbers come from\n\n" + "".join(lines)
 
 
-def _kept(metrics: Json) -> Json:
-    intervals = [f"{name}_interval" for name in SHOWN]
-    return {name: metrics[name] for name in ("trials", *SHOWN, *intervals)}
-
-
 def _percent(rates: Json) -> str:
     mark = "" if rates["is_trained_on"] else rf" \{UNTRAINED}"
     return percent(rates["success_rate"], rates["success_rate_interval"]) + mark
@@ -177,14 +168,9 @@ class Order:
 
 
 def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str, Interval]) -> Order | None:
-    """Compare the methods that both have.
+    """Compare the methods that both have; nothing if there are fewer than two.
 
-    Args:
-        rates: S.R. of every policy of a method, by method.
-        intervals: The 95 % interval of each method's S.R.
-
-    Returns:
-        The two orders; nothing if there are fewer than two methods to compare.
+    Rates are the S.R. of every policy of a method, intervals the 95 % interval of each method's S.R.
     """
     methods = [method for method in REAL_ROBOT if method in rates]
     if len(methods) < 2:

@@ -12,7 +12,7 @@ from typing import Any
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.randomization import GainRanges
-from pixel2catch.scene.constants import JOINTS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: A task, changed; a change can be sent to another process.
 
@@ -144,7 +144,7 @@ def _delay(steps: float) -> FieldChange:
 
 
 def _gains(percent: float) -> FieldChange:
-    scale = ((1.0 - percent / 100, 1.0 + percent / 100),) * len(JOINTS)
+    scale = ((1.0 - percent / 100, 1.0 + percent / 100),) * len(UR5E_ALLEGRO.joint_names)
     return part("randomization", gains=GainRanges(stiffness_scale=scale, damping_scale=scale))
 
 
@@ -217,11 +217,7 @@ def _shake(millimetres: float, frequency: float) -> Level:
 _ALL = (
     _axis("nominal", "", _level("", together(), "the task of training, at a finer physics rate")),
     _axis("camera_position", "cm", _sensing(CAMERA_POSITION_SOURCE, "camera_offset", (1, 2, 4), 1e-2)),
-    _axis(
-        "camera_rotation",
-        "°",
-        _sensing(CAMERA_ROTATION_SOURCE, "camera_turn", (0.5, 1, 2), radians(1.0)),
-    ),
+    _axis("camera_rotation", "°", _sensing(CAMERA_ROTATION_SOURCE, "camera_turn", (0.5, 1, 2), radians(1.0))),
     _axis("focal_length", "%", _sensing(FOCAL_SOURCE, "focal_error", (2, 5), 1e-2)),
     _axis("box_bias", "px", _sensing(BIAS_SOURCE, "box_bias", (5, 10))),
     _axis("box_scale", "", _sensing(SCALE_SOURCE, "box_scale", (0.8, 1.2))),

@@ -27,12 +27,7 @@ TOLERANCE = 1e-9  #: Rounding of numbers that were computed from other units.
 
 
 def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
-    """Whether everything that a setting changes lies within the task, or within one of its variants.
-
-    Args:
-        task: The task of the training.
-        change: What the setting makes of the nominal task.
-    """
+    """Whether all that a setting makes of the nominal task lies within the training's, or a variant of it."""
     nominal = CatchEnvCfg()
     changed = change(nominal)
     others = [field.name for field in fields(nominal) if field.name not in PARTS]
