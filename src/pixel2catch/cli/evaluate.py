@@ -3,12 +3,8 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
-
-if TYPE_CHECKING:
-    from pixel2catch.evaluation.metrics import Metrics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +31,12 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate and print."""
-        from pixel2catch.cli.console import round_reporter, say
+        from pixel2catch.cli.console import results_console, round_reporter, say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
+        from pixel2catch.evaluation.loading import camera_remark, fingerprint, load_policy, sha256, task_of
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.report import objects_table, quality_table, results_table
         from pixel2catch.files import write_atomically
         from pixel2catch.scene.objects import select_objects
 
@@ -53,7 +50,12 @@ class Evaluate:
             device=self.device,
             task=task_of(policy, self.physics_hz, self.dynamics, self.camera),
         )
-        source = self._source()
+        files = {"dynamics": self.dynamics, "camera": self.camera}
+        source = {
+            "policy": str(self.policy or "shipped"),
+            "policy_sha256": fingerprint(self.policy),
+            **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
+        }
         if self.out:
             self.out.parent.mkdir(parents=True, exist_ok=True)
         for remark in camera_remark(policy, cfg.task):
@@ -65,25 +67,8 @@ class Evaluate:
             write_atomically({self.out: text.encode()})
         if self.json:
             print(text, end="")
-        else:
-            self._print_tables(method.name, result)
-
-    def _source(self) -> dict[str, str | None]:
-        from pixel2catch.evaluation.loading import fingerprint, sha256
-
-        files = {"dynamics": self.dynamics, "camera": self.camera}
-        return {
-            "policy": str(self.policy or "shipped"),
-            "policy_sha256": fingerprint(self.policy),
-            **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
-        }
-
-    def _print_tables(self, method: str, result: "Metrics") -> None:
-        """Print the metrics as tables, beside the paper's."""
-        from pixel2catch.cli.console import results_console
-        from pixel2catch.evaluation.report import objects_table, quality_table, results_table
-
+            return
         console, named = results_console(), {" ".join(self.objects): result}
-        console.print(results_table(named, method))
+        console.print(results_table(named, method.name))
         console.print(objects_table(result))
         console.print(quality_table(named))

@@ -1,7 +1,7 @@
 """`pixel2catch rehearse`: the whole deployment against its digital twin, throw after throw."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -50,23 +50,19 @@ class Rehearse:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
         if cfg.lockstep:
-            report = self._in_step(show)
+            from pixel2catch.cli.device import prepare
+            from pixel2catch.evaluation.loading import load_policy
+            from pixel2catch.twin.stepped import rehearse_stepped
+
+            prepare("cpu")
+            policy, _ = load_policy(Path(self.policy) if self.policy else None)
+            report = rehearse_stepped(cfg, cfg.task.make(policy), policy, show)
         else:
             say(f"starting twin and deployment; clock {cfg.clock:g}")
             report = rehearse(cfg, self.policy, self.out, show)
         write_atomically({self.out / REPORT: f"{json.dumps(report, indent=2)}\n".encode()})
         print(json.dumps(report) if self.json else "\n".join(_lines(report)))
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")
-
-    def _in_step(self, show: Callable[["Outcome"], None]) -> dict[str, Any]:
-        """The report of a rehearsal in lockstep."""
-        from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.twin.stepped import rehearse_stepped
-
-        prepare("cpu")
-        policy, _ = load_policy(Path(self.policy) if self.policy else None)
-        return rehearse_stepped(self.rehearsal, self.rehearsal.task.make(policy), policy, show)
 
 
 def _refuse_nonsense(cfg: RehearsalCfg) -> None:

@@ -158,14 +158,11 @@ class ControlLoop:
                 self._perception.begin(None)
             self._mode = servo_status.mode
         for message in self._prompts.take():
-            self._point(message.data)
-
-    def _point(self, data: bytes) -> None:
-        try:
-            self._perception.begin(read_prompt(data))
-            self._message = ""
-        except DeploymentError as error:
-            self._message = str(error)
+            try:
+                self._perception.begin(read_prompt(message.data))
+                self._message = ""
+            except DeploymentError as error:
+                self._message = str(error)
 
     def _poll_at_even_times(self, frame: CameraFrame | None) -> dict[str, Any] | None:
         """Have images looked at, and decide when it is time, whether that is done or not."""
