@@ -22,8 +22,7 @@ OWN = ("method", "env", "device", "seed", "dynamics", "camera")
 NEUTRAL = ("checkpoint_seconds", "report_seconds")
 """Fields of a training's configuration that change no result."""
 
-JOBS_ON_CUDA = 3
-"""Trainings that share a GPU. Source: ours; one alone does not fill it, see `comparison.jobs`."""
+JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `comparison.jobs`.
 
 TRAINING, EVALUATION = "training", "evaluation"
 

@@ -27,8 +27,7 @@ from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import PolicyCommand
 
-POLL = 0.002
-"""Longest time between two looks at servo and network [s], in real time; an image ends it. Source: ours."""
+POLL = 0.002  #: Longest real time between two looks at servo and network [s]; an image ends it. Source: ours.
 
 LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
 """Age up to which an image waits for its decision [s]: the policy gets the box of before. Source: ours."""

@@ -32,9 +32,7 @@ from pixel2catch.rendering.video import RecordedThrow
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT
 
-TRIAL_STEPS = EpisodeCfg().max_steps
-"""Control steps in which reaching and success count: those of a training episode."""
-
+TRIAL_STEPS = EpisodeCfg().max_steps  #: Control steps in which reaching and success count, as in training.
 HOLD_TEST_STEPS = 30  #: Control steps of the hold test: 1.0 s. Source: ours.
 SHAKE_STEPS = 15  #: Control steps of the shake: 0.5 s. Source: ours.
 

@@ -48,8 +48,7 @@ class CameraCfg:
     shot_noise: float = 0.05
 
 
-FAST_CAMERA = CameraCfg(part_length=8.0)
-"""The camera, with fewer pictures in an exposure: two of the fastest objects."""
+FAST_CAMERA = CameraCfg(part_length=8.0)  #: With fewer pictures in an exposure: two of the fastest objects.
 
 
 @dataclass(frozen=True, kw_only=True)

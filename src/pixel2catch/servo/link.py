@@ -13,9 +13,7 @@ from jaxtyping import Float64
 
 from pixel2catch.servo.motion import Joints
 
-BUFFER_SIZE = 1 << 20
-"""Memory that is asked for in each direction [bytes]; Linux gives what its own limit allows. Source: ours."""
-
+BUFFER_SIZE = 1 << 20  #: Memory asked for each way [bytes]; Linux gives what its limit allows. Source: ours.
 _LONGEST = 4096  #: More than any packet has [bytes].
 
 _FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL

@@ -42,16 +42,10 @@ def set_niceness(niceness: int) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
 
 
-PATIENCE = 10.0
-"""Time in which a servo process ends after its link is closed [s], in real time. Source: ours."""
-
-DEPTH = 16
-"""Messages that are kept from one tick to the next: several senders may share a topic. Source: ours."""
-
+PATIENCE = 10.0  #: Real time in which a servo process ends after its link is closed [s]. Source: ours.
+DEPTH = 16  #: Messages kept from one tick to the next: several senders may share a topic. Source: ours.
 POLL_TIME = 0.2  #: Time between two counts of the other publishers [s]. Source: ours.
-
-SCALING_DIGITS = 3
-"""Digits to which a share of the speed counts: the driver multiplies two fractions. Source: ours."""
+SCALING_DIGITS = 3  #: Digits of a share of the speed: the driver multiplies two fractions. Source: ours.
 
 T = TypeVar("T")
 

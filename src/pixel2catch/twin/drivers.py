@@ -17,8 +17,7 @@ from jaxtyping import Float
 from pixel2catch.rendering.camera import Exposure, Image
 from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
 
-CYCLE = 0.002
-"""Time in which both drivers read a command and publish the joints [s]. Source: UR driver, 500 Hz."""
+CYCLE = 0.002  #: Period in which both drivers read a command and publish joints [s]. Source: UR driver.
 
 MAX_STEP = 20.0 * CYCLE
 """Change of a joint's target in a cycle from which the UR ignores a command [rad]. Source: UR driver."""
@@ -31,8 +30,7 @@ ever. The twin takes the sender's silence in the middle of a motion for it, so t
 seen; a sender whose commands stand still may go.
 """
 
-DECELERATION = 4.0
-"""Deceleration of a halt, and here of every stop [rad/s²]. Source: UR driver, its `stopj`."""
+DECELERATION = 4.0  #: Deceleration of a halt, here of every stop [rad/s²]. Source: UR driver, its `stopj`.
 
 LATENCY = 0.015
 """Time from the middle of the exposure to the image on the wire [s].

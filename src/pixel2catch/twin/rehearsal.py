@@ -27,10 +27,7 @@ from pixel2catch.twin.lab_node import COMMAND, PROFILE, STATE
 
 POLL = 0.005  #: Time between two looks at the network [s]. Source: ours.
 STEP_TIME = 10.0  #: Time in which each step of a throw must be done [s]. Source: ours.
-
-START_TIME = 600.0
-"""Real time in which both processes must be there [s]: on loaded machines imports are slow. Source: ours."""
-
+START_TIME = 600.0  #: Real time for both processes to appear [s]: loaded machines are slow. Source: ours.
 END_TIME = 120.0  #: Real time in which a process must have ended [s].
 
 

@@ -81,8 +81,7 @@ class ThrowScorer:
         self.is_over = is_late or bool(self.record.is_success) or bool(self.record.is_dropped)
 
 
-EMPTY_TIME = 0.5
-"""How long the room is empty between two throws [s]: what lay there is taken away. Source: ours."""
+EMPTY_TIME = 0.5  #: How long the room is empty between throws [s]: what lay there is removed. Source: ours.
 
 Joints = Float[np.ndarray, " num_joints"]
 

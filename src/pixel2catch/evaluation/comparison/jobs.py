@@ -20,10 +20,7 @@ from pathlib import Path
 from pixel2catch.errors import StudyError
 
 POLL_SECONDS = 0.2  #: Time between two looks at the running jobs [s].
-
-GRACE_SECONDS = 120.0
-"""Time that a job gets to end in order when it is asked to [s]. Source: ours, a rollout and a checkpoint."""
-
+GRACE_SECONDS = 120.0  #: Time of a job to end when asked to [s]. Source: ours, a rollout and a checkpoint.
 
 MPS_CONTROL = "nvidia-cuda-mps-control"
 MPS_START_SECONDS = 20.0

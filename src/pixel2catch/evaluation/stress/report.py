@@ -34,9 +34,7 @@ REAL_ROBOT: dict[str, float] = {
 
 Interval = tuple[float, float]
 
-PALETTE = "viridis"
-"""A sequential palette for any kind of colour vision. Source: Smith and van der Walt 2015, Matplotlib."""
-
+PALETTE = "viridis"  #: For any kind of colour vision. Source: Smith and van der Walt 2015, Matplotlib.
 DARK = 60.0  #: S.R. [%] under which a cell is dark enough for white letters.
 UNTRAINED = "*"  #: Mark of a setting that a policy was not trained on.
 ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95  #: Size of a cell [inch].

@@ -15,9 +15,7 @@ from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: A task, changed; a change can be sent to another process.
-
-AIR_DENSITY = 1.2
-"""Density of air at 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded."""
+AIR_DENSITY = 1.2  #: At 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded.
 
 CAMERA_POSITION_SOURCE = (
     "1 cm: hand-eye calibration with a board (ours); 1 to 3 cm: users' errors of a D435 beside an arm "
