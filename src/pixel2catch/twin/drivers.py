@@ -17,7 +17,7 @@ from jaxtyping import Float
 from pixel2catch.rendering.camera import Exposure, Image
 from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
 
-CYCLE = 0.002  #: Period in which both drivers read a command and publish joints [s]. Source: UR driver.
+CYCLE = 0.002  #: Period in which drivers read a command and publish joints [s]. Source: UR driver, 500 Hz.
 
 MAX_STEP = 20.0 * CYCLE
 """Change of a joint's target in a cycle from which the UR ignores a command [rad]. Source: UR driver."""
