@@ -42,7 +42,7 @@ class StepClock(Clock):
 
 
 def perception_times(least: float, jitter: float = 0.0, seed: int = 0) -> Callable[[], float]:
-    """What draws how long perception takes for an image: the least time, or up to so much more [s].
+    """What draws how long perception takes for an image, evenly from the least time to so much more [s].
 
     Raises:
         InvalidValueError: A time is negative.

@@ -8,7 +8,6 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float, Int
 
-from pixel2catch.deployment.perception_thread import ROUNDING
 from pixel2catch.errors import DeploymentError
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
@@ -24,6 +23,7 @@ REQUESTS = '{"do": "prepare", "seed": 7}, {"do": "throw"}, {"do": "protective_st
 
 STATE = Topic(name="/twin/state", type=messages.TEXT)  #: What is true in the twin, 30 times a second.
 DEPTH = 64  #: Commands that wait while the twin is late.
+ROUNDING = 1e-9  #: Difference of two times that is none [s].
 
 Joints = Float[np.ndarray, " num_joints"]
 
