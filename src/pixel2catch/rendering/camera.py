@@ -23,9 +23,7 @@ OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)
 
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
 
-SURROUNDINGS = ("world", "floor")
-"""Bodies that nothing can hide behind but the sky: walls, posters, floor, and the table's pedestal."""
-
+SURROUNDINGS = ("world", "floor")  #: Nothing hides behind these but the sky: walls, posters, floor, pedestal.
 AWAY = (-9.0, 0.0, 1.0)  #: Where an object is that is not in the room: behind the camera [m].
 COARSE = (16, 8)  #: Slices and stacks of round geoms; MuJoCo's own 28 and 16 take half as long again.
 NOISE_LENGTH = 1 << 21  #: Numbers in the stock of noise; every image begins somewhere else in it.

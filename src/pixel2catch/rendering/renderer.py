@@ -22,8 +22,7 @@ from mujoco.rendering.classic import gl_context
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.scene.constants import RGB_CAMERA
 
-GL_BACKENDS = ("egl", "osmesa")
-"""MuJoCo's back ends that need no display, in the order of preference: EGL also draws on a GPU."""
+GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first: EGL also draws on a GPU.
 
 OBJECT_BODY = "object"
 

@@ -14,9 +14,7 @@ from pixel2catch.servo.workspace import Workspace
 
 STOP_TIME = 0.3  #: Time after which the commands of a stop stand still [s]. Source: ours.
 RETURN_TIME = 0.2  #: Part of it to go back to where the joints are [s]; the rest is to brake. Source: ours.
-
-TRAVEL_MARGIN = 0.05
-"""Distance that commands of an arm keep from the ends of its joints' travel [rad]. Source: ours."""
+TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
 
 def steady_lag(dynamics: JointDynamics) -> Joints:

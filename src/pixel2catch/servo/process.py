@@ -301,8 +301,7 @@ class RunningServo:
     process: SpawnProcess
 
 
-MakeTransport = Callable[[RealClock], Transport]
-"""Joins the network, on either side of the start of a process."""
+MakeTransport = Callable[[RealClock], Transport]  #: Joins the network, on either side of a process's start.
 
 
 @contextmanager

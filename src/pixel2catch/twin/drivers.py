@@ -18,9 +18,7 @@ from pixel2catch.rendering.camera import Exposure, Image
 from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
 
 CYCLE = 0.002  #: Period in which drivers read a command and publish joints [s]. Source: UR driver, 500 Hz.
-
-MAX_STEP = 20.0 * CYCLE
-"""Change of a joint's target in a cycle from which the UR ignores a command [rad]. Source: UR driver."""
+MAX_STEP = 20.0 * CYCLE  #: Change of a target from which the UR ignores a command [rad]. Source: UR driver.
 
 SILENCE = 0.04
 """Time without a command after which the UR's program halts [s]. Source: UR driver (Jazzy).

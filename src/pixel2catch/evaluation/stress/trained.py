@@ -20,9 +20,7 @@ GRIDS = {"latency_steps": "latency_grid", "command_delay": "command_delay_grid"}
 BOUNDS = ("spin", "corner_noise", "edge_noise", "initial_joint_noise")
 """The largest of what is drawn from 0: a smaller bound draws nothing new."""
 
-SHARES = ("unstamped",)
-"""Shares of the episodes in which something happens: what can happen in an episode is what counts."""
-
+SHARES = ("unstamped",)  #: Shares of episodes in which something happens: that it can is what counts.
 TOLERANCE = 1e-9  #: Rounding of numbers that were computed from other units.
 
 
