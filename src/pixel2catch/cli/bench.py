@@ -15,14 +15,10 @@ if TYPE_CHECKING:
 class Bench:
     """Measure control steps a second of the environment, and physics steps a second of the simulation."""
 
-    device: str = "cpu"
-    """Where to simulate: cpu, cuda, cuda:1, ..."""
-    num_envs: int = 512
-    """Environments that are simulated side by side."""
-    seconds: float = 5.0
-    """How long each of the two is measured [s]."""
-    json: bool = False
-    """Print the figures as one JSON object."""
+    device: str = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
+    num_envs: int = 512  #: Environments that are simulated side by side.
+    seconds: float = 5.0  #: How long each of the two is measured [s].
+    json: bool = False  #: Print the figures as one JSON object.
 
     def run(self) -> None:
         """Measure and print."""

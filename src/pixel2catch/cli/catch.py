@@ -1,39 +1,30 @@
 """`pixel2catch catch`: what the shipped policy can do, in a few minutes on a CPU. The job of `make catch`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from pixel2catch.evaluation.protocol import EvaluationCfg
-    from pixel2catch.methods import Method
-    from pixel2catch.policy import Policy
-
-VIDEO_THROWS = 2
-"""Throws in the video: drawing them takes about ten seconds each without a GPU."""
+VIDEO_THROWS = 2  #: Throws in the video: drawing them takes about ten seconds each without a GPU.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Catch:
     """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short video."""
 
-    throws: int = 300
-    """Throws of seen objects, and again as many of unseen ones."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
-    video: Path = Path("catch.mp4")
-    """The video file."""
+    throws: int = 300  #: Throws of seen objects, and again as many of unseen ones.
+    seed: int = 0  #: Seed of everything that is drawn.
+    video: Path = Path("catch.mp4")  #: The video file.
 
     def run(self) -> None:
         """Evaluate, print the results beside the paper's, and write the video."""
-        from dataclasses import replace
-
         from pixel2catch.cli.console import results_console, round_reporter, say
         from pixel2catch.cli.device import prepare
+        from pixel2catch.errors import DeviceUnavailableError
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.evaluation.metrics import assess
-        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.evaluation.report import quality_table, results_table
+        from pixel2catch.rendering.renderer import find_gl_backend
+        from pixel2catch.rendering.video import write_video
         from pixel2catch.scene.objects import OBJECT_GROUPS
 
         prepare("cpu")
@@ -56,21 +47,12 @@ class Catch:
         console = results_console()
         console.print(results_table(results, method.name))
         console.print(quality_table(results))
-        self._write_video(policy, method, replace(cfg, num_envs=VIDEO_THROWS, trials=1))
-
-    def _write_video(self, policy: "Policy", method: "Method", cfg: "EvaluationCfg") -> None:
-        """Write the video, or say in one line what is missing for it."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.errors import DeviceUnavailableError
-        from pixel2catch.evaluation.protocol import recorded_throws
-        from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.rendering.video import write_video
-
         try:
             find_gl_backend()
         except DeviceUnavailableError as error:
             print(f"no video: {error}")
             return
         say(f"drawing {VIDEO_THROWS} throws ...")
-        write_video(self.video, recorded_throws(cfg, policy, method), cfg.task.scene, shadows=False)
+        throws = recorded_throws(replace(cfg, num_envs=VIDEO_THROWS, trials=1), policy, method)
+        write_video(self.video, throws, cfg.task.scene, shadows=False)
         print(f"wrote {self.video}: {VIDEO_THROWS} throws")

@@ -13,11 +13,8 @@ from rich.table import Table
 from pixel2catch.evaluation.comparison.jobs import Status
 from pixel2catch.evaluation.comparison.plan import GROUPS
 
-SUMMARY_SECONDS = 30.0
-"""Time between two summaries where there is no terminal [s]."""
-
-REFRESH_SECONDS = 1.0
-"""Time between two pictures of the live table [s]."""
+SUMMARY_SECONDS = 30.0  #: Time between two summaries where there is no terminal [s].
+REFRESH_SECONDS = 1.0  #: Time between two pictures of the live table [s].
 
 COLORS = {Status.RUNNING: "cyan", Status.DONE: "green", Status.FAILED: "red", Status.STOPPED: "yellow"}
 
@@ -26,12 +23,10 @@ COLORS = {Status.RUNNING: "cyan", Status.DONE: "green", Status.FAILED: "red", St
 class Progress:
     """How far a training is."""
 
-    transitions: float = 0.0
-    """Transitions learnt from."""
-    transitions_per_second: float = 0.0
-    """Transitions a second of the last update."""
+    transitions: float = 0.0  #: Transitions learnt from.
+    transitions_per_second: float = 0.0  #: Transitions a second of the last update.
+    #: S.R. of the last update's episodes, with the stochastic policy; NaN if none had ended.
     success_rate: float = nan
-    """S.R. of the last update's episodes, with the stochastic policy; NaN if none had ended."""
 
     @classmethod
     def read(cls, log: Path) -> "Progress":
@@ -45,12 +40,7 @@ class ProgressTable:
     """Shows a comparison on standard error while it runs; use as a context."""
 
     def __init__(self, logs: Mapping[str, Path], total: int) -> None:
-        """Prepare to show.
-
-        Args:
-            logs: The `metrics.csv` of every training, by name of the job.
-            total: Transitions of a training.
-        """
+        """Prepare to show trainings, each by its `metrics.csv`; all have the same total of transitions."""
         self._console = Console(stderr=True, highlight=False, soft_wrap=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
         self._logs, self._total = logs, total

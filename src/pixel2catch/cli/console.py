@@ -12,11 +12,8 @@ from rich.console import Console
 if TYPE_CHECKING:
     from pixel2catch.evaluation.protocol import Trials
 
-TABLE_WIDTH = 100
-"""Width of tables where there is no terminal [characters]."""
-
-BEAT_SECONDS = 20.0
-"""Time between two signs of life where there is no terminal [s]."""
+TABLE_WIDTH = 100  #: Width of tables where there is no terminal [characters].
+BEAT_SECONDS = 20.0  #: Time between two signs of life where there is no terminal [s].
 
 
 def results_console() -> Console:
@@ -31,12 +28,7 @@ def say(text: str) -> None:
 
 
 def round_reporter(name: str, num_rounds: int) -> Callable[["Trials"], None]:
-    """Function that prints a line after every round of an evaluation.
-
-    Args:
-        name: What is evaluated.
-        num_rounds: Rounds in all.
-    """
+    """Function that prints a line after every round of an evaluation of something."""
     successes: list[float] = []
 
     def report(trials: "Trials") -> None:
@@ -51,8 +43,7 @@ def round_reporter(name: str, num_rounds: int) -> Callable[["Trials"], None]:
 def working() -> Iterator[Callable[[str], None]]:
     """Show steps on standard error: a live line on a terminal, else a line for each and a sign of life.
 
-    Yields:
-        Function that is told a step before it is done.
+    It yields a function that is told a step before it is done.
     """
     console = Console(stderr=True, highlight=False)
     with _live(console) if console.is_terminal else _plain() as report:

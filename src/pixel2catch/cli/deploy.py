@@ -24,15 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Vision:
-    """What looks for the object beside a robot.
+    """What looks for the object beside a robot."""
 
-    Attributes:
-        mask_robot: Ignore motion where the robot is in the image.
-        perception: What looks for the object.
-    """
-
-    mask_robot: bool = True
-    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
+    mask_robot: bool = True  #: Ignore motion where the robot is in the image.
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: What looks for the object.
 
     def make_pipeline(
         self, policy_path: Path | None, profile: "Profile", camera: "CameraSpec"
@@ -58,24 +53,18 @@ class Deploy:
 
     The robot stays where it is until an operator arms it on /pixel2catch/arm and holds the dead-man's switch
     on /pixel2catch/dead_man; whatever goes wrong stops it until it is armed again. It runs until Ctrl-C.
-
-    Attributes:
-        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-        record: New folder for a rosbag2 (MCAP) of all that was seen, decided and commanded.
-        record_images: How images are recorded; raw ones are 27 MB a second.
-        seconds: When to end. Default: at Ctrl-C.
-        json: Print the summary as one JSON object, and each status as a line of JSON.
-        vision: What looks for the object.
-        link: How the robot is reached, and how fast it may be.
     """
 
+    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
+    #: New folder for a rosbag2 (MCAP) of all that was seen, decided and commanded.
     record: Path | None = None
+    #: How images are recorded; raw ones are 27 MB a second.
     record_images: Literal["jpeg", "raw", "none"] = "jpeg"
-    seconds: float | None = None
-    json: bool = False
-    vision: Vision = field(default_factory=Vision)
-    link: Link = field(default_factory=Link)
+    seconds: float | None = None  #: When to end. Default: at Ctrl-C.
+    json: bool = False  #: Print the summary as one JSON object, and each status as a line of JSON.
+    vision: Vision = field(default_factory=Vision)  #: What looks for the object.
+    link: Link = field(default_factory=Link)  #: How the robot is reached, and how fast it may be.
 
     def run(self) -> None:
         """Deploy until the end, and say what happened."""

@@ -3,50 +3,40 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
-
-if TYPE_CHECKING:
-    from pixel2catch.evaluation.metrics import Metrics
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
     """Evaluate a policy: rounds of throws with all noise and randomisation, and a test of every hold."""
 
+    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
-    """Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit."""
+    #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
-    """What is thrown: seen, unseen, real, names of objects, or several of them."""
-    num_envs: int = 100
-    """Throws in a round."""
-    trials: int = 10
-    """Rounds."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
-    device: str = "cpu"
-    """Where to simulate: cpu, cuda, cuda:1, ..."""
-    physics_hz: float = 600.0
-    """Physics steps in a second; training's default is the paper's 120."""
+    num_envs: int = 100  #: Throws in a round.
+    trials: int = 10  #: Rounds.
+    seed: int = 0  #: Seed of everything that is drawn.
+    device: str = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
+    physics_hz: float = 600.0  #: Physics steps in a second; training's default is the paper's 120.
+    #: Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal robot, also
+    #: for a policy that was trained with a dynamics file.
     dynamics: Path | None = None
-    """Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal robot, also
-    for a policy that was trained with a dynamics file."""
+    #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
+    #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: Path | None = None
-    """Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
-    policy. Default: the camera that the policy was trained for, known exactly."""
-    json: bool = False
-    """Print all metrics as one JSON object."""
-    out: Path | None = None
-    """File that gets the same JSON object, all of it or nothing."""
+    json: bool = False  #: Print all metrics as one JSON object.
+    out: Path | None = None  #: File that gets the same JSON object, all of it or nothing.
 
     def run(self) -> None:
         """Evaluate and print."""
-        from pixel2catch.cli.console import round_reporter, say
+        from pixel2catch.cli.console import results_console, round_reporter, say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
+        from pixel2catch.evaluation.loading import camera_remark, fingerprint, load_policy, sha256, task_of
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.report import objects_table, quality_table, results_table
         from pixel2catch.files import write_atomically
         from pixel2catch.scene.objects import select_objects
 
@@ -60,7 +50,12 @@ class Evaluate:
             device=self.device,
             task=task_of(policy, self.physics_hz, self.dynamics, self.camera),
         )
-        source = self._source()
+        files = {"dynamics": self.dynamics, "camera": self.camera}
+        source = {
+            "policy": str(self.policy or "shipped"),
+            "policy_sha256": fingerprint(self.policy),
+            **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
+        }
         if self.out:
             self.out.parent.mkdir(parents=True, exist_ok=True)
         for remark in camera_remark(policy, cfg.task):
@@ -72,25 +67,8 @@ class Evaluate:
             write_atomically({self.out: text.encode()})
         if self.json:
             print(text, end="")
-        else:
-            self._print_tables(method.name, result)
-
-    def _source(self) -> dict[str, str | None]:
-        from pixel2catch.evaluation.loading import fingerprint, sha256
-
-        files = {"dynamics": self.dynamics, "camera": self.camera}
-        return {
-            "policy": str(self.policy or "shipped"),
-            "policy_sha256": fingerprint(self.policy),
-            **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
-        }
-
-    def _print_tables(self, method: str, result: "Metrics") -> None:
-        """Print the metrics as tables, beside the paper's."""
-        from pixel2catch.cli.console import results_console
-        from pixel2catch.evaluation.report import objects_table, quality_table, results_table
-
+            return
         console, named = results_console(), {" ".join(self.objects): result}
-        console.print(results_table(named, method))
+        console.print(results_table(named, method.name))
         console.print(objects_table(result))
         console.print(quality_table(named))

@@ -8,10 +8,7 @@ from pixel2catch.errors import PerceptionError
 
 @contextmanager
 def needs_extra(extra: str) -> Iterator[None]:
-    """Turn a failed import of an optional package into an error that says what to install.
-
-    Args:
-        extra: The extra of this package that brings it.
+    """Turn a failed import of an optional package into an error that says which extra to install.
 
     Raises:
         PerceptionError: If something in this context cannot be imported.

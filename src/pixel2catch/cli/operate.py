@@ -20,16 +20,11 @@ class Operate:
     While a key of --hold is pressed the robot may move; when it is released, or the device is unplugged, or
     this command ends, the robot stops. Keys are given by the codes that this command shows when they are
     pressed.
-
-    Attributes:
-        device: Input device, such as /dev/input/by-id/usb-...-event-kbd.
-        keys: What the keys do.
-        network: How the deployment is reached.
     """
 
-    device: Positional[Path]
-    keys: Keys = field(default_factory=Keys)
-    network: Network = field(default_factory=Network)
+    device: Positional[Path]  #: Input device, such as /dev/input/by-id/usb-...-event-kbd.
+    keys: Keys = field(default_factory=Keys)  #: What the keys do.
+    network: Network = field(default_factory=Network)  #: How the deployment is reached.
 
     def run(self) -> None:
         """Operate until Ctrl-C, and say when something changes."""

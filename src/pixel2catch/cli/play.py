@@ -11,24 +11,20 @@ from tyro.conf import Positional
 class Play:
     """Write a video of throws: the robot's camera with the policy's box, and a view from outside."""
 
+    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
-    """Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit."""
-    out: Path = Path("play.mp4")
-    """The video file."""
+    out: Path = Path("play.mp4")  #: The video file.
+    #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
-    """What is thrown: seen, unseen, real, names of objects, or several of them."""
-    throws: int = 4
-    """Number of throws."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
+    throws: int = 4  #: Number of throws.
+    seed: int = 0  #: Seed of everything that is drawn.
+    #: Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy that was
+    #: trained with a dynamics file.
     dynamics: Path | None = None
-    """Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy that was
-    trained with a dynamics file."""
+    #: Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
+    #: exactly.
     camera: Path | None = None
-    """Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
-    exactly."""
-    view: Literal["rgb", "outside", "both"] = "both"
-    """What the pictures show."""
+    view: Literal["rgb", "outside", "both"] = "both"  #: What the pictures show.
 
     def run(self) -> None:
         """Throw, draw and write."""

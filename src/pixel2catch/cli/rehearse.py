@@ -1,7 +1,7 @@
 """`pixel2catch rehearse`: the whole deployment against its digital twin, throw after throw."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -14,8 +14,7 @@ from pixel2catch.twin.config import RehearsalCfg
 if TYPE_CHECKING:
     from pixel2catch.twin.rehearsal import Outcome
 
-REPORT = "report.json"
-"""The report's file in the folder that it writes; the processes' words lie beside it."""
+REPORT = "report.json"  #: The report's file in the folder that it writes; the processes' words lie beside it.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,18 +25,13 @@ class Rehearse:
     only). Images are rendered; on two cores that takes a slower clock, such as --clock 0.5, for both. With
     --lockstep there is one process, no network, and no real time: the same seed gives the same throws on a
     slow or busy machine, and times are those that are stated.
-
-    Attributes:
-        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-        rehearsal: What is rehearsed, and in what time.
-        out: New or empty folder for report.json and what both processes print.
-        json: Print the report as one JSON object.
     """
 
+    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[str | None] = None
-    rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)
-    out: Path = Path("rehearsal")
-    json: bool = False
+    rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)  #: What is rehearsed, and in what time.
+    out: Path = Path("rehearsal")  #: New or empty folder for report.json and what both processes print.
+    json: bool = False  #: Print the report as one JSON object.
 
     def run(self) -> None:
         """Rehearse, write the report and print it."""
@@ -56,23 +50,19 @@ class Rehearse:
             say(f"throw {outcome.seed}: {in_words(outcome)}")
 
         if cfg.lockstep:
-            report = self._in_step(show)
+            from pixel2catch.cli.device import prepare
+            from pixel2catch.evaluation.loading import load_policy
+            from pixel2catch.twin.stepped import rehearse_stepped
+
+            prepare("cpu")
+            policy, _ = load_policy(Path(self.policy) if self.policy else None)
+            report = rehearse_stepped(cfg, cfg.task.make(policy), policy, show)
         else:
             say(f"starting twin and deployment; clock {cfg.clock:g}")
             report = rehearse(cfg, self.policy, self.out, show)
         write_atomically({self.out / REPORT: f"{json.dumps(report, indent=2)}\n".encode()})
         print(json.dumps(report) if self.json else "\n".join(_lines(report)))
         say(f"wrote {self.out}: {', '.join(sorted(file.name for file in self.out.iterdir()))}")
-
-    def _in_step(self, show: Callable[["Outcome"], None]) -> dict[str, Any]:
-        """The report of a rehearsal in lockstep."""
-        from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.twin.stepped import rehearse_stepped
-
-        prepare("cpu")
-        policy, _ = load_policy(Path(self.policy) if self.policy else None)
-        return rehearse_stepped(self.rehearsal, self.rehearsal.task.make(policy), policy, show)
 
 
 def _refuse_nonsense(cfg: RehearsalCfg) -> None:

@@ -18,24 +18,16 @@ class Replay:
 
     Images, joint states and the operator are those of then; nothing is sent to any robot. With the same
     policy and perception the targets are those of then, but for what JPEG and the perception's times change.
-
-    Attributes:
-        recording: What `deploy --record` or `rehearse --record` wrote, with images.
-        out: New folder for the recording (MCAP) of what was decided now.
-        policy: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-        perception_ms: Time that perception takes for an image.
-        json: Print the report as one JSON object.
-        robot: The robot of then.
-        vision: What looks for the object.
     """
 
-    recording: Positional[Path]
-    out: Path
+    recording: Positional[Path]  #: What `deploy --record` or `rehearse --record` wrote, with images.
+    out: Path  #: New folder for the recording (MCAP) of what was decided now.
+    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Path | None = None
-    perception_ms: float = 10.0
-    json: bool = False
-    robot: Robot = field(default_factory=Robot)
-    vision: Vision = field(default_factory=Vision)
+    perception_ms: float = 10.0  #: Time that perception takes for an image.
+    json: bool = False  #: Print the report as one JSON object.
+    robot: Robot = field(default_factory=Robot)  #: The robot of then.
+    vision: Vision = field(default_factory=Vision)  #: What looks for the object.
 
     def run(self) -> None:
         """Replay, compare and report."""

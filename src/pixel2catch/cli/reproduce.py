@@ -19,11 +19,8 @@ PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
 OWN = ("method", "env", "device", "seed", "dynamics", "camera")
 """Fields of a training's configuration that a study sets for each training, or leaves as they are."""
 
-NEUTRAL = ("checkpoint_seconds", "report_seconds")
-"""Fields of a training's configuration that change no result."""
-
-JOBS_ON_CUDA = 3
-"""Trainings that share a GPU. Source: ours; one alone does not fill it, see `comparison.jobs`."""
+NEUTRAL = ("checkpoint_seconds", "report_seconds")  #: Fields of a training that change no result.
+JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `comparison.jobs`.
 
 TRAINING, EVALUATION = "training", "evaluation"
 
@@ -36,35 +33,27 @@ class Reproduce:
     interruption, give the same command. Methods and seeds may be added later.
     """
 
-    methods: tuple[str, ...] = METHODS
-    """Methods to compare."""
-    seeds: int = 3
-    """Trainings of each method."""
+    methods: tuple[str, ...] = METHODS  #: Methods to compare.
+    seeds: int = 3  #: Trainings of each method.
+    #: Settings of the trainings: fast, cpu or paper. Default: fast on CUDA, else cpu.
     preset: Literal["fast", "cpu", "paper"] | None = None
-    """Settings of the trainings: fast, cpu or paper. Default: fast on CUDA, else cpu."""
+    #: Length of a training: control steps, summed over the environments. Default: the preset's.
     transitions: int | None = None
-    """Length of a training: control steps, summed over the environments. Default: the preset's."""
+    #: Physics steps in a second of the trainings, one or several. Default: the preset's.
     physics_hz: tuple[float, ...] | None = None
-    """Physics steps in a second of the trainings, one or several. Default: the preset's."""
+    #: Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096 or
+    #: env.sensing.latency_steps=1,3.
     training: tuple[str, ...] = ()
-    """Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096 or
-    env.sensing.latency_steps=1,3."""
+    #: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
     device: tuple[str, ...] = ()
-    """Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one."""
+    #: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1.
     jobs_per_device: int | None = None
-    """Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1."""
-    num_envs: int = 100
-    """Throws in a round of an evaluation."""
-    trials: int = 10
-    """Rounds of an evaluation."""
-    evaluation_device: tuple[str, ...] = ("cpu",)
-    """Where to evaluate: cpu, or one or several CUDA devices."""
-    evaluation_physics_hz: float = 600.0
-    """Physics steps in a second of the evaluations."""
-    out: Path = Path("results")
-    """Folder of the study."""
-    report_only: bool = False
-    """Train and evaluate nothing; write the report of what is there."""
+    num_envs: int = 100  #: Throws in a round of an evaluation.
+    trials: int = 10  #: Rounds of an evaluation.
+    evaluation_device: tuple[str, ...] = ("cpu",)  #: Where to evaluate: cpu, or one or several CUDA devices.
+    evaluation_physics_hz: float = 600.0  #: Physics steps in a second of the evaluations.
+    out: Path = Path("results")  #: Folder of the study.
+    report_only: bool = False  #: Train and evaluate nothing; write the report of what is there.
 
     def run(self) -> None:
         """Do what is left to do, and write the report."""
@@ -119,9 +108,7 @@ class Reproduce:
     def _slots(self, devices: tuple[str, ...], shared: Mapping[str, str]) -> "list[Slot]":
         """Slots of trainings and evaluations, in turn on every device; a CPU does one evaluation at a time.
 
-        Args:
-            devices: Where to train.
-            shared: Environment variables with which processes share a GPU.
+        With the shared environment variables processes share a GPU.
         """
         from pixel2catch.evaluation.comparison.jobs import Slot
 

@@ -10,12 +10,9 @@ from tyro.conf import Positional
 class Scene:
     """Write the MuJoCo model of robot, table, camera and object to a file."""
 
-    file: Positional[Path]
-    """Where to write: FILE.xml, self-contained, or FILE.mjb, binary."""
-    object: str = "cube_s"
-    """Name of the object that is in the scene."""
-    workcell: str = "ur5e_allegro"
-    """Name of the work cell, or a Python file that defines `WORKCELLS`."""
+    file: Positional[Path]  #: Where to write: FILE.xml, self-contained, or FILE.mjb, binary.
+    object: str = "cube_s"  #: Name of the object that is in the scene.
+    workcell: str = "ur5e_allegro"  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
 
     def run(self) -> None:
         """Write the file."""

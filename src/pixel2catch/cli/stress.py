@@ -16,28 +16,21 @@ if TYPE_CHECKING:
 class Stress:
     """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted."""
 
+    #: Folders of policies or training runs, or names of shipped policies. Default: all shipped.
     policies: Positional[tuple[Path, ...]] = ()
-    """Folders of policies or training runs, or names of shipped policies. Default: all shipped."""
+    #: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
     axes: tuple[str, ...] = ()
-    """Kinds of disturbances, such as nominal camera_position latency together. Default: all."""
+    #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
-    """What is thrown: seen, unseen, real, names of objects, or several of them."""
-    num_envs: int = 100
-    """Throws in a round."""
-    trials: int = 2
-    """Rounds."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
-    device: str = "cpu"
-    """Where to simulate: cpu, cuda, cuda:1, ..."""
+    num_envs: int = 100  #: Throws in a round.
+    trials: int = 2  #: Rounds.
+    seed: int = 0  #: Seed of everything that is drawn.
+    device: str = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
+    #: Policies and settings that are tried at once, each in a process with one thread; on the CPU.
     jobs: int = 1
-    """Policies and settings that are tried at once, each in a process with one thread; on the CPU."""
-    physics_hz: float = 600.0
-    """Physics steps in a second, a multiple of 30."""
-    out: Path = Path("stress")
-    """Folder of the results; other objects need another one."""
-    json: bool = False
-    """Print the table as one JSON object."""
+    physics_hz: float = 600.0  #: Physics steps in a second, a multiple of 30.
+    out: Path = Path("stress")  #: Folder of the results; other objects need another one.
+    json: bool = False  #: Print the table as one JSON object.
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""

@@ -37,21 +37,20 @@ FieldOptions = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 class Train:
     """Train a policy. What is not given comes from the preset, or from the run that goes on."""
 
+    #: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
+    #: shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes or +fit.
+    #: Default: proposed.
     method: Positional[str | None] = None
-    """What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
-    shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes or +fit.
-    Default: proposed."""
+    #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
+    #: WORKCELLS; other commands know those of a file by `--import FILE.py`. Default: ur5e_allegro.
     workcell: str | None = None
-    """The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
-    WORKCELLS; other commands know those of a file by `--import FILE.py`. Default: ur5e_allegro."""
+    #: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
     preset: Literal["fast", "cpu", "paper"] | None = None
-    """Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu."""
-    out: Path | None = None
-    """Folder of the run. Default: runs/METHOD-seedSEED."""
+    out: Path | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
+    #: Go on from the last checkpoint in that folder, with its configuration and what is given here.
     resume: bool = False
-    """Go on from the last checkpoint in that folder, with its configuration and what is given here."""
+    #: Any field of the task, also as --env.sensing.latency-steps 1 3. All fields: train --env.help.
     env: Annotated[FieldOptions, tyro.conf.arg(metavar="FIELD VALUE ...")] = ()
-    """Any field of the task, also as --env.sensing.latency-steps 1 3. All fields: train --env.help."""
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrainOptions)
 
     def run(self) -> None:

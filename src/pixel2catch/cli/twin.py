@@ -17,16 +17,11 @@ class Twin:
 
     `deploy` cannot tell it from the lab; topics are those of the profile ur5e_allegro_v4. An operator asks
     for throws on /twin/command, and /twin/state says what is true. See docs/deployment.md.
-
-    Attributes:
-        policy: Policy whose hand and camera the twin has. Default: catch_alone+fit.
-        twin: How the twin runs.
-        domain: DDS domain. Default: ROS_DOMAIN_ID, or 0.
     """
 
-    policy: Path | None = None
-    twin: TwinCfg = field(default_factory=TwinCfg)
-    domain: int | None = None
+    policy: Path | None = None  #: Policy whose hand and camera the twin has. Default: catch_alone+fit.
+    twin: TwinCfg = field(default_factory=TwinCfg)  #: How the twin runs.
+    domain: int | None = None  #: DDS domain. Default: ROS_DOMAIN_ID, or 0.
 
     def run(self) -> None:
         """Serve, and say what happens."""

@@ -27,26 +27,16 @@ from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import PolicyCommand
 
-POLL = 0.002
-"""Longest time between two looks at servo and network [s], in real time; an image ends it. Source: ours."""
+POLL = 0.002  #: Longest real time between two looks at servo and network [s]; an image ends it. Source: ours.
 
 LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
 """Age up to which an image waits for its decision [s]: the policy gets the box of before. Source: ours."""
 
-PATIENCE = 1.5 * CONTROL_DT
-"""Time after an image from which the next one is missing [s]. Source: ours."""
-
-QUANTILE = 0.9
-"""Share of the images that are looked at in time. Source: ours."""
-
-STEP = 0.0005
-"""How fast the time is adapted, for each image [s]. Source: ours."""
-
-NUM_LOOKS = 60
-"""Looks that a timer learns from: two to four seconds. Source: ours."""
-
-SHIFT = 0.0005
-"""How far a control step may be longer or shorter than it should be [s]. Source: ours."""
+PATIENCE = 1.5 * CONTROL_DT  #: Time after an image from which the next one is missing [s]. Source: ours.
+QUANTILE = 0.9  #: Share of the images that are looked at in time. Source: ours.
+STEP = 0.0005  #: How fast the time is adapted, for each image [s]. Source: ours.
+NUM_LOOKS = 60  #: Looks that a timer learns from: two to four seconds. Source: ours.
+SHIFT = 0.0005  #: How far a control step may be longer or shorter than it should be [s]. Source: ours.
 
 
 class DecisionDelay:
@@ -167,14 +157,11 @@ class ControlLoop:
                 self._perception.begin(None)
             self._mode = servo_status.mode
         for message in self._prompts.take():
-            self._point(message.data)
-
-    def _point(self, data: bytes) -> None:
-        try:
-            self._perception.begin(read_prompt(data))
-            self._message = ""
-        except DeploymentError as error:
-            self._message = str(error)
+            try:
+                self._perception.begin(read_prompt(message.data))
+                self._message = ""
+            except DeploymentError as error:
+                self._message = str(error)
 
     def _poll_at_even_times(self, frame: CameraFrame | None) -> dict[str, Any] | None:
         """Have images looked at, and decide when it is time, whether that is done or not."""

@@ -10,11 +10,10 @@ from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
-from pixel2catch.servo.link import PolicyCommand, ServoStatus
+from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.motion import Joints
 
-PERIOD = 0.01
-"""Time between two commands [s]. Source: ours."""
+PERIOD = 0.01  #: Time between two commands [s]. Source: ours.
 
 
 class TrajectoryFollower:
@@ -28,11 +27,9 @@ class TrajectoryFollower:
     ) -> None:
         """Wait to be armed.
 
-        Args:
-            targets: The targets of all joints, in joint order [rad], by the time since its beginning [s].
-            duration: When it ends [s].
-            ramp_time: How long it waits at its first target, in which the servo goes there [s].
-            connection: The robot.
+        The targets of all joints, in joint order [rad], are by the time since the trajectory's beginning [s],
+        and it ends after its duration [s]. In the ramp time [s] before it, the servo goes to the first
+        target.
         """
         self.statistics = RunStatistics()
         self.is_done = False  #: Whether the trajectory was followed to its end.
@@ -57,25 +54,21 @@ class TrajectoryFollower:
         self._rest()
 
     def _hear(self) -> None:
-        """Take what the servo has said, and record everything."""
+        """Record everything; begin when the servo is armed, and give up when it is stopped."""
         connection = self._connection
         for servo_status in connection.hear():
             self.statistics.note_status(servo_status, connection.servo_dt)
-            self._follow(servo_status)
+            if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
+                self._armed_at = servo_status.time
+            if servo_status.mode == Mode.STOPPED and np.isfinite(self._armed_at):
+                reasons, elapsed = ", ".join(self.statistics.stops), servo_status.time - self._armed_at
+                raise DeploymentError(
+                    f"the robot was stopped ({reasons}) {elapsed:.1f} s after it was armed; the recording "
+                    "ends there: mend the reason, and record anew."
+                )
+            self._mode = servo_status.mode
         if connection.recording:
             connection.recording.record_messages()
-
-    def _follow(self, servo_status: ServoStatus) -> None:
-        """Begin when it is armed; give up when it is stopped."""
-        if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
-            self._armed_at = servo_status.time
-        if servo_status.mode == Mode.STOPPED and np.isfinite(self._armed_at):
-            reasons, elapsed = ", ".join(self.statistics.stops), servo_status.time - self._armed_at
-            raise DeploymentError(
-                f"the robot was stopped ({reasons}) {elapsed:.1f} s after it was armed; the recording ends "
-                "there: mend the reason, and record anew."
-            )
-        self._mode = servo_status.mode
 
     def _command(self, now: float) -> None:
         if not np.isfinite(self._armed_at):

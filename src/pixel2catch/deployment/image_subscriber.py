@@ -15,14 +15,9 @@ from pixel2catch.ros2.transport import Clock, Message, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.motion import Joints
 
-DEPTH = 4
-"""Images that are kept until they are looked at; only the newest is. Source: ours."""
-
-MEMORY = 0.5
-"""How long joint positions are remembered [s]. Source: ours; longer than an image may be late."""
-
-LENS_TOLERANCE = 0.02
-"""Relative difference of focal lengths, and of the centre by the width, that is none. Source: ours."""
+DEPTH = 4  #: Images that are kept until they are looked at; only the newest is. Source: ours.
+MEMORY = 0.5  #: How long joint positions are remembered [s]. Source: ours; longer than an image may be late.
+LENS_TOLERANCE = 0.02  #: Relative difference of focal lengths, and of centres by the width. Source: ours.
 
 EARLIEST, LATEST = -0.05, 0.5
 """Age at arrival of images whose stamps can be meant [s]. Source: ours; outside it is another clock's."""

@@ -13,8 +13,7 @@ from pixel2catch.ros2.transport import Clock, Subscription, Transport
 SWITCH_TIME = 0.04
 """Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of what the servo waits."""
 
-DEPTH = 64
-"""Messages that are kept from one look to the next."""
+DEPTH = 64  #: Messages that are kept from one look to the next.
 
 
 class OperatorConsole:
@@ -63,8 +62,7 @@ def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
     return json.loads(messages.read_text(received[-1].data)) if received else known
 
 
-POLL = 0.005
-"""Time between two looks at the keys [s]. Source: ours."""
+POLL = 0.005  #: Time between two looks at the keys [s]. Source: ours.
 
 
 def operate_by_keys(

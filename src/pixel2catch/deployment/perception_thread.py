@@ -12,8 +12,7 @@ from pixel2catch.perception.segmenter import Prompt
 from pixel2catch.ros2.transport import Clock
 from pixel2catch.scene.constants import CONTROL_DT
 
-ROUNDING = 1e-9
-"""Difference of two times that is none [s]."""
+ROUNDING = 1e-9  #: Difference of two times that is none [s].
 
 LONGEST_WAIT = 0.25 * CONTROL_DT
 """Time after which an image that waits is passed over for the next one [s].
@@ -108,10 +107,9 @@ class ConcurrentPerception:
         self._waiting = (frame, self._clock.now())
 
     def go_on(self) -> PerceptionResult | None:
-        """Take what was seen, if a look is done, and begin with the next image; call it often.
+        """Take what was seen, if a look is done and not at a throw before, and begin with the next image.
 
-        Returns:
-            The look that is done; none if there is none, or if it was at a throw before.
+        Call it often.
 
         Raises:
             PerceptionError: The first image has the wrong size.

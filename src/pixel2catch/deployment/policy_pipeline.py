@@ -75,9 +75,7 @@ class Controller:
     ) -> Float[Tensor, "1 num_joints"]:
         """Decide where the joints shall be at the end of the next control step [rad].
 
-        Args:
-            joint_pos: Joint encoders in joint order [rad].
-            boxes: The last measured boxes of the object, as many as the method remembers.
+        Joint positions are in joint order [rad]; there are as many boxes as the method remembers.
 
         Raises:
             NonFiniteError: There is a NaN or an infinity; nothing is remembered of it.
@@ -148,8 +146,7 @@ to an age, which is now of this image and now of the one before, it catches 69 %
 where perception takes 10 to 17 ms by chance.
 """
 
-MEMORY = 8
-"""Boxes that are kept at least, one an image."""
+MEMORY = 8  #: Boxes that are kept at least, one an image.
 
 LONGEST_LOOK = 0.4
 """Age of the newest image that was looked at from which perception hangs [s].

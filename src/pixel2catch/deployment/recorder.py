@@ -20,12 +20,10 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
 from pixel2catch.servo.link import LoopEnd, ServoStatus
 
-MOST_WAITING = 128 * 2**20
-"""Messages that wait to be written [bytes]: 4 s of images. Source: ours."""
+MOST_WAITING = 128 * 2**20  #: Messages that wait to be written [bytes]: 4 s of images. Source: ours.
 
 
-Convert = Callable[[bytes], bytes]
-"""Makes what is written of what was recorded, such as a smaller image."""
+Convert = Callable[[bytes], bytes]  #: Makes what is written of what was recorded, such as a smaller image.
 
 
 class _Entry(NamedTuple):
@@ -55,7 +53,13 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         self._connections: dict[Topic, BagConnection] = {}
         self._waiting, self._lock = 0, Lock()
         self._queue: SimpleQueue[_Entry | None] = SimpleQueue()
-        self._writer = _open(folder)
+        try:
+            self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.open()
+        except (OSError, WriterError) as error:
+            raise DeploymentError(
+                f"{folder}: no recording can be made ({error}); choose another name."
+            ) from error
         self._thread = Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
 
@@ -114,31 +118,11 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         return True
 
 
-def _open(folder: Path) -> Writer:
-    try:
-        writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
-        writer.open()
-    except (OSError, WriterError) as error:
-        raise DeploymentError(
-            f"{folder}: no recording can be made ({error}); choose another name."
-        ) from error
-    return writer
-
-
-SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)
-"""Every tick of the servo, `ServoStatus.row`."""
-
-ORDERS = Topic(name="/pixel2catch/orders", type=messages.FLOAT_ARRAY)
-"""What the servo was told, `PolicyCommand.row`."""
-
-DEPTH = 512
-"""Messages that are kept between two control steps."""
-
-RESOLUTION = 1e-6
-"""Least time between two messages of a topic [s]: readers of bags sort by it."""
-
-Images = Literal["jpeg", "raw", "none"]
-"""How images are recorded; raw ones are 27 MB a second."""
+SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)  #: Ticks of the servo, `ServoStatus.row`.
+ORDERS = Topic(name="/pixel2catch/orders", type=messages.FLOAT_ARRAY)  #: Its orders, `PolicyCommand.row`.
+DEPTH = 512  #: Messages that are kept between two control steps.
+RESOLUTION = 1e-6  #: Least time between two messages of a topic [s]: readers of bags sort by it.
+Images = Literal["jpeg", "raw", "none"]  #: How images are recorded; raw ones are 27 MB a second.
 
 
 class DeploymentRecorder:

@@ -185,9 +185,8 @@ def recorded_targets(recording: Path) -> RecordedTargets:
 def compare(then: RecordedTargets, now: RecordedTargets, workcell: WorkcellSpec) -> dict[str, Any]:
     """How alike a deployment and its replay are.
 
-    Returns:
-        Numbers of images that were decided on then, now, and both times; median and largest difference of
-        the targets of every joint group, such as arm and hand [rad], if there are any of both.
+    Numbers of images that were decided on then, now, and both times; median and largest difference of the
+    targets of every joint group, such as arm and hand [rad], if there are any of both.
     """
     report: dict[str, Any] = {"num_then": len(then.time), "num_now": len(now.time), "num_both": 0}
     if not (len(then.time) and len(now.time)):

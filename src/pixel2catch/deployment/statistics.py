@@ -12,11 +12,8 @@ from pixel2catch.servo.core import Clamp, Mode
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
-MEMORY = 40_000
-"""Latencies that are kept: more than twenty minutes at 30 Hz."""
-
-SERVO_MEMORY = 1_000_000
-"""Durations of servo ticks that are kept: half an hour at 500 Hz."""
+MEMORY = 40_000  #: Latencies that are kept: more than twenty minutes at 30 Hz.
+SERVO_MEMORY = 1_000_000  #: Durations of servo ticks that are kept: half an hour at 500 Hz.
 
 ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))
 

@@ -42,12 +42,7 @@ class StepClock(Clock):
 
 
 def perception_times(least: float, jitter: float = 0.0, seed: int = 0) -> Callable[[], float]:
-    """What draws how long perception takes for an image [s], evenly from a range.
-
-    Args:
-        least: The least time [s].
-        jitter: How much more it may be [s].
-        seed: Of the draws.
+    """What draws how long perception takes for an image, evenly from the least time to so much more [s].
 
     Raises:
         InvalidValueError: A time is negative.

@@ -14,29 +14,20 @@ from pixel2catch.errors import DeploymentError
 EVENT = struct.Struct("@llHHi")
 """Seconds, microseconds, type, code and value of an event. Source: Linux, `struct input_event`."""
 
-SYNC, KEY = 0, 1
-"""Types of events. Source: Linux, `EV_SYN` and `EV_KEY`."""
-
-DROPPED = 3
-"""Code of a `SYNC` after which events are missing. Source: Linux, `SYN_DROPPED`."""
-
-MOST_EVENTS = 64
-"""Events that are read at once."""
-
-DEVICES = Path("/dev/input/by-id")
-"""Where input devices have names that stay."""
+SYNC, KEY = 0, 1  #: Types of events. Source: Linux, `EV_SYN` and `EV_KEY`.
+DROPPED = 3  #: Code of a `SYNC` after which events are missing. Source: Linux, `SYN_DROPPED`.
+MOST_EVENTS = 64  #: Events that are read at once.
+DEVICES = Path("/dev/input/by-id")  #: Where input devices have names that stay.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Keys:
     """Codes of the keys, of which any one does it."""
 
+    #: Of the dead-man's switch. Default: space bar, first button of a gamepad or joystick.
     hold: tuple[int, ...] = (57, 288, 304)
-    """Of the dead-man's switch. Default: space bar, first button of a gamepad or joystick."""
-    arm: tuple[int, ...] = (28, 296, 315)
-    """To ask to arm. Default: enter, start button."""
-    stop: tuple[int, ...] = (1, 289, 305)
-    """To ask to stop. Default: escape, second button."""
+    arm: tuple[int, ...] = (28, 296, 315)  #: To ask to arm. Default: enter, start button.
+    stop: tuple[int, ...] = (1, 289, 305)  #: To ask to stop. Default: escape, second button.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,8 +23,7 @@ At 120 Hz an object of 4.5 m/s is up to 38 mm inside the hand before a step sees
 must not live by that; at 600 Hz it is 8 mm at the most.
 """
 
-DEFAULT_POLICY = "catch_alone+fit"
-"""The shipped policy that commands take where none is named."""
+DEFAULT_POLICY = "catch_alone+fit"  #: The shipped policy that commands take where none is named.
 
 
 def shipped_policies() -> dict[str, Path]:
@@ -46,10 +45,8 @@ def shipped_policies() -> dict[str, Path]:
 def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Method]:
     """Read a policy and see that it fits this code; it may have a camera of its own, see `task_of`.
 
-    Args:
-        folder: A policy's folder, the run folder around it, or the name of a shipped policy; the shipped
-            default policy if absent.
-        device: Device of the networks.
+    The folder is the policy's or the run folder around it, or the name of a shipped policy; the shipped
+    default policy if absent.
 
     Raises:
         PolicyMismatchError: If there is no policy, or it is of another robot, image size or format, or of a
@@ -76,18 +73,11 @@ def sha256(file: Path) -> str:
 
 
 def task_of(
-    policy: Policy,
-    physics_hz: float = PHYSICS_HZ,
-    dynamics: Path | None = None,
-    camera: Path | None = None,
+    policy: Policy, physics_hz: float = PHYSICS_HZ, dynamics: Path | None = None, camera: Path | None = None
 ) -> CatchEnvCfg:
     """The task, with finer physics than in training, and the hand and camera the policy was trained with.
 
-    Args:
-        policy: The policy.
-        physics_hz: Physics steps in a second.
-        dynamics: Dynamics file of the robot; nominal if absent, whatever the policy was trained with.
-        camera: Camera file of another camera.
+    Files may say otherwise: the dynamics are nominal without one, whatever the policy was trained with.
 
     Raises:
         InvalidValueError: If the rate does not divide a control step into whole physics steps, or a file

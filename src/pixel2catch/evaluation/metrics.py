@@ -22,12 +22,7 @@ Metrics = dict[str, Any]
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % interval of a rate. Source: Wilson 1927, the score interval.
-
-    Args:
-        successes: How often it happened.
-        trials: Out of how many; positive.
-    """
+    """95 % interval of a rate, of one trial or more. Source: Wilson 1927, the score interval."""
     low, high = binomtest(successes, trials).proportion_ci(method="wilson")
     return float(low), float(high)
 
@@ -60,9 +55,7 @@ def assess(
 def metrics(trials: Trials, object_names: Sequence[str] = tuple(OBJECTS)) -> Metrics:
     """Metrics of all trials by name, and the rates of each object under `objects`.
 
-    Args:
-        trials: The trials.
-        object_names: Names of all objects, by row of the object table.
+    Names of objects are by row of the object table.
 
     Raises:
         NonFiniteError: If the simulation produced NaN or infinity.

@@ -32,23 +32,15 @@ from pixel2catch.rendering.video import RecordedThrow
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT
 
-TRIAL_STEPS = EpisodeCfg().max_steps
-"""Control steps in which reaching and success count: those of a training episode."""
-
-HOLD_TEST_STEPS = 30
-"""Control steps of the hold test: 1.0 s. Source: ours."""
-
-SHAKE_STEPS = 15
-"""Control steps of the shake: 0.5 s. Source: ours."""
+TRIAL_STEPS = EpisodeCfg().max_steps  #: Control steps in which reaching and success count, as in training.
+HOLD_TEST_STEPS = 30  #: Control steps of the hold test: 1.0 s. Source: ours.
+SHAKE_STEPS = 15  #: Control steps of the shake: 0.5 s. Source: ours.
 
 TEST_STEPS = HOLD_TEST_STEPS + SHAKE_STEPS
 ROUND_STEPS = TRIAL_STEPS + TEST_STEPS
 
-LEAST_PARTS = 2
-"""Parts of the hand (palm, fingers) that must touch a held object. Source: ours."""
-
-SHAKE_FREQUENCY = 3.0
-"""Frequency of the shake [Hz]: one and a half periods. Source: ours."""
+LEAST_PARTS = 2  #: Parts of the hand (palm, fingers) that must touch a held object. Source: ours.
+SHAKE_FREQUENCY = 3.0  #: Frequency of the shake [Hz]: one and a half periods. Source: ours.
 
 SHAKE_LEAD = (0.058, 0.058)
 """How far the shake puts an arm joint's target from its position [rad]: pan moves the palm sideways, lift up
@@ -63,18 +55,13 @@ acceleration is 4.9 m/s² (3.9 to 6.8) without action noise and 9 m/s² (6 to 17
 class EvaluationCfg:
     """What is thrown at a policy."""
 
-    objects: tuple[str, ...]
-    """Names of the objects; each throw draws one."""
-    num_envs: int = 100
-    """Throws in a round. Source: paper."""
-    trials: int = 10
-    """Rounds. Source: paper."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
-    device: str = "cpu"
-    """"cpu" or a CUDA device."""
+    objects: tuple[str, ...]  #: Names of the objects; each throw draws one.
+    num_envs: int = 100  #: Throws in a round. Source: paper.
+    trials: int = 10  #: Rounds. Source: paper.
+    seed: int = 0  #: Seed of everything that is drawn.
+    device: str = "cpu"  #: "cpu" or a CUDA device.
+    #: The task, with all its noise; objects and endings are set here.
     task: CatchEnvCfg = field(default_factory=CatchEnvCfg)
-    """The task, with all its noise; objects and endings are set here."""
 
     def __post_init__(self) -> None:
         """Refuse an evaluation of nothing."""
@@ -122,20 +109,14 @@ class Trials:
 class RoundState:
     """How far each trial of a round is."""
 
-    record: EpisodeRecord
-    """What happened in the trial."""
-    is_running: Bool[Tensor, " num_envs"]
-    """Whether it is not decided yet."""
-    is_testing: Bool[Tensor, " num_envs"]
-    """Whether there was a success, which is being tested."""
-    test_steps: Int[Tensor, " num_envs"]
-    """Control steps of the test so far."""
+    record: EpisodeRecord  #: What happened in the trial.
+    is_running: Bool[Tensor, " num_envs"]  #: Whether it is not decided yet.
+    is_testing: Bool[Tensor, " num_envs"]  #: Whether there was a success, which is being tested.
+    test_steps: Int[Tensor, " num_envs"]  #: Control steps of the test so far.
+    #: Whether enough parts touched the object at every step of the hold test so far.
     is_firm: Bool[Tensor, " num_envs"]
-    """Whether enough parts touched the object at every step of the hold test so far."""
-    is_verified: Bool[Tensor, " num_envs"]
-    """Whether the hold passed both tests."""
-    action: Float[Tensor, "num_envs num_joints"]
-    """Last actions in joint order."""
+    is_verified: Bool[Tensor, " num_envs"]  #: Whether the hold passed both tests.
+    action: Float[Tensor, "num_envs num_joints"]  #: Last actions in joint order.
 
     def chosen(
         self, action: Float[Tensor, "num_envs num_joints"], workcell: WorkcellSpec
@@ -151,13 +132,7 @@ class RoundState:
         return select(self.is_testing, torch.cat(parts, dim=-1), action)
 
     def advanced(self, step: Step, action: Float[Tensor, "num_envs num_joints"], number: int) -> "RoundState":
-        """The state after a control step.
-
-        Args:
-            step: What the step returned.
-            action: The actions that it was given.
-            number: Control steps since the beginning of the round, this one included.
-        """
+        """The state after a control step with these actions; its number counts from 1 in the round."""
         is_counted = self.is_running if number <= TRIAL_STEPS else self.is_testing
         record = select(is_counted, step.record, self.record)
         test_steps = self.test_steps + self.is_testing.long()
@@ -180,14 +155,7 @@ class RoundState:
 def evaluate(
     actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
 ) -> Trials:
-    """Evaluate a policy.
-
-    Args:
-        actor: The policy.
-        method: The method that it was trained with.
-        cfg: What is thrown.
-        on_round: Called with the trials of every round.
-    """
+    """Evaluate a policy of a method; `on_round` is called with the trials of every round."""
     return play_rounds(cfg.make_env(method), actor, cfg.trials, on_round)
 
 
@@ -198,16 +166,11 @@ def play_rounds(
     on_round: Callable[[Trials], None] = lambda _: None,
     seed: int | None = None,
 ) -> Trials:
-    """Play rounds and close the environments.
+    """Play rounds in environments of `EvaluationCfg.make_env`, and close them.
 
-    Args:
-        env: The environments, made by `EvaluationCfg.make_env`.
-        actor: The policy.
-        num_rounds: How many.
-        on_round: Called with the trials of every round.
-        seed: Seed of the first round; the next round has the next one. Then all policies get the same throws:
-            without it, rounds end when every hold is decided, and the throws of the second depend on the
-            policy.
+    The seed is of the first round, and the next round has the next one: then all policies get the same
+    throws. Without it, rounds end when every hold is decided, and the throws of the second depend on the
+    policy.
     """
     rounds = []
     try:
@@ -254,10 +217,7 @@ def run_round(
 ) -> Trials:
     """Throw once in every environment; environments that have decided their trial are stepped on and ignored.
 
-    Args:
-        env: The environments, made by `EvaluationCfg.make_env`.
-        actor: The policy.
-        watch: Called after every control step; it must copy what it keeps, the next step overwrites it.
+    After every control step `watch` is called; it must copy what it keeps, the next step overwrites it.
     """
     observation = env.reset()
     actor.reset()

@@ -35,14 +35,9 @@ MAIN_RATES = {"T.R.": "tracking_rate", "S.R.": "success_rate"}
 CONTACT_RATES = {"palm contact": "palm_contact_rate", "verified hold": "verified_hold_rate"}
 """Rates that ask for contact, which the paper does not have."""
 
-RATES = MAIN_RATES | CONTACT_RATES
-"""Columns of the tables and the metrics that they show."""
-
-DPI = 160
-"""Pixels of an inch of a picture."""
-
-Cells = Mapping[str, str]
-"""A row of a table, by column."""
+RATES = MAIN_RATES | CONTACT_RATES  #: Columns of the tables and the metrics that they show.
+DPI = 160  #: Pixels of an inch of a picture.
+Cells = Mapping[str, str]  #: A row of a table, by column.
 
 
 def results_table(results: Mapping[str, Metrics], method: str) -> Table:

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -22,9 +23,7 @@ OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)
 
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
 
-SURROUNDINGS = ("world", "floor")
-"""Bodies that nothing can hide behind but the sky: walls, posters, floor, and the table's pedestal."""
-
+SURROUNDINGS = ("world", "floor")  #: Nothing hides behind these but the sky: walls, posters, floor, pedestal.
 AWAY = (-9.0, 0.0, 1.0)  #: Where an object is that is not in the room: behind the camera [m].
 COARSE = (16, 8)  #: Slices and stacks of round geoms; MuJoCo's own 28 and 16 take half as long again.
 NOISE_LENGTH = 1 << 21  #: Numbers in the stock of noise; every image begins somewhere else in it.
@@ -47,8 +46,7 @@ class CameraCfg:
     shot_noise: float = 0.05
 
 
-FAST_CAMERA = CameraCfg(part_length=8.0)
-"""The camera, with fewer pictures in an exposure: two of the fastest objects."""
+FAST_CAMERA = CameraCfg(part_length=8.0)  #: With fewer pictures in an exposure: two of the fastest objects.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +67,7 @@ class Exposure:
     thrower: Callable[[float], Float[np.ndarray, "6"]]  #: Positions of the bystanders' joints at a time [s].
 
 
-class RoomCamera:
+class RoomCamera(AbstractContextManager["RoomCamera"]):
     """Takes images in a room; close it, or use it as a context manager, in the thread that made it.
 
     Without shadows it draws 30 images a second on a share of one core: what never moves is drawn once, and in
@@ -136,10 +134,6 @@ class RoomCamera:
     def close(self) -> None:
         """Free the drawing context."""
         self._renderer.close()
-
-    def __enter__(self) -> "RoomCamera":
-        """Return the camera itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""

@@ -10,6 +10,7 @@ import importlib
 import os
 import subprocess
 import sys
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
 
@@ -21,8 +22,7 @@ from mujoco.rendering.classic import gl_context
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.scene.constants import RGB_CAMERA
 
-GL_BACKENDS = ("egl", "osmesa")
-"""MuJoCo's back ends that need no display, in the order of preference: EGL also draws on a GPU."""
+GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first: EGL also draws on a GPU.
 
 OBJECT_BODY = "object"
 
@@ -91,13 +91,10 @@ def _draws(backend: str) -> bool:
     return done.returncode == 0
 
 
-class Renderer:
+class Renderer(AbstractContextManager["Renderer"]):
     """Draws one model from one view with `mujoco.Renderer`; close it, or use it as a context manager.
 
     Fast settings: no multisampling, a shadow map of 1024 pixels, and shadows only where asked for.
-
-    Attributes:
-        model: The copy, which is drawn; what its geoms are may be changed between two pictures.
     """
 
     def __init__(
@@ -111,7 +108,7 @@ class Renderer:
         """
         # What `mujoco.Renderer` opens its context with; MUJOCO_GL, its own way to say so, is never set.
         gl_context.GLContext = importlib.import_module(f"mujoco.{find_gl_backend()}").GLContext
-        self.model = copy.copy(model)
+        self.model = copy.copy(model)  #: What is drawn; its geoms may be changed between two pictures.
         self.model.vis.quality.offsamples = 0
         self.model.vis.quality.shadowsize = 1024
         self.model.vis.global_.offwidth = view.width
@@ -144,10 +141,6 @@ class Renderer:
     def close(self) -> None:
         """Free the drawing context; the renderer cannot draw any more."""
         self._renderer.close()
-
-    def __enter__(self) -> "Renderer":
-        """Return the renderer itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close the renderer."""

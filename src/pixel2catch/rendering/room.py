@@ -13,13 +13,9 @@ from pixel2catch.scene.scene import SceneCfg, build_spec
 
 WALL_X = 4.6  #: Where the wall behind the thrower is [m]; its foot is in the upper half of the image.
 TEXTURE_SIZE = 512  #: Side of a texture [px].
-
-GRAINS = ((3.0, 9.0), (24.0, 16.0))
-"""Size [px] and standard deviation [levels] of the patterns that a texture is made of."""
-
-FLOOR_LEVEL = (128.0, 124.0, 116.0)
-WALL_LEVEL = (172.0, 168.0, 158.0)  #: Mean red, green and blue of the textures.
-
+GRAINS = ((3.0, 9.0), (24.0, 16.0))  #: Size [px] and standard deviation [levels] of a texture's patterns.
+FLOOR_LEVEL = (128.0, 124.0, 116.0)  #: Mean red, green and blue of the floor's texture.
+WALL_LEVEL = (172.0, 168.0, 158.0)  #: The same of the wall's.
 NUM_POSTERS = 6
 
 CLOTHES_RGBA = (0.16, 0.20, 0.32, 1.0)
@@ -29,11 +25,8 @@ BALL_RGBA = (0.85, 0.28, 0.15, 1.0)
 
 SHOULDER = (0.42, 0.12, 0.56)  #: The shoulder, from the held object [m]: behind it, beside it and above it.
 HAND_DROP = 0.085  #: From the middle of the hand up to the held object [m]: the object lies on it.
-
 HAND_RADIUS = 0.045
-
-SWAY, SWAY_PERIOD = 0.012, 2.9
-"""How far [rad] and how fast [s] a standing person sways about the feet. Source: ours."""
+SWAY, SWAY_PERIOD = 0.012, 2.9  #: How far [rad] and how fast [s] a person sways about the feet. Source: ours.
 
 FOLLOW_THROUGH, SWING_TIME = 1.0, 0.16
 """How far the arm swings on after a release [rad], and the time constant of it [s]. Source: ours; the hand

@@ -1,7 +1,7 @@
 """Videos of throws: what the robot's camera sees, with the policy's box, and a view from outside."""
 
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -86,7 +86,7 @@ def _pictures(
             yield np.concatenate(images, axis=1)
 
 
-class VideoWriter:
+class VideoWriter(AbstractContextManager["VideoWriter"]):
     """Writes pictures of one size to an H.264 file; close it, or use it as a context manager."""
 
     def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
@@ -127,10 +127,6 @@ class VideoWriter:
         if self._is_sized:
             self._container.mux(self._stream.encode())
         self._container.close()
-
-    def __enter__(self) -> "VideoWriter":
-        """Return the writer itself."""
-        return self
 
     def __exit__(self, *exception: object) -> None:
         """Close the file."""

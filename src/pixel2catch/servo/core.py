@@ -32,17 +32,9 @@ from pixel2catch.servo.motion import (
     towards,
     wished,
 )
-from pixel2catch.servo.watchdogs import (
-    Fault,
-    ServoInputs,
-    bits,
-    faults_of_policy,
-    faults_of_robot,
-    is_recent,
-)
+from pixel2catch.servo.watchdogs import Fault, ServoInputs, bits, faults_of_policy, faults_of_robot, is_recent
 
-ROUNDING = 1e-6
-"""Excess of a limit that is rounding: policies are of single precision [rad, rad/s]."""
+ROUNDING = 1e-6  #: Excess of a limit that is rounding: policies are of single precision [rad, rad/s].
 
 
 class Mode(IntEnum):

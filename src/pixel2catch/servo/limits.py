@@ -12,14 +12,9 @@ from pixel2catch.scene.constants import CONTROL_DT, SPEED_MARGIN
 from pixel2catch.servo.motion import Joints, MotionLimits
 from pixel2catch.servo.workspace import Workspace
 
-STOP_TIME = 0.3
-"""Time after which the commands of a stop stand still [s]. Source: ours."""
-
-RETURN_TIME = 0.2
-"""Part of it in which they go back to where the joints are [s]; the rest is for braking. Source: ours."""
-
-TRAVEL_MARGIN = 0.05
-"""Distance that commands of an arm keep from the ends of its joints' travel [rad]. Source: ours."""
+STOP_TIME = 0.3  #: Time after which the commands of a stop stand still [s]. Source: ours.
+RETURN_TIME = 0.2  #: Part of it to go back to where the joints are [s]; the rest is to brake. Source: ours.
+TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
 
 def steady_lag(dynamics: JointDynamics) -> Joints:
@@ -52,12 +47,10 @@ class JointLimits:
     def of(
         cls, workcell: WorkcellSpec, share: float = 1.0, dynamics: JointDynamics | None = None
     ) -> "JointLimits":
-        """The limits of the robots of a work cell.
+        """The limits of the robots of a work cell, at a share of the full speed, more than 0 and up to 1.
 
-        Args:
-            workcell: The robots; joints of one role have the same limits where the spec does not say more.
-            share: Share of the full speed, more than 0 and up to 1.
-            dynamics: Of all joints, for their lag; the nominal ones if absent.
+        Joints of one role have the same limits where the spec does not say more. The lag is that of the
+        dynamics of all joints, nominal if absent.
 
         Sources:
             lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of

@@ -13,11 +13,8 @@ from jaxtyping import Float64
 
 from pixel2catch.servo.motion import Joints
 
-BUFFER_SIZE = 1 << 20
-"""Memory that is asked for in each direction [bytes]; Linux gives what its own limit allows. Source: ours."""
-
-_LONGEST = 4096
-"""More than any packet has [bytes]."""
+BUFFER_SIZE = 1 << 20  #: Memory asked for each way [bytes]; Linux gives what its limit allows. Source: ours.
+_LONGEST = 4096  #: More than any packet has [bytes].
 
 _FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 
@@ -91,19 +88,14 @@ Received = TypeVar("Received", PolicyCommand, ServoStatus)
 
 @final
 class LinkEnd(Generic[Sent, Received]):
-    """One end; it can be given to a process that is being started.
-
-    Attributes:
-        num_dropped: Packets that did not fit into the socket, or that nobody was left to receive.
-        is_closed: Whether one of the ends is gone.
-    """
+    """One end; it can be given to a process that is being started."""
 
     def __init__(self, end: socket.socket, received: type[Received]) -> None:
         """Take over a socket."""
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_SIZE)
         self._socket, self._received = end, received
-        self.num_dropped = 0
-        self.is_closed = False
+        self.num_dropped = 0  #: Packets that did not fit, or that nobody was left to receive.
+        self.is_closed = False  #: Whether one of the ends is gone.
 
     def send(self, message: Sent) -> None:
         """Send, if there is room and somebody to receive it."""

@@ -33,8 +33,7 @@ SERVO, CONTROL_LOOP = -10, -8
 Source: ours. Without it a busy machine takes the cores from the policy first: it works in one long piece.
 """
 
-REAL_TIME_PRIORITY = 10
-"""Priority among real-time processes. Source: ours."""
+REAL_TIME_PRIORITY = 10  #: Priority among real-time processes. Source: ours.
 
 
 def set_niceness(niceness: int) -> None:
@@ -43,28 +42,15 @@ def set_niceness(niceness: int) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
 
 
-def be_real_time() -> None:
-    """Come before all that are not."""
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
-
-
-PATIENCE = 10.0
-"""Time in which a servo process ends after its link is closed [s], in real time. Source: ours."""
-
-DEPTH = 16
-"""Messages that are kept from one tick to the next: several senders may share a topic. Source: ours."""
-
-POLL_TIME = 0.2
-"""Time between two counts of the other publishers [s]. Source: ours."""
-
-SCALING_DIGITS = 3
-"""Digits to which a share of the speed counts: the driver multiplies two fractions. Source: ours."""
+PATIENCE = 10.0  #: Real time in which a servo process ends after its link is closed [s]. Source: ours.
+DEPTH = 16  #: Messages kept from one tick to the next: several senders may share a topic. Source: ours.
+POLL_TIME = 0.2  #: Time between two counts of the other publishers [s]. Source: ours.
+SCALING_DIGITS = 3  #: Digits of a share of the speed: the driver multiplies two fractions. Source: ours.
 
 T = TypeVar("T")
 
 
-class JointStateSubscriber:
+class _JointStates:
     """The newest position of each joint, by name, from any number of senders.
 
     Positions are in joint order [rad]. Their stamps are of the first arrival [s]: a message that repeats its
@@ -72,7 +58,6 @@ class JointStateSubscriber:
     """
 
     def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
-        """Begin to listen."""
         self.joint_pos = np.full(num_joints, np.nan)
         self.joint_stamp = np.full(num_joints, -np.inf)
         self._sent = np.full(num_joints, np.nan)
@@ -82,7 +67,6 @@ class JointStateSubscriber:
         self._senders = [(transport.subscription(topic, DEPTH), parts) for topic, parts in senders.items()]
 
     def hear(self) -> None:
-        """Take what has arrived."""
         for subscription, parts in self._senders:
             for (ids, stamp), arrival in _read(
                 subscription, lambda data, parts=parts: self._merge(data, parts)
@@ -96,11 +80,10 @@ class JointStateSubscriber:
         return ids[self._sent[ids] != reading.stamp], reading.stamp
 
 
-class DriverStatusSubscriber:
+class _DriverStatus:
     """What the arm's driver says of itself. What the profile names and nobody has said yet is not well."""
 
     def __init__(self, transport: Transport, topics: StatusTopics) -> None:
-        """Begin to listen."""
         watched: list[tuple[Topic | None, Callable[[bytes], bool]]] = [
             (topics.safety_mode, lambda data: messages.read_safety_mode(data) == messages.NORMAL_SAFETY_MODE),
             (topics.robot_mode, lambda data: messages.read_robot_mode(data) == messages.RUNNING_ROBOT_MODE),
@@ -117,7 +100,6 @@ class DriverStatusSubscriber:
         return all(self._is_well)
 
     def hear(self) -> None:
-        """Take what has arrived."""
         for number, (subscription, read) in enumerate(self._modes):
             for is_well, _ in _read(subscription, read):
                 self._is_well[number] = is_well
@@ -126,11 +108,10 @@ class DriverStatusSubscriber:
                 self.speed_scaling = round(percent / 100.0, SCALING_DIGITS)
 
 
-class OperatorSubscriber:
+class _OperatorRequests:
     """What the operator does: stamps of the dead-man's switch, none if it was let go, and of requests [s]."""
 
     def __init__(self, transport: Transport, topics: OperatorTopics) -> None:
-        """Begin to listen."""
         self.dead_man_stamp = self.arm_stamp = -np.inf
         self.is_stop_requested = False
         self._dead_man, self._arm, self._stop = (
@@ -138,7 +119,6 @@ class OperatorSubscriber:
         )
 
     def hear(self) -> None:
-        """Take what has arrived."""
         for is_held, arrival in _read(self._dead_man, messages.read_boolean):
             self.dead_man_stamp = arrival if is_held else -np.inf
         for asks, arrival in _read(self._arm, messages.read_boolean):
@@ -152,9 +132,9 @@ class ServoSubscriptions:
     def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
         """Begin to listen to all that a profile names."""
         self._transport = transport
-        self._joints = JointStateSubscriber(transport, profile, num_joints)
-        self._status = DriverStatusSubscriber(transport, profile.status)
-        self._operator = OperatorSubscriber(transport, profile.operator)
+        self._joints = _JointStates(transport, profile, num_joints)
+        self._status = _DriverStatus(transport, profile.status)
+        self._operator = _OperatorRequests(transport, profile.operator)
         self._commands = [part.command_topic for part in profile.robots]
         self._has_other_publisher, self._next_poll = True, -np.inf
 
@@ -230,11 +210,7 @@ class CommandPublisher:
 
 
 class Servo:
-    """The loop: `run` until it is asked to `end`, or nobody is left to command it; or call `tick`.
-
-    Attributes:
-        unforeseen: What came up that nobody foresaw; the robot was stopped for it.
-    """
+    """The loop: `run` until it is asked to `end`, or nobody is left to command it; or call `tick`."""
 
     def __init__(self, end: ServoEnd, transport: Transport, setup: ServoSetup, clock: Clock) -> None:
         """Begin to listen; nothing is sent before the operator arms."""
@@ -247,6 +223,7 @@ class Servo:
         self._commands = CommandPublisher(transport, setup, clock)
         self._state, self._policy_command = ServoState.idle(1, num_joints), PolicyCommand.none(num_joints)
         self._is_ending = False
+        #: What came up that nobody foresaw; the robot was stopped for it.
         self.unforeseen: Exception | None = None
 
     def end(self) -> None:
@@ -324,8 +301,7 @@ class RunningServo:
     process: SpawnProcess
 
 
-MakeTransport = Callable[[RealClock], Transport]
-"""Joins the network, on either side of the start of a process."""
+MakeTransport = Callable[[RealClock], Transport]  #: Joins the network, on either side of a process's start.
 
 
 @contextmanager
@@ -356,7 +332,8 @@ def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, c
     """Be the servo process, until the link is closed or on SIGTERM or SIGHUP."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     set_niceness(SERVO)
-    be_real_time()
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
     clock = RealClock(clock_rate)
     with make_transport(clock) as transport:
         servo = Servo(end, transport, setup, clock)

@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float64
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.motion import Bits, Flags, Rows, Times
 
-CLOCK_ERROR = 1e-3
-"""How far in the future a stamp may be [s]. Source: ours; processes read the clock one after the other."""
+CLOCK_ERROR = 1e-3  #: How far ahead a stamp may be [s]. Source: ours; processes read the clock in turn.
 
 AnyFlag = TypeVar("AnyFlag", bound=IntFlag)
 

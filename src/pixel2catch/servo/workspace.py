@@ -16,8 +16,7 @@ from pixel2catch.robots.geometry import TABLE_CLEARANCE, ArmShape, arm_shape, ch
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import WorkcellSpec
 
-ROUNDING = 1e-9
-"""Gap that is none [m], and what an axis across two that are parallel may seem to show."""
+ROUNDING = 1e-9  #: Gap that is none [m], and what an axis across two that are parallel may seem to show.
 
 Corners = Float64[np.ndarray, "rows 3"]
 

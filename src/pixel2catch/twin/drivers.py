@@ -17,11 +17,8 @@ from jaxtyping import Float
 from pixel2catch.rendering.camera import Exposure, Image
 from pixel2catch.ros2.messages import NORMAL_SAFETY_MODE, PROTECTIVE_STOP
 
-CYCLE = 0.002
-"""Time in which both drivers read a command and publish the joints [s]. Source: UR driver, 500 Hz."""
-
-MAX_STEP = 20.0 * CYCLE
-"""Change of a joint's target in a cycle from which the UR ignores a command [rad]. Source: UR driver."""
+CYCLE = 0.002  #: Period in which drivers read a command and publish joints [s]. Source: UR driver, 500 Hz.
+MAX_STEP = 20.0 * CYCLE  #: Change of a target from which the UR ignores a command [rad]. Source: UR driver.
 
 SILENCE = 0.04
 """Time without a command after which the UR's program halts [s]. Source: UR driver (Jazzy).
@@ -31,8 +28,7 @@ ever. The twin takes the sender's silence in the middle of a motion for it, so t
 seen; a sender whose commands stand still may go.
 """
 
-DECELERATION = 4.0
-"""Deceleration of a halt, and here of every stop [rad/s²]. Source: UR driver, its `stopj`."""
+DECELERATION = 4.0  #: Deceleration of a halt, here of every stop [rad/s²]. Source: UR driver, its `stopj`.
 
 LATENCY = 0.015
 """Time from the middle of the exposure to the image on the wire [s].
@@ -40,8 +36,7 @@ LATENCY = 0.015
 Source: ours, for half the exposure, readout and transfer.
 """
 
-MOST_WAITING = 2
-"""Images that may be in work; while there are as many, the next is lost."""
+MOST_WAITING = 2  #: Images that may be in work; while there are as many, the next is lost.
 
 Joints = Float[np.ndarray, " num_part_joints"]
 
@@ -98,11 +93,9 @@ class ArmDriver(Driver):
     """The UR's driver and its program on the robot, which ignores commands that ask for too large a step."""
 
     def __init__(self, position: Joints, lag: Joints) -> None:
-        """Begin with a running program that has no command yet.
+        """Begin where the joints are [rad], with a running program that has no command yet.
 
-        Args:
-            position: Where the joints are [rad].
-            lag: How far the joints are behind their target in a steady motion, per speed [s].
+        The lag is how far the joints are behind their target in a steady motion, per speed [s].
         """
         self._target, self._lag = position, lag
         self._silence = 0.0
@@ -159,11 +152,9 @@ class Camera:
     """The camera's driver: images on their way from exposure to wire."""
 
     def __init__(self, draw: Callable[[Exposure], "Future[Image]"], clock_error: float = 0.0) -> None:
-        """Begin without an image.
+        """Begin without an image, and with what begins to draw one.
 
-        Args:
-            draw: Begins to draw.
-            clock_error: How late the clock is that stamps the images [s].
+        The clock that stamps the images is late by its error [s].
         """
         self._draw, self._clock_error = draw, clock_error
         self._waiting: deque[tuple[float, Future[Image]]] = deque()

@@ -16,28 +16,21 @@ from pixel2catch.ros2.transport import Topic, Transport
 from pixel2catch.twin.drivers import CYCLE, ArmDriver, Camera, Driver, HandDriver, Motion
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
 
-COMMAND = Topic(name="/twin/command", type=messages.TEXT)
-"""What the operator asks the twin for."""
+COMMAND = Topic(name="/twin/command", type=messages.TEXT)  #: What the operator asks the twin for.
 
 REQUESTS = '{"do": "prepare", "seed": 7}, {"do": "throw"}, {"do": "protective_stop"}, {"do": "resume"}'
 """What can be asked for; a protective stop is as after a collision, and `resume` ends every halt."""
 
-STATE = Topic(name="/twin/state", type=messages.TEXT)
-"""What is true in the twin, 30 times a second."""
-
-DEPTH = 64
-"""Commands that wait while the twin is late."""
-
-ROUNDING = 1e-9
-"""Difference of two times that is none [s]."""
+STATE = Topic(name="/twin/state", type=messages.TEXT)  #: What is true in the twin, 30 times a second.
+DEPTH = 64  #: Commands that wait while the twin is late.
+ROUNDING = 1e-9  #: Difference of two times that is none [s].
 
 Joints = Float[np.ndarray, " num_joints"]
 
 PROFILE = "ur5e_allegro_v4"
 """Robot profile that the twin speaks, and whose drivers are the pattern of those of other robots."""
 
-STATUS_CYCLES = 5
-"""Cycles between two messages of the speed scaling: 100 Hz. Source: ours."""
+STATUS_CYCLES = 5  #: Cycles between two messages of the speed scaling: 100 Hz. Source: ours.
 
 
 def twin_profile(workcell: WorkcellSpec) -> Profile:
@@ -190,11 +183,9 @@ class LabNode:
         return self.num_cycles * CYCLE
 
     def cycle(self, start: float, num_late: int = 0) -> None:
-        """Publish, take commands, and simulate until the next cycle.
+        """Publish, take commands, and simulate until the next cycle; so many are overdue besides this one.
 
-        Args:
-            start: Stamp of the beginning of the twin's time [s].
-            num_late: Cycles that are overdue besides this one.
+        The start is the stamp of the beginning of the twin's time [s].
         """
         encoders = self.lab.encoders(self.time)
         for part in self._parts:

@@ -30,18 +30,10 @@ from pixel2catch.twin.realtime import LAST, obey_parent
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.workcells import find_workcell
 
-HOST = "127.0.0.1"
-"""The page is for this machine only; others come by a tunnel."""
-
-PERIOD = 1 / 15
-"""Time between two changes of the page [s], in real time. Source: ours, light on a shared machine."""
-
-BOX_COLOR = (40, 220, 70)
-LINE = 2
-"""Colour and width [px] of the box that the deployment sees."""
-
-REQUESTS = ("prepare", "throw", "protective_stop", "resume")
-"""What the twin is asked for by buttons."""
+HOST = "127.0.0.1"  #: The page is for this machine only; others come by a tunnel.
+PERIOD = 1 / 15  #: Real time between two changes of the page [s]. Source: ours, light on a shared machine.
+BOX_COLOR, LINE = (40, 220, 70), 2  #: Colour and width [px] of the box that the deployment sees.
+REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: What the twin is asked for by buttons.
 
 MAKERS = {
     mujoco.mjtGeom.mjGEOM_BOX: lambda x, y, z: shapes.box(2 * x, 2 * y, 2 * z),

@@ -8,12 +8,11 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from threading import Thread
-from typing import Any
 
 import torch
 
@@ -31,8 +30,7 @@ from pixel2catch.twin.lab_node import LabNode, twin_profile
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells import find_workcell
 
-FIRST, SECOND, LAST = -10, -5, 10
-"""Niceness of physics and wires, of the camera, and of the page. Source: ours."""
+FIRST, SECOND, LAST = -10, -5, 10  #: Niceness of physics and wires, of camera, and of page. Source: ours.
 
 
 def obey_parent(niceness: int) -> None:
@@ -40,18 +38,6 @@ def obey_parent(niceness: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the twin's
     set_niceness(niceness)
     Thread(target=_end_with_parent, daemon=True).start()
-
-
-@contextmanager
-def child(function: Callable[..., Any], *args: Any) -> Iterator[None]:
-    """Run a function in a process of its own as long as the context lasts."""
-    process = get_context("spawn").Process(target=function, args=args, daemon=True)
-    process.start()
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.join()
 
 
 def _end_with_parent() -> None:
@@ -76,8 +62,7 @@ def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure],
         yield lambda exposure: process.submit(_draw, exposure)
 
 
-_VIEWS: list[RoomCamera] = []
-"""The view of a process that draws."""
+_VIEWS: list[RoomCamera] = []  #: The view of a process that draws.
 
 
 def _open(scene: SceneCfg, seed: int) -> None:
@@ -115,8 +100,7 @@ class ClockStats:
         )
 
 
-OnCycle = Callable[[LabNode, ClockStats], bool]
-"""Called after every cycle; says whether to go on."""
+OnCycle = Callable[[LabNode, ClockStats], bool]  #: Called after every cycle; says whether to go on.
 
 
 def serve(cfg: TwinCfg, task: CatchEnvCfg, on_cycle: OnCycle) -> ClockStats:
@@ -138,13 +122,22 @@ def serve(cfg: TwinCfg, task: CatchEnvCfg, on_cycle: OnCycle) -> ClockStats:
         return run(LabNode(lab, profile, node, Camera(draw)), clock, on_cycle)
 
 
-def _page(cfg: TwinCfg, scene: SceneCfg, profile: Profile) -> AbstractContextManager[None]:
-    """The process that serves the web page, if there is to be one."""
+@contextmanager
+def _page(cfg: TwinCfg, scene: SceneCfg, profile: Profile) -> Iterator[None]:
+    """The process that serves the web page as long as the context lasts, if there is to be one."""
     if cfg.web is None:
-        return nullcontext()
+        yield
+        return
     if find_spec("viser") is None:
         raise DeploymentError("the page needs viser: pip install 'pixel2catch[twin]', or leave out --web.")
-    return child(_serve_page, cfg.web, scene, profile, cfg.clock)
+    args = (cfg.web, scene, profile, cfg.clock)
+    process = get_context("spawn").Process(target=_serve_page, args=args, daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.join()
 
 
 def _serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> None:

@@ -25,17 +25,10 @@ from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.lab_node import COMMAND, PROFILE, STATE
 
-POLL = 0.005
-"""Time between two looks at the network [s]. Source: ours."""
-
-STEP_TIME = 10.0
-"""Time in which each step of a throw must be done [s]. Source: ours."""
-
-START_TIME = 600.0
-"""Real time in which both processes must be there [s]: on loaded machines imports are slow. Source: ours."""
-
-END_TIME = 120.0
-"""Real time in which a process must have ended [s]."""
+POLL = 0.005  #: Time between two looks at the network [s]. Source: ours.
+STEP_TIME = 10.0  #: Time in which each step of a throw must be done [s]. Source: ours.
+START_TIME = 600.0  #: Real time for both processes to appear [s]: loaded machines are slow. Source: ours.
+END_TIME = 120.0  #: Real time in which a process must have ended [s].
 
 
 class RehearsalOperator:
@@ -81,7 +74,15 @@ class RehearsalOperator:
         end = self._clock.now() + seconds
         while not condition():
             if self._clock.now() > end:
-                raise DeploymentError(f"{what} did not come within {seconds:g} s: {self.situation()}")
+                said, true = self.console.status, self.truth
+                status = {
+                    name: said.get(name) for name in ("mode", "stopped_by", "found", "refused", "message")
+                }
+                truth = {name: true.get(name) for name in ("phase", "throw", "halted", "refused")}
+                raise DeploymentError(
+                    f"{what} did not come within {seconds:g} s: "
+                    f"deployment {json.dumps(status)}, twin {json.dumps(truth)}"
+                )
             self.watch()
             self._clock.sleep_until(self._clock.now() + POLL)
 
@@ -89,13 +90,6 @@ class RehearsalOperator:
         """Watch for a while [s]."""
         end = self._clock.now() + seconds
         self.until(lambda: self._clock.now() >= end, seconds + POLL, "the end of a rest")
-
-    def situation(self) -> str:
-        """What there is to see, in a line."""
-        said = self.console.status
-        status = {name: said.get(name) for name in ("mode", "stopped_by", "found", "refused", "message")}
-        truth = {name: self.truth.get(name) for name in ("phase", "throw", "halted", "refused")}
-        return f"deployment {json.dumps(status)}, twin {json.dumps(truth)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,16 +173,9 @@ def of_twin(truth: dict[str, Any]) -> dict[str, Any]:
 def rehearse(
     cfg: RehearsalCfg, policy: str | None, logs: Path, report: Callable[[Outcome], None]
 ) -> dict[str, Any]:
-    """Throw with twin and deployment as processes of their own, and count.
+    """Throw with twin and deployment as processes of their own, and return the report, for programs.
 
-    Args:
-        cfg: What is rehearsed.
-        policy: What catches, as both commands take it.
-        logs: Folder for what both processes print.
-        report: Called after every throw.
-
-    Returns:
-        The report, for programs.
+    The policy is what both commands take, and what they print goes to the logs' folder.
 
     Raises:
         DeploymentError: A process did not start, or ended early.

@@ -81,8 +81,7 @@ class ThrowScorer:
         self.is_over = is_late or bool(self.record.is_success) or bool(self.record.is_dropped)
 
 
-EMPTY_TIME = 0.5
-"""How long the room is empty between two throws [s]: what lay there is taken away. Source: ours."""
+EMPTY_TIME = 0.5  #: How long the room is empty between throws [s]: what lay there is removed. Source: ours.
 
 Joints = Float[np.ndarray, " num_joints"]
 
@@ -92,14 +91,10 @@ _YES = torch.ones(1, dtype=torch.bool)
 class Phase(StrEnum):
     """How far a throw is."""
 
-    EMPTY = "empty"
-    """There is no object in the room."""
-    HELD = "held"
-    """The thrower holds it."""
-    FLYING = "flying"
-    """It was thrown, and is not decided yet."""
-    OVER = "over"
-    """It was caught, dropped, or its time is over."""
+    EMPTY = "empty"  #: There is no object in the room.
+    HELD = "held"  #: The thrower holds it.
+    FLYING = "flying"  #: It was thrown, and is not decided yet.
+    OVER = "over"  #: It was caught, dropped, or its time is over.
 
 
 @final
@@ -113,9 +108,7 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
     def __init__(self, task: CatchEnvCfg, seed: int) -> None:
         """Build the scene: a robot in its start pose, and an empty room.
 
-        Args:
-            task: What is thrown at which robot.
-            seed: Of the first start pose and of all noise.
+        The seed is of the first start pose and of all noise.
         """
         self.workcell = workcell = find_workcell(task.scene.workcell)
         num_joints = len(workcell.joints)

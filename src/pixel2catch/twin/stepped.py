@@ -23,7 +23,7 @@ from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, Camera
-from pixel2catch.twin.lab_node import LabNode, twin_profile
+from pixel2catch.twin.lab_node import ROUNDING, LabNode, twin_profile
 from pixel2catch.twin.rehearsal import Outcome, RehearsalOperator, of_twin, rates, run_trial
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells import find_workcell
@@ -34,11 +34,7 @@ HOP = 0.0005
 Source: ours, for DDS between two processes.
 """
 
-ROUNDING = 1e-9
-"""Difference of two times that is none [s]."""
-
-Draw = Callable[[SimulatedLab, Exposure], Image]
-"""Draws what the camera sees."""
+Draw = Callable[[SimulatedLab, Exposure], Image]  #: Draws what the camera sees.
 
 
 class SteppedRehearsal:
@@ -104,8 +100,7 @@ def _done(image: Image) -> "Future[Image]":
     return future
 
 
-GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))
-"""Colours of plain images."""
+GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))  #: Colours of plain images.
 
 
 def rehearse_stepped(
@@ -115,17 +110,7 @@ def rehearse_stepped(
     report: Callable[[Outcome], None],
     limits: ServoLimits | None = None,
 ) -> dict[str, Any]:
-    """Throw, and count.
-
-    Args:
-        cfg: What is rehearsed.
-        task: What is thrown at which robot.
-        policy: What catches.
-        report: Called after every throw.
-        limits: What the servo keeps to; those of the work cell if absent.
-
-    Returns:
-        The report, for programs.
+    """Throw, and return the report, for programs; the servo keeps to the work cell's limits if to no others.
 
     Raises:
         DeviceUnavailableError: If images are to be drawn, and no OpenGL back end works.

@@ -19,14 +19,14 @@ from pixel2catch.evaluation.report import MAIN_RATES
 from pixel2catch.mdp.throws import Range, ThrowCfg, sample_throws
 from pixel2catch.methods import METHODS
 from pixel2catch.robots.workcell import TABLE
-from pixel2catch.scene.constants import GRAVITY, JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells import find_workcell
 
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours that people with any kind of colour vision tell apart. Source: Okabe and Ito 2008; grey: ours."""
 
-MARKERS = "oDPsv^X"
-"""Marks beside the colours, for print without colour."""
+MARKERS = "oDPsv^X"  #: Marks beside the colours, for print without colour.
 
 STYLE: dict[Any, Any] = {
     "font.size": 10,
@@ -40,19 +40,15 @@ STYLE: dict[Any, Any] = {
     "lines.solid_capstyle": "round",
 }
 
-NUM_THROWS = 40
-"""Paths that are drawn."""
-
-SIDE, TOP = (0, 2), (0, 1)
-"""Coordinates of the two views."""
+NUM_THROWS = 40  #: Paths that are drawn.
+SIDE, TOP = (0, 2), (0, 1)  #: Coordinates of the two views.
 
 RELEASE, AIM, PATH = PALETTE[3], PALETTE[4], PALETTE[0]
 ARM, WOOD, VIEW = "#5B5B5B", "#C9B79C", "#B07C00"
 CHAIN = ("base_link", "shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link")
 """Bodies that the arm is drawn through; the palm comes last."""
 
-VIEW_LENGTH = 5.0
-"""How far the edges of the camera's view are drawn [m]: beyond the picture."""
+VIEW_LENGTH = 5.0  #: How far the edges of the camera's view are drawn [m]: beyond the picture.
 
 
 def look(method: str) -> dict[str, Any]:
@@ -142,12 +138,7 @@ def _legend(figure: Figure, axes: Axes) -> None:
 
 
 def throws_figure(cfg: ThrowCfg, seed: int = 0) -> Figure:
-    """Draw throws from release to aim.
-
-    Args:
-        cfg: The ranges of the throws.
-        seed: Seed of the drawn paths.
-    """
+    """Draw throws from release to aim."""
     paths, arm = sample_paths(cfg, NUM_THROWS, seed), arm_points()
     ranges = {
         "release": (cfg.release_x, cfg.release_y, cfg.release_z),
@@ -181,9 +172,10 @@ def sample_paths(cfg: ThrowCfg, num_throws: int, seed: int) -> Float[ndarray, "n
 
 def arm_points() -> Float[ndarray, "num_points 3"]:
     """Positions [m] along the arm in its start pose, from the base to the palm."""
-    model = build_model(SceneCfg())
+    scene = SceneCfg()
+    model = build_model(scene)
     data = mujoco.MjData(model)
-    home = [joint.home for joint in JOINTS]
+    home = [joint.home for joint in find_workcell(scene.workcell).joints]
     data.qpos[: len(home)] = home
     mujoco.mj_kinematics(model, data)
     return np.array([*(data.body(name).xpos for name in CHAIN), data.site("palm").xpos])

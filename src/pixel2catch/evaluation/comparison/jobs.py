@@ -19,12 +19,8 @@ from pathlib import Path
 
 from pixel2catch.errors import StudyError
 
-POLL_SECONDS = 0.2
-"""Time between two looks at the running jobs [s]."""
-
-GRACE_SECONDS = 120.0
-"""Time that a job gets to end in order when it is asked to [s]. Source: ours, a rollout and a checkpoint."""
-
+POLL_SECONDS = 0.2  #: Time between two looks at the running jobs [s].
+GRACE_SECONDS = 120.0  #: Time of a job to end when asked to [s]. Source: ours, a rollout and a checkpoint.
 
 MPS_CONTROL = "nvidia-cuda-mps-control"
 MPS_START_SECONDS = 20.0
@@ -44,28 +40,22 @@ class Status(Enum):
 class Job:
     """A command that has to be run once."""
 
-    name: str
-    """Name of the job and of its log."""
-    kind: str
-    """Which slots run it."""
+    name: str  #: Name of the job and of its log.
+    kind: str  #: Which slots run it.
+    #: Program and arguments for the device of a slot, asked for when the job starts.
     command: Callable[[str], Sequence[str]]
-    """Program and arguments for the device of a slot, asked for when the job starts."""
-    is_done: Callable[[], bool]
-    """Whether its result is there."""
-    after: tuple[str, ...] = ()
-    """Names of earlier jobs that must be done before."""
+    is_done: Callable[[], bool]  #: Whether its result is there.
+    after: tuple[str, ...] = ()  #: Names of earlier jobs that must be done before.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
     """A place that runs one job at a time."""
 
-    kind: str
-    """What it runs."""
-    device: str
-    """What it computes on."""
+    kind: str  #: What it runs.
+    device: str  #: What it computes on.
+    #: Environment variables that its jobs get beside those of this process.
     environment: Mapping[str, str] = field(default_factory=dict)
-    """Environment variables that its jobs get beside those of this process."""
 
 
 @contextlib.contextmanager
@@ -88,24 +78,17 @@ def locked(folder: Path) -> Iterator[int]:
 
 
 class Runner:
-    """Runs jobs in slots, the first ready one first. One that fails holds up only what comes after it.
-
-    Attributes:
-        status: How far every job is, by name.
-    """
+    """Runs jobs in slots, the first ready one first. One that fails holds up only what comes after it."""
 
     def __init__(
         self, jobs: Sequence[Job], slots: Sequence[Slot], logs: Path, lock: int | None = None
     ) -> None:
         """See what is done already; a job is not done as long as one before it is not.
 
-        Args:
-            jobs: The jobs, each behind those that it depends on.
-            slots: Where they run.
-            logs: Folder of their outputs, `NAME.log`.
-            lock: What `locked` gave; jobs hold it too, in case that they outlive this process.
+        The jobs come behind those that they depend on, and print to `NAME.log` in the folder of the logs.
+        They hold the lock that `locked` gave, too, in case that they outlive this process.
         """
-        self.status: dict[str, Status] = {}
+        self.status: dict[str, Status] = {}  #: How far every job is, by name.
         for job in jobs:
             is_done = self._is_ready(job) and job.is_done()
             self.status[job.name] = Status.DONE if is_done else Status.WAITING
@@ -118,11 +101,9 @@ class Runner:
         watch: Callable[[Mapping[str, Status]], None] = lambda _: None,
         is_stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Run until nothing is left that can be run.
+        """Run until nothing is left that can be run, and watch the status of all jobs at every look.
 
-        Args:
-            watch: Called at every look with the status of all jobs.
-            is_stopped: Whether to end early: running jobs are terminated, in order if they know how.
+        When it is stopped early, running jobs are terminated, in order if they know how.
         """
         self._logs.mkdir(parents=True, exist_ok=True)
         try:
@@ -202,9 +183,8 @@ def last_lines(path: Path, number: int = 15) -> str:
 def shared_gpus() -> Iterator[dict[str, str]]:
     """Run an MPS daemon of our own, which ends with the context; the GPU's settings stay as they are.
 
-    Yields:
-        The environment variables with which child processes find it; none where MPS is not to be had, or
-        where the caller's environment names a daemon already.
+    It yields the environment variables with which child processes find it; none where MPS is not to be had,
+    or where the caller's environment names a daemon already.
     """
     if "CUDA_MPS_PIPE_DIRECTORY" in os.environ or shutil.which(MPS_CONTROL) is None:
         yield {}

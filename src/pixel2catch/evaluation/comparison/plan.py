@@ -13,8 +13,7 @@ from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.report import differences
 from pixel2catch.files import write_atomically
 
-GROUPS = ("seen", "unseen")
-"""Sets of objects that every policy is evaluated on. Source: paper, Sec. V."""
+GROUPS = ("seen", "unseen")  #: Sets of objects that every policy is evaluated on. Source: paper, Sec. V.
 
 FILE = "study.json"
 
@@ -38,12 +37,9 @@ class Run:
 class Plan:
     """What a study asks."""
 
-    methods: tuple[str, ...]
-    """Names of the methods, in the order of the tables."""
-    seeds: int
-    """Seeds of every method, from 0."""
-    configuration: Mapping[str, Any]
-    """Everything else that changes results, by name."""
+    methods: tuple[str, ...]  #: Names of the methods, in the order of the tables.
+    seeds: int  #: Seeds of every method, from 0.
+    configuration: Mapping[str, Any]  #: Everything else that changes results, by name.
 
     def runs(self) -> Iterator[Run]:
         """All trainings, seed by seed: each method has one seed before any has two."""
@@ -125,9 +121,7 @@ class ComparisonFolder:
     def open(self, plan: Plan, sessions: Sequence[Json]) -> None:
         """Begin a study, or go on with one; methods and seeds may be new to it.
 
-        Args:
-            plan: What is asked.
-            sessions: Versions and machine of the session that begins, if it does anything.
+        A session that does anything is given with its versions and machine.
 
         Raises:
             StudyError: If its results would not be comparable, or the results there are of no study.

@@ -27,8 +27,7 @@ from pixel2catch.evaluation.report import (
 )
 from pixel2catch.mdp.throws import ThrowCfg
 
-DASH = "\N{EN DASH}"
-"""What stands where there is no number."""
+DASH = "\N{EN DASH}"  #: What stands where there is no number.
 
 PICTURES = {
     "curves.png": (
@@ -65,9 +64,6 @@ TRAININGS_NOTE = "Trainings that run side by side on one device slow each other 
 
 def write_report(folder: ComparisonFolder) -> None:
     """Write the report of what is there; what is missing is left out.
-
-    Args:
-        folder: The study.
 
     Raises:
         StudyError: If there is no study.
@@ -221,6 +217,7 @@ def _page(
         for name, (title, caption) in PICTURES.items()
         if name in files
     ]
+    configuration = [{"name": name, "value": f"{value}"} for name, value in plan.configuration.items()]
     parts = [
         "# Study\n",
         f"Methods: {', '.join(plan.methods)}. Seeds of each: {plan.seeds}. "
@@ -231,7 +228,7 @@ def _page(
         f"## S.R. by object\n\n{tables['by_object']}",
         f"## Trainings\n\n{tables['trainings']}\n{TRAININGS_NOTE}\n",
         f"## What was run\n\n{_sessions(sessions)}",
-        f"## Configuration\n\n{_configuration(plan)}",
+        f"## Configuration\n\n{markdown(configuration)}",
     ]
     return "\n".join(parts)
 
@@ -250,8 +247,3 @@ def _sessions(sessions: Sequence[Mapping[str, Any]]) -> str:
             f"  - Python {session['python']}, {versions}\n"
         )
     return "".join(texts)
-
-
-def _configuration(plan: Plan) -> str:
-    lines = [f"| {name} | {value} |" for name, value in plan.configuration.items()]
-    return "\n".join(["| name | value |", "| --- | --- |", *lines]) + "\n"

@@ -21,8 +21,7 @@ MAXIMA = ("max_joint_speed", "max_torque_share", "max_penetration")
 
 Row = dict[str, Any]
 
-NUM_BINS = 60
-"""Most bins from the start to the end of the longest training. Source: ours."""
+NUM_BINS = 60  #: Most bins from the start to the end of the longest training. Source: ours.
 
 Columns = Mapping[str, Float[ndarray, " num_updates"]]
 
@@ -33,15 +32,7 @@ def mean_and_deviation(values: Sequence[float]) -> tuple[float, float | None]:
 
 
 def pooled(rates: Sequence[Metrics], name: str) -> Row:
-    """One rate over several seeds.
-
-    Args:
-        rates: Trials and rates of each seed.
-        name: Name of the rate.
-
-    Returns:
-        `mean` and `deviation` over the seeds, 95 % `interval` over all trials, and the `values`.
-    """
+    """One rate over seeds: `mean` and `deviation`, 95 % `interval` over all trials, and the `values`."""
     values = [result[name] for result in rates]
     mean, deviation = mean_and_deviation(values)
     interval = wilson_interval(*pooled_counts(rates, name))
@@ -115,12 +106,10 @@ def _paper(method: str, group: str) -> Row | None:
 class Curves:
     """Rates in training, with the stochastic policy, in bins of transitions."""
 
-    edges: Float[ndarray, " num_edges"]
-    """Edges of the bins [transitions]."""
-    seeds: dict[str, tuple[int, ...]]
-    """By method, the seeds that there are."""
+    edges: Float[ndarray, " num_edges"]  #: Edges of the bins [transitions].
+    seeds: dict[str, tuple[int, ...]]  #: By method, the seeds that there are.
+    #: By method and name of the rate, one row a seed; NaN where a seed has no value.
     rates: dict[str, dict[str, Float[ndarray, "num_seeds num_bins"]]]
-    """By method and name of the rate, one row a seed; NaN where a seed has no value."""
 
     @property
     def transitions(self) -> Float[ndarray, " num_bins"]:

@@ -42,14 +42,10 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 class PolicyEntry:
     """A policy of the suite."""
 
-    name: str
-    """Its name in tables and folders."""
-    folder: Path
-    """Where it is."""
-    method: str
-    """Name of the method that it was trained with."""
-    task: str = "nominal"
-    """Name of the task that it was trained for."""
+    name: str  #: Its name in tables and folders.
+    folder: Path  #: Where it is.
+    method: str  #: Name of the method that it was trained with.
+    task: str = "nominal"  #: Name of the task that it was trained for.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,16 +104,14 @@ def measure(
     on_result: Callable[[int, Result, Metrics], None] = lambda *_: None,
     jobs: int = 1,
 ) -> tuple[Json, ...]:
-    """Compute the results that are not there, and return all.
+    """Compute the results that are not there, so many jobs at once, and return all.
 
-    Args:
-        results: The results.
-        cfg: How they are obtained; of its task only the physics rate counts, the rest is each policy's.
-        on_result: Called with number, result and metrics of every one that was computed, as soon as it was.
-        jobs: Results that are computed at once, each in a process of its own; only on the CPU more than one.
+    Of the task only the physics rate counts, the rest is each policy's. Each job is a process of its own;
+    only on the CPU there may be more than one. `on_result` is called with number, result and metrics of every
+    one that was computed, as soon as it was.
 
     Raises:
-        InvalidValueError: If there can not be so many.
+        InvalidValueError: If there can not be so many jobs.
         StudyError: If a result was obtained otherwise, nothing was computed then; or if a process was ended.
     """
     if jobs < 1 or (jobs > 1 and cfg.device != "cpu"):
@@ -145,13 +139,8 @@ def measure(
 def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
     """Evaluate a policy, each round with a seed of its own: then all policies get the same throws.
 
-    What a setting disturbs is drawn after the throws, so that they are those of the nominal setting.
-
-    Args:
-        actor: The policy.
-        method: The method that it was trained with.
-        cfg: What is thrown.
-        is_alone: Whether it may use all processors; else it uses one.
+    What a setting disturbs is drawn after the throws, so that they are those of the nominal setting. A policy
+    that is alone may use all processors; else it uses one.
     """
     with nullcontext() if is_alone else _one_processor():
         env = cfg.make_env(method)
@@ -216,14 +205,9 @@ def _require_same(result: Result, origin: Json) -> None:
 def in_processes(
     jobs: int, function: Callable[..., Returned], calls: Sequence[tuple[Any, ...]]
 ) -> Iterator[tuple[int, Returned]]:
-    """Yield number and returned value of every call as soon as it is done.
+    """Yield number and returned value of every call of a module's function as soon as it is done.
 
     The processes are new ones of one thread each, and end with this one or with the first error.
-
-    Args:
-        jobs: Most processes.
-        function: What is called: a function of a module.
-        calls: Its arguments.
 
     Raises:
         StudyError: If a process was ended from outside.

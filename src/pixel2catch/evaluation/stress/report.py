@@ -21,8 +21,7 @@ from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.suite import REALITY
 from pixel2catch.evaluation.stress.trained import is_trained_on
 
-SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")
-"""Rates that the tables keep."""
+SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")  #: Rates that the tables keep.
 
 REAL_ROBOT: dict[str, float] = {
     "proposed": 52.8,
@@ -35,26 +34,14 @@ REAL_ROBOT: dict[str, float] = {
 
 Interval = tuple[float, float]
 
-PALETTE = "viridis"
-"""A sequential palette for any kind of colour vision. Source: Smith and van der Walt 2015, Matplotlib."""
-
-DARK = 60.0
-"""S.R. [%] under which a cell is dark enough for white letters."""
-
-UNTRAINED = "*"
-"""Mark of a setting that a policy was not trained on."""
-
-ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95
-"""Size of a cell [inch]."""
+PALETTE = "viridis"  #: For any kind of colour vision. Source: Smith and van der Walt 2015, Matplotlib.
+DARK = 60.0  #: S.R. [%] under which a cell is dark enough for white letters.
+UNTRAINED = "*"  #: Mark of a setting that a policy was not trained on.
+ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95  #: Size of a cell [inch].
 
 
 def make_table(results: Sequence[Result], contents: Sequence[Json]) -> Json:
-    """The whole report as plain data.
-
-    Args:
-        results: The results, setting by setting, each with all policies.
-        contents: What `measure` returned for them.
-    """
+    """The whole report as plain data, of results setting by setting and what `measure` returned for them."""
     entries = [each.policy for each in results]
     policies = {each.name: {"method": each.method, "task": each.task} for each in entries}
     settings: dict[str, Json] = {}
@@ -63,7 +50,8 @@ def make_table(results: Sequence[Result], contents: Sequence[Json]) -> Json:
         row = {"axis": axis.name, "unit": axis.unit, "label": level.label, "source": level.source}
         row |= {"title": each.setting.title, "rates": {}}
         is_trained = is_trained_on(find_task(each.policy.task), level.change)
-        rates = _kept(content["metrics"]) | {"is_trained_on": is_trained}
+        kept = ("trials", *SHOWN, *(f"{name}_interval" for name in SHOWN))
+        rates = {name: content["metrics"][name] for name in kept} | {"is_trained_on": is_trained}
         settings.setdefault(each.setting.name, row)["rates"][each.policy.name] = rates
     means = {
         name: fmean(row["rates"][name]["success_rate"] for row in settings.values()) for name in policies
@@ -130,11 +118,6 @@ def _sources(table: Json) -> str:
     return "\n## Where the numbers come from\n\n" + "".join(lines)
 
 
-def _kept(metrics: Json) -> Json:
-    intervals = [f"{name}_interval" for name in SHOWN]
-    return {name: metrics[name] for name in ("trials", *SHOWN, *intervals)}
-
-
 def _percent(rates: Json) -> str:
     mark = "" if rates["is_trained_on"] else rf" \{UNTRAINED}"
     return percent(rates["success_rate"], rates["success_rate_interval"]) + mark
@@ -165,14 +148,11 @@ def _reality(policies: Json, settings: Json) -> Json:
 class Order:
     """Two orders of the same methods, best first."""
 
-    simulated: tuple[str, ...]
-    """By S.R. in simulation."""
-    real: tuple[str, ...]
-    """By S.R. on the real robot."""
+    simulated: tuple[str, ...]  #: By S.R. in simulation.
+    real: tuple[str, ...]  #: By S.R. on the real robot.
+    #: Kendall's tau-b of the two: 1 is the same order, -1 the opposite one, 0 if all rates are equal.
     tau: float
-    """Kendall's tau-b of the two: 1 is the same order, -1 the opposite one, 0 if all rates are equal."""
-    num_settled: int
-    """Pairs of methods whose 95 % intervals in simulation do not overlap."""
+    num_settled: int  #: Pairs of methods whose 95 % intervals in simulation do not overlap.
 
     def sentence(self) -> str:
         """What it amounts to, in words."""
@@ -186,14 +166,9 @@ class Order:
 
 
 def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str, Interval]) -> Order | None:
-    """Compare the methods that both have.
+    """Compare the methods that both have; nothing if there are fewer than two.
 
-    Args:
-        rates: S.R. of every policy of a method, by method.
-        intervals: The 95 % interval of each method's S.R.
-
-    Returns:
-        The two orders; nothing if there are fewer than two methods to compare.
+    Rates are the S.R. of every policy of a method, intervals the 95 % interval of each method's S.R.
     """
     methods = [method for method in REAL_ROBOT if method in rates]
     if len(methods) < 2:

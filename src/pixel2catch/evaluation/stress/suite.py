@@ -12,13 +12,10 @@ from typing import Any
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.randomization import GainRanges
-from pixel2catch.scene.constants import JOINTS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-Change = Callable[[CatchEnvCfg], CatchEnvCfg]
-"""A task, changed; a change can be sent to another process."""
-
-AIR_DENSITY = 1.2
-"""Density of air at 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded."""
+Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: A task, changed; a change can be sent to another process.
+AIR_DENSITY = 1.2  #: At 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded.
 
 CAMERA_POSITION_SOURCE = (
     "1 cm: hand-eye calibration with a board (ours); 1 to 3 cm: users' errors of a D435 beside an arm "
@@ -103,12 +100,9 @@ def together(*changes: FieldChange) -> FieldChange:
 class Level:
     """One strength of a disturbance."""
 
-    label: str
-    """What the tables call it, without the unit."""
-    change: Change
-    """What it does to the task."""
-    source: str
-    """Where the number comes from."""
+    label: str  #: What the tables call it, without the unit.
+    change: Change  #: What it does to the task.
+    source: str  #: Where the number comes from.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +142,7 @@ def _delay(steps: float) -> FieldChange:
 
 
 def _gains(percent: float) -> FieldChange:
-    scale = ((1.0 - percent / 100, 1.0 + percent / 100),) * len(JOINTS)
+    scale = ((1.0 - percent / 100, 1.0 + percent / 100),) * len(UR5E_ALLEGRO.joint_names)
     return part("randomization", gains=GainRanges(stiffness_scale=scale, damping_scale=scale))
 
 
@@ -171,8 +165,7 @@ HUMAN = part(
 CAMERA_MOUNT = part("sensing", camera_offset=0.02, camera_turn=radians(1.0), focal_error=0.02)
 DETECTOR = part("sensing", box_bias=5.0, drop_rate=0.15, latency_steps=(2, 4))
 FLIGHT = together(AIR, HUMAN, part("throws", spin=10.0))
-REALITY = "reality"
-"""Label of the level that has something of everything."""
+REALITY = "reality"  #: Label of the level that has something of everything.
 
 EVERYTHING = together(
     part(
@@ -222,11 +215,7 @@ def _shake(millimetres: float, frequency: float) -> Level:
 _ALL = (
     _axis("nominal", "", _level("", together(), "the task of training, at a finer physics rate")),
     _axis("camera_position", "cm", _sensing(CAMERA_POSITION_SOURCE, "camera_offset", (1, 2, 4), 1e-2)),
-    _axis(
-        "camera_rotation",
-        "°",
-        _sensing(CAMERA_ROTATION_SOURCE, "camera_turn", (0.5, 1, 2), radians(1.0)),
-    ),
+    _axis("camera_rotation", "°", _sensing(CAMERA_ROTATION_SOURCE, "camera_turn", (0.5, 1, 2), radians(1.0))),
     _axis("focal_length", "%", _sensing(FOCAL_SOURCE, "focal_error", (2, 5), 1e-2)),
     _axis("box_bias", "px", _sensing(BIAS_SOURCE, "box_bias", (5, 10))),
     _axis("box_scale", "", _sensing(SCALE_SOURCE, "box_scale", (0.8, 1.2))),
@@ -304,8 +293,7 @@ _ALL = (
     ),
 )
 
-AXES: dict[str, Axis] = {axis.name: axis for axis in _ALL}
-"""All axes by name, in the order of the tables."""
+AXES: dict[str, Axis] = {axis.name: axis for axis in _ALL}  #: All axes by name, in the order of the tables.
 
 
 def select_settings(names: Sequence[str]) -> tuple[Setting, ...]:

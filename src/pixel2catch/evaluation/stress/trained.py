@@ -20,20 +20,12 @@ GRIDS = {"latency_steps": "latency_grid", "command_delay": "command_delay_grid"}
 BOUNDS = ("spin", "corner_noise", "edge_noise", "initial_joint_noise")
 """The largest of what is drawn from 0: a smaller bound draws nothing new."""
 
-SHARES = ("unstamped",)
-"""Shares of the episodes in which something happens: what can happen in an episode is what counts."""
-
-TOLERANCE = 1e-9
-"""Rounding of numbers that were computed from other units."""
+SHARES = ("unstamped",)  #: Shares of episodes in which something happens: that it can is what counts.
+TOLERANCE = 1e-9  #: Rounding of numbers that were computed from other units.
 
 
 def is_trained_on(task: CatchEnvCfg, change: Change) -> bool:
-    """Whether everything that a setting changes lies within the task, or within one of its variants.
-
-    Args:
-        task: The task of the training.
-        change: What the setting makes of the nominal task.
-    """
+    """Whether all that a setting makes of the nominal task lies within the training's, or a variant of it."""
     nominal = CatchEnvCfg()
     changed = change(nominal)
     others = [field.name for field in fields(nominal) if field.name not in PARTS]
