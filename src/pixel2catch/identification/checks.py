@@ -20,46 +20,31 @@ MAX_SPAN_RATIO = 10.0  # longest duration of the commands, as a multiple of that
 
 STALL_TIME = 0.01
 """A step whose motion took so much longer than the clock says, and at least one more step, is a stall [s].
-
-Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms.
-"""
+Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms."""
 
 LONG_STEP = 1.5  # a step is long from this multiple of the median on (ours)
-
 STALL_ANGLE = 2e-3  # a stall is seen from this much motion on [rad] (ours, ten times a UR5e's noise)
-
 MAX_STALL_SHARE = 5e-3  # of all steps (ours, a tenth of that recording's; a jerk can look like one)
-
 PROGRESS_RANGE = (0.8, 1.25)  # change of positions over that by speeds (ours; degrees would give 0.017)
-
 MOVING_SPEED = 0.02  # a joint that is slower stands still [rad/s] (ours, 0.7 % of the arm's largest speed)
 MAX_REPEATED_SHARE = 0.02  # largest share of samples that repeat the one before while the robot moves (ours)
 
 LAG_RANGE = (-0.02, 0.3)
-"""Plausible lag of the motion behind its command [s].
-
-Source: ours; servoJ with a lookahead of 0.1 s lags by 0.1 s and a few ms. A log of the controller's own
-target can seem late by half its step, because a command is taken to hold until the next.
-"""
+"""Plausible lag of the motion behind its command [s]. Source: ours; servoJ with a lookahead of 0.1 s lags by
+0.1 s and a few ms. A log of the controller's own target can seem late by half its step, because a command is
+taken to hold until the next."""
 
 MOVED_ANGLE = 0.01  # a joint whose positions span less did not move [rad] (ours)
-
 MIN_CORRELATION = 0.5  # smallest of measured and commanded positions (ours; swapped joints are near 0)
-
 SATURATED = 0.98  # a torque of this share of its limit counts as saturated (ours)
-
 MAX_SATURATED_SHARE = 0.1  # of the samples (ours; some tell the scale of the gains, many hide the rest)
-
 MIN_SPEED_SHARE = 0.1  # speed that a joint must reach, as a share of its limit (ours)
 MIN_REVERSALS = 1  # a joint must reverse so often (ours; without a reversal friction looks like an offset)
-
 PEAK_QUANTILE = 0.995  # speeds and accelerations beyond are no peaks, but single bad samples (ours)
 
 SMOOTHING = 0.1
-"""Length of the window in which a cubic is fitted for speed and acceleration [s].
-
-Source: ours; 0.2 mrad of noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes.
-"""
+"""Length of the window in which a cubic is fitted for speed and acceleration [s]. Source: ours; 0.2 mrad of
+noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes."""
 
 NEIGHBOURS = 7  # steps whose median speed stands for that of the middle one, where none was recorded (ours)
 REFINEMENTS = 10  # steps of Gauss and Newton for the lag (ours; three are enough for sines)
@@ -69,11 +54,11 @@ REFINEMENTS = 10  # steps of Gauss and Newton for the lag (ours; three are enoug
 class Check:
     """One answer about a recording."""
 
-    name: str  # what was checked
-    joint: str | None = None  # the joint it is about; none if it is about the whole recording
-    is_good: bool | None  # whether it passed; None if the recording cannot tell
-    is_advice: bool = False  # whether the motion can be fitted even if it failed: the fit then tells less
-    detail: str  # the figures, and the remedy if it failed
+    name: str  #: what was checked
+    joint: str | None = None  #: the joint it is about; none if it is about the whole recording
+    is_good: bool | None  #: whether it passed; None if the recording cannot tell
+    is_advice: bool = False  #: whether the motion can be fitted even if it failed: the fit then tells less
+    detail: str  #: the figures, and the remedy if it failed
 
     @property
     def forbids_fit(self) -> bool:

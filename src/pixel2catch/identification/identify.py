@@ -22,13 +22,10 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STIFF_FACTOR = 10.0
-"""Stiffness of the servo behind a command filter over the nominal one.
-
-Source: ours; the controller's feed-forward makes that servo look stiffer than positions can tell.
-"""
+"""Stiffness of the servo behind a command filter over the nominal one. Source: ours; the controller's
+feed-forward makes that servo look stiffer than positions can tell."""
 
 STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
-
 NO_HOLD_OUT = "none"  # what is held out if everything is to be fitted
 CONFIDENCE = 1.96  # standard deviations in half a 95 % interval
 LAG = "damping / stiffness"  # name of the ratio that says how far a joint lags behind its command
@@ -37,7 +34,6 @@ RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "
 """The ratios that decide how a joint follows its command, with their units."""
 
 LEAST_HALF_WIDTH = 0.02  # is always left, as a share (ours; gains drift with temperature and load)
-
 Positions = Float[np.ndarray, "num_settled num_joints"]
 
 
@@ -45,11 +41,11 @@ Positions = Float[np.ndarray, "num_settled num_joints"]
 class Start:
     """What is known before a fit."""
 
-    workcell: WorkcellSpec  # whose joints are fitted
-    robot: str  # what is fitted: one of its parts
-    file: DynamicsFile | None  # the dynamics file that was given, if any
-    before: JointDynamics  # the robot's joints in it; those that are not in it are nominal
-    first: JointDynamics  # the same, with a command filter in front where one is to be fitted
+    workcell: WorkcellSpec  #: whose joints are fitted
+    robot: str  #: what is fitted: one of its parts
+    file: DynamicsFile | None  #: the dynamics file that was given, if any
+    before: JointDynamics  #: the robot's joints in it; those that are not in it are nominal
+    first: JointDynamics  #: the same, with a command filter in front where one is to be fitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +54,7 @@ class CheckedRecording:
 
     recording: Recording
     checks: tuple[Check, ...]
-    is_held_out: bool  # whether it is not fitted, so that it tells how good the fit is
+    is_held_out: bool  #: whether it is not fitted, so that it tells how good the fit is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,9 +62,9 @@ class Motion:
     """A recording beside its simulation."""
 
     source: CheckedRecording
-    # simulated positions under the dynamics before the fit, at the measurements compared [rad]
+    #: simulated positions under the dynamics before the fit, at the measurements compared [rad]
     before: Positions
-    after: Positions  # and under the fitted ones
+    after: Positions  #: and under the fitted ones
 
     @property
     def recording(self) -> Recording:
@@ -95,11 +91,11 @@ class Motion:
 class Identification:
     """A fit with what a reader needs to judge it."""
 
-    start: Start  # what was known before
-    fit: Fit  # what was fitted, and how well it is known
-    file: DynamicsFile  # the result as training takes it, with the ranges in which it randomises the gains
+    start: Start  #: what was known before
+    fit: Fit  #: what was fitted, and how well it is known
+    file: DynamicsFile  #: the result as training takes it, with the ranges in which it randomises the gains
     motions: tuple[Motion, ...]
-    physics_dt: float  # time step of the simulation [s]
+    physics_dt: float  #: time step of the simulation [s]
 
     def of(self, is_held_out: bool) -> tuple[Motion, ...]:
         """The motions that were held out, or those that were fitted."""
@@ -259,9 +255,9 @@ def half_widths(fit: Fit) -> Float[np.ndarray, "num_joints num_free"]:
 class Ratio:
     """The ratio of two parameters, which is often known where they are not."""
 
-    name: str  # one of `RATIOS`
-    value: Float[np.ndarray, " num_joints"]  # of each joint
-    half_width: Float[np.ndarray, " num_joints"]  # half of the 95 % interval of its logarithm
+    name: str  #: one of `RATIOS`
+    value: Float[np.ndarray, " num_joints"]  #: of each joint
+    half_width: Float[np.ndarray, " num_joints"]  #: half of the 95 % interval of its logarithm
 
 
 def ratios(fit: Fit) -> tuple[Ratio, ...]:

@@ -46,9 +46,9 @@ FORMATS = (
 class CommandTopic:
     """A topic on which commands were sent."""
 
-    name: str  # its name
-    # our names of the joints in messages that name none, in their order; empty if they are the robot's
-    # joints, or if the messages name them
+    name: str  #: its name
+    #: our names of the joints in messages that name none, in their order; empty if they are the robot's
+    #: joints, or if the messages name them
     joints: tuple[str, ...] = ()
 
 
@@ -56,10 +56,10 @@ class CommandTopic:
 class Names:
     """What a lab's recordings call our topics and joints."""
 
-    # topics of the commands of a bag; may be empty if only one can be it
+    #: topics of the commands of a bag; may be empty if only one can be it
     command_topics: tuple[CommandTopic, ...] = ()
-    measured_topic: str = MEASURED_TOPIC  # topic of the measurements of a bag
-    # the recording's names of joints that have another name there, by ours
+    measured_topic: str = MEASURED_TOPIC  #: topic of the measurements of a bag
+    #: the recording's names of joints that have another name there, by ours
     theirs: Mapping[str, str] = field(default_factory=dict)
 
     def ours(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -147,9 +147,9 @@ class Table:
     """A text table: cells become numbers when a column is asked for."""
 
     path: Path
-    names: tuple[str, ...]  # names of the columns
-    rows: tuple[tuple[str, ...], ...]  # cells as text, row by row
-    place: Place  # what rows are called in messages: lines of the file, counted from 1
+    names: tuple[str, ...]  #: names of the columns
+    rows: tuple[tuple[str, ...], ...]  #: cells as text, row by row
+    place: Place  #: what rows are called in messages: lines of the file, counted from 1
 
     def column(self, name: str) -> np.ndarray:
         """The numbers of a column.
@@ -231,10 +231,10 @@ def _read_rtde(folder: Path, workcell: WorkcellSpec) -> Recording:
 class _Stream:
     """The motion on one topic."""
 
-    joints: tuple[str, ...]  # those of the wanted joints that it has, the columns
-    recorded: tuple[str, ...]  # all joints that it has, for messages
-    times: np.ndarray  # when each message was sent [ns]
-    # `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them
+    joints: tuple[str, ...]  #: those of the wanted joints that it has, the columns
+    recorded: tuple[str, ...]  #: all joints that it has, for messages
+    times: np.ndarray  #: when each message was sent [ns]
+    #: `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them
     fields: dict[str, np.ndarray]
 
 

@@ -25,11 +25,9 @@ from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter
 from pixel2catch.sim.batch import BatchSimulation
 
 FIT_DT = 1.0 / 480.0
-"""Physics time step of a fit [s].
-
-Source: ours; in excitation up to the torque limits, positions of the arm are within 0.03 mrad of those at
-6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone they would be off by up to 1.8.
-"""
+"""Physics time step of a fit [s]. Source: ours; in excitation up to the torque limits, positions of the arm
+are within 0.03 mrad of those at 6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone
+they would be off by up to 1.8."""
 
 START_WINDOW = 0.1  # measurements whose parabola begins a motion [s] (ours, a tenth of a settling)
 
@@ -39,8 +37,6 @@ stiffness of the slowest joint."""
 
 MAX_COPIES = 96  # copies simulated at once, for the memory
 THREADED_COPIES = 24  # copies from which on several threads are faster than one (ours, measured with the arm)
-
-
 PerJoint = Float[np.ndarray, " num_joints"]
 Settled = Float[np.ndarray, "num_settled num_joints"]
 
@@ -186,12 +182,12 @@ class Filters:
 class _Motion:
     """A recording on the grid of physics steps."""
 
-    recording: Recording  # what was recorded
-    edges: Float[np.ndarray, " num_edges"]  # starts of the steps and the end of the last [s]
-    # position [rad] and speed [rad/s] of each joint at the first measurement
+    recording: Recording  #: what was recorded
+    edges: Float[np.ndarray, " num_edges"]  #: starts of the steps and the end of the last [s]
+    #: position [rad] and speed [rad/s] of each joint at the first measurement
     start: Float[np.ndarray, "2 num_joints"]
-    index: Int[np.ndarray, " num_settled"]  # for each measurement that is compared, the edge before it
-    weight: Float[np.ndarray, " num_settled"]  # and the share of the step after that edge
+    index: Int[np.ndarray, " num_settled"]  #: for each measurement that is compared, the edge before it
+    weight: Float[np.ndarray, " num_settled"]  #: and the share of the step after that edge
 
     @classmethod
     def of(cls, recording: Recording, dt: float) -> "_Motion":

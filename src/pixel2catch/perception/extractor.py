@@ -27,16 +27,11 @@ LARGEST_AGE = 2.5 * CONTROL_DT
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFrame:
-    """One image of the camera; whether it is one is checked by whoever gets it.
+    """One image of the camera; whether it is one is checked by whoever gets it."""
 
-    Attributes:
-        image: Red, green, blue; upper row first.
-        stamp: When it was taken [s].
-        joint_pos: Positions of the robot's joints at that time, in joint order [rad]; None if unknown.
-    """
-
-    image: np.ndarray
-    stamp: float
+    image: np.ndarray  #: Red, green, blue; upper row first.
+    stamp: float  #: When it was taken [s].
+    #: Positions of the robot's joints at that time, in joint order [rad]; None if unknown.
     joint_pos: np.ndarray | None = None
 
 
@@ -50,33 +45,22 @@ class ExtractorCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class Extraction:
-    """What a control step knows of the object: the box for the policy, the rest for log and safety.
+    """What a control step knows of the object: the box for the policy, the rest for log and safety."""
 
-    Attributes:
-        box: What `Measurement.box` is in training [px]; zeros before the first detection.
-        features: The features of this box and that of the step before, for show; the first box of a throw
-            stands for its predecessor, as at the beginning of an episode.
-        verdict: What became of the image; only `SEEN` gives a new box.
-        is_valid: Whether the object was seen in this throw.
-        is_fresh: Whether the box is no older than those of training.
-        age: Time since the image of the box [s]; infinite before the first detection.
-        score: The segmenter's score of this image, on its own scale; 0 where it was not asked.
-        num_skipped: Control steps since the image before that had none: so many too many are in the
-            differences.
-        mask: The object's pixels, where it was seen.
-        message: What went wrong with an image that could not be used.
-    """
-
+    #: What `Measurement.box` is in training [px]; zeros before the first detection.
     box: Float[Tensor, "1 4"]
+    #: The features of this box and that of the step before, for show; the first box of a throw stands for its
+    #: predecessor, as at the beginning of an episode.
     features: Float[Tensor, "1 8"]
-    verdict: Verdict
-    is_valid: bool
-    is_fresh: bool
-    age: float
-    score: float
+    verdict: Verdict  #: What became of the image; only `SEEN` gives a new box.
+    is_valid: bool  #: Whether the object was seen in this throw.
+    is_fresh: bool  #: Whether the box is no older than those of training.
+    age: float  #: Time since the image of the box [s]; infinite before the first detection.
+    score: float  #: The segmenter's score of this image, on its own scale; 0 where it was not asked.
+    #: Control steps since the image before that had none: so many too many are in the differences.
     num_skipped: int
-    mask: Mask | None
-    message: str
+    mask: Mask | None  #: The object's pixels, where it was seen.
+    message: str  #: What went wrong with an image that could not be used.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,25 +76,17 @@ class _Finding:
 
 @dataclass(kw_only=True)
 class TrackState:
-    """What is known of the object in this throw.
+    """What is known of the object in this throw."""
 
-    Attributes:
-        box: The box that was last accepted [px].
-        box_stamp: When its image was taken [s].
-        image_stamp: When the last image was taken that was looked at [s].
-        num_lost: Images since that box, or since the object was pointed out.
-        is_pointed_out: Whether the segmenter was told what the object is.
-        is_continued: Whether the box is one of the thing that was last pointed out.
-        is_at_robot: Whether the box touched the robot. What vanished there is taken to be in its hand: then
-            nothing else is looked for, and only the segmenter can find it again.
-    """
-
+    #: The box that was last accepted [px].
     box: Float[Tensor, "1 4"] = field(default_factory=lambda: torch.zeros(1, 4))
-    box_stamp: float = -torch.inf
-    image_stamp: float = -torch.inf
-    num_lost: int = 0
-    is_pointed_out: bool = False
-    is_continued: bool = False
+    box_stamp: float = -torch.inf  #: When its image was taken [s].
+    image_stamp: float = -torch.inf  #: When the last image was taken that was looked at [s].
+    num_lost: int = 0  #: Images since that box, or since the object was pointed out.
+    is_pointed_out: bool = False  #: Whether the segmenter was told what the object is.
+    is_continued: bool = False  #: Whether the box is one of the thing that was last pointed out.
+    #: Whether the box touched the robot. What vanished there is taken to be in its hand: then nothing else is
+    #: looked for, and only the segmenter can find it again.
     is_at_robot: bool = False
 
     @property

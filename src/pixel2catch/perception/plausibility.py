@@ -27,19 +27,13 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class PlausibilityCfg:
-    """Limits of the plausible. Source: ours, from 1,500 rendered images of 16 catches.
+    """Limits of the plausible. Source: ours, from 1,500 rendered images of 16 catches."""
 
-    Attributes:
-        least_area: Fewest pixels.
-        largest_share: Largest share of the image. Source: ours; 0.5 % at most in those images.
-        largest_jump: Furthest that the middle of the box moves in a control step [px]; 61 in those images.
-        largest_sides: Most sides of the image that the box touches; an object passes one at a time.
-    """
-
-    least_area: int = 6
-    largest_share: float = 0.02
+    least_area: int = 6  #: Fewest pixels.
+    largest_share: float = 0.02  #: Largest share of the image. Source: ours; 0.5 % at most in those images.
+    #: Furthest that the middle of the box moves in a control step [px]; 61 in those images.
     largest_jump: float = 90.0
-    largest_sides: int = 1
+    largest_sides: int = 1  #: Most sides of the image that the box touches; an object passes one at a time.
 
 
 def judge(

@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
-
-NUM_STATES = 1000
-"""Joint states that are remembered until an image of their time arrives: 2 s at 500 Hz."""
+NUM_STATES = 1000  #: Joint states that are remembered until an image of their time arrives: 2 s at 500 Hz.
 
 
 def first_camera_info(path: Path, topic: str | None) -> Any:

@@ -32,8 +32,7 @@ LONGEST_PAUSE = 150
 FIRST_IMAGE_TIMEOUT = 5.0
 """Time in which a camera must give its first image [s]. Source: ours; webcams need up to two."""
 
-LONGEST_STALL = 10.0
-"""Time without a new image after which a camera is taken to be gone [s]. Source: ours."""
+LONGEST_STALL = 10.0  #: Time without a new image after which a camera is taken to be gone [s]. Source: ours.
 
 RETRY, POLL = 0.01, 0.002
 """Time between attempts to read a camera that gives nothing, and between looks for a new image [s]."""

@@ -147,8 +147,7 @@ class NodeAnnouncement:
         self._writer.write(self._type(bytes(self._store.serialize_cdr(message, MESSAGE))))
 
 
-LARGEST_DOMAIN = 232
-"""Largest domain whose ports exist. Source: DDS-RTPS."""
+LARGEST_DOMAIN = 232  #: Largest domain whose ports exist. Source: DDS-RTPS.
 
 LOOPBACK = """
 <CycloneDDS><Domain>
@@ -166,10 +165,8 @@ LOOPBACK = """
   <Internal><SocketReceiveBufferSize max="8MB"/></Internal>
 </Domain></CycloneDDS>
 """
-"""This machine only: no multicast, and room for a few images that nobody has read yet.
-
-The tag keeps a rehearsal from a robot's driver on this machine, which may listen on this interface, too.
-"""
+"""This machine only: no multicast, and room for a few images that nobody has read yet. The tag keeps a
+rehearsal from a robot's driver on this machine, which may listen on this interface, too."""
 
 NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)
 """A slow reader may lose messages; it does not hold up the writer."""

@@ -21,11 +21,8 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading, JointReading
 from pixel2catch.ros2.transport import Topic
 
-PROFILES = Path(__file__).parent / "profiles"
-"""The profiles that are shipped."""
-
-COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)
-"""Types of the messages that take commands."""
+PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
+COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)  #: Types of the messages that take commands.
 
 
 @dataclass(frozen=True)

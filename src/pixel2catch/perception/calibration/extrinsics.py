@@ -37,20 +37,15 @@ OUTLIER_FACTOR = 3.0
 """An image is left out if its error is more than so many times the median of all. Source: ours."""
 
 ERRORS_USED, ERRORS_WRONG = 1.0, 5.0
-"""Below the one an image is used, above the other it is left out, whatever the others are [px].
-
-Source: ours; the corners of a sharp image are found within a few tenths of a pixel, and 3 mrad of error in
-each of the arm's joints make 1 px.
-"""
+"""Below the one an image is used, above the other it is left out, whatever the others are [px]. Source: ours;
+the corners of a sharp image are found within a few tenths of a pixel, and 3 mrad of error in each of the
+arm's joints make 1 px."""
 
 ROBUST_SCALE = 1.0  #: Residuals far above this count less in the first fit [px].
 
 LARGEST_CONDITION = 1e3
-"""Condition of the Jacobian above which a direction of the camera is not told.
-
-Source: ours; turning about one axis only gives 9e3 with joints that shake by 0.5 mrad, poses all about the
-workspace give 50.
-"""
+"""Condition of the Jacobian above which a direction of the camera is not told. Source: ours; turning about
+one axis only gives 9e3 with joints that shake by 0.5 mrad, poses all about the workspace give 50."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,6 @@ LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
 """Lens models of ROS that are OpenCV's; no name stands for no distortion."""
 
 MIN_VIEWS = 10  #: Images of a board that a lens takes. Source: OpenCV's tutorial asks for at least 10.
-
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 

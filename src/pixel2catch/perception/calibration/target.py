@@ -23,7 +23,6 @@ SQUARES = (3, 4)
 SQUARE = 0.06  #: Edge of a printed square [m].
 MARKER_SHARE = 0.75  #: Edge of a marker over that of its square.
 PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4  #: A4 [mm].
-
 SQUARE_PIXELS = 480
 
 
