@@ -92,10 +92,7 @@ class Track:
             waits=True,
         )
         source = SourceCfg(
-            name=self.source,
-            topic=self.topic,
-            joint_states=self.joint_states,
-            joints=workcell.joint_names,
+            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=workcell.joint_names
         )
         with closing(ticks_of(source, notes)) as ticks:
             sightings = follow(ticks, extractor, self.at)

@@ -4,7 +4,7 @@ They look at speed, acceleration, elapsed time and lag, as the recorded position
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -48,6 +48,7 @@ noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes."""
 
 NEIGHBOURS = 7  # steps whose median speed stands for that of the middle one, where none was recorded (ours)
 REFINEMENTS = 10  # steps of Gauss and Newton for the lag (ours; three are enough for sines)
+ADVICE = ("saturation", "excitation")  # checks that motion may fail and still be fitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +85,9 @@ def check_recording(recording: Recording) -> list[Check]:
 
 
 def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None = None) -> Check:
-    """A check with its remedy if it failed."""
-    return Check(name=name, joint=joint, is_good=is_good, detail=found if is_good else found + remedy)
+    """A check with its remedy if it failed; those of `ADVICE` forbid nothing."""
+    detail = found if is_good else found + remedy
+    return Check(name=name, joint=joint, is_good=is_good, is_advice=name in ADVICE, detail=detail)
 
 
 def _clock(name: str, time: np.ndarray, longest: str, faults: Mapping[str, bool]) -> Check:
@@ -161,11 +163,9 @@ def _clock_offset(lag: float | None) -> Check:
     if lag is None:
         return Check(name="clock offset", is_good=None, detail="no motion follows a command")
     low, high = LAG_RANGE
-    remedy = (
-        f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command's times "
-        "(--shift-commands)"
-    )
     found = f"the motion is {1e3 * lag:.1f} ms behind its command"
+    remedy = f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command's times "
+    remedy += "(--shift-commands)"
     return _judged("clock offset", low <= lag <= high, found, remedy)
 
 
@@ -197,8 +197,7 @@ def _saturation(spec: JointSpec, effort: np.ndarray | None) -> Check:
         return Check(name="saturation", joint=spec.name, is_good=None, detail="no effort was recorded")
     share = float((np.abs(effort) >= SATURATED * spec.effort_limit).mean())
     found = f"{100 * share:.1f} % of the samples at the limit of {spec.effort_limit:g} N·m"
-    check = _judged("saturation", share <= MAX_SATURATED_SHARE, found, ": move more gently", spec.name)
-    return replace(check, is_advice=True)
+    return _judged("saturation", share <= MAX_SATURATED_SHARE, found, ": move more gently", spec.name)
 
 
 def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> Check:
@@ -219,7 +218,7 @@ def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) ->
         f"{speed.min():.2f} to {speed.max():.2f} rad/s, {acceleration.min():.1f} to "
         f"{acceleration.max():.1f} rad/s², {reversals} reversals"
     )
-    return replace(_judged("excitation", not lacking, found, f"; needs {lacking}", spec.name), is_advice=True)
+    return _judged("excitation", not lacking, found, f"; needs {lacking}", spec.name)
 
 
 def num_reversals(speed: np.ndarray) -> int:
@@ -246,10 +245,8 @@ def smoothed(time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nd
 def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """How much more time the joints' motion took than the clock says, step by step.
 
-    In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|² [s].
-
-    Returns:
-        The excess [s] and the motion |q̇|·e that shows it [rad], each of shape (samples - 1,).
+    In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|² [s]; beside
+    it is returned the motion |q̇|·e that shows it [rad], both of shape (samples - 1,).
     """
     steps = np.diff(recording.t_meas)[:, None]
     moved = np.diff(recording.q, axis=0)
@@ -260,10 +257,7 @@ def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 
 def progress(recording: Recording) -> float:
-    """Median of Δq·q̇ / (q̇²Δt) over the faster half of the steps.
-
-    It is 1 where the recorded speeds are those of the positions.
-    """
+    """Median of Δq·q̇ / (q̇²Δt) over the faster half of the steps: 1 where speeds are those of the positions."""
     steps = np.diff(recording.t_meas)
     norm = np.linalg.norm(_step_speed(recording, np.diff(recording.q, axis=0), steps[:, None]), axis=1)
     is_moving = norm > np.quantile(norm, 0.5)

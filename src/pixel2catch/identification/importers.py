@@ -46,7 +46,7 @@ FORMATS = (
 class CommandTopic:
     """A topic on which commands were sent."""
 
-    name: str  #: its name
+    name: str
     #: our names of the joints in messages that name none, in their order; empty if they are the robot's
     #: joints, or if the messages name them
     joints: tuple[str, ...] = ()
@@ -78,11 +78,8 @@ class Names:
     ) -> "Names":
         """Read the options of the command line.
 
-        Args:
-            command_topics: Each `TOPIC`, `TOPIC=ROBOT` or `TOPIC=JOINT,JOINT,…` with the recording's names.
-            measured_topic: As in `Names`.
-            renames: Each `OURS=THEIRS`.
-            workcell: Whose joints are ours.
+        Topics are `TOPIC`, `TOPIC=ROBOT` or `TOPIC=JOINT,JOINT,…` with the recording's names; renames are
+        `OURS=THEIRS`.
 
         Raises:
             UnknownNameError: If a joint that is renamed is none of ours.
@@ -162,16 +159,13 @@ class Table:
                 f"{self.path}: no column {name}; it has {', '.join(self.names)}. "
                 "Record this column, or give it this name in the first line."
             )
-        index = self.names.index(name)
-        numbers = np.empty(len(self.rows))
-        for i, row in enumerate(self.rows):
+        numbers, cells = np.empty(len(self.rows)), [row[self.names.index(name)] for row in self.rows]
+        for i, cell in enumerate(cells):
             try:
-                numbers[i] = float(row[index])
+                numbers[i] = float(cell)
             except ValueError:
-                raise RecordingError(
-                    f"{self.place.at(i)}, column {name}: '{row[index]}' is no number; "
-                    "correct or cut this line."
-                ) from None
+                where = f"{self.place.at(i)}, column {name}"
+                raise RecordingError(f"{where}: '{cell}' is no number; correct or cut this line.") from None
         return numbers
 
     def columns(self, names: Iterable[str]) -> np.ndarray:
@@ -180,9 +174,7 @@ class Table:
 
 
 def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
-    """Read a table of cells between commas, or between spaces where there is no comma.
-
-    Its first line names the columns, unless their names are given.
+    """Read cells between commas, or spaces where no comma is; line 1 names the columns, if no names are given.
 
     Raises:
         RecordingError: If the file cannot be read, is empty, or a line has too few or too many cells.
@@ -223,8 +215,8 @@ def _read_rtde(folder: Path, workcell: WorkcellSpec) -> Recording:
     has_speed = any(name.startswith("actual_qd_") for name in measured.names)
     qd = measured.columns(qd_names) if has_speed else None
     require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]), workcell=workcell)
-    arrays = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
-    return Recording(name=str(folder), workcell=workcell, joints=joints, **arrays)
+    motion = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
+    return Recording(name=str(folder), workcell=workcell, joints=joints, **motion)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,10 +287,7 @@ def _only_command_topic(bag: _Bag) -> str:
 
 
 def _merged(bag: _Bag, topics: Sequence[CommandTopic]) -> tuple[np.ndarray, np.ndarray]:
-    """Times [ns] and positions [rad] of the commands on all topics together.
-
-    There is a row for each time at which a command was sent; what was not sent then holds.
-    """
+    """Times [ns] at which any command was sent, and positions [rad]; what was not sent then holds."""
     streams = [_read_topic(bag, topic) for topic in topics]
     _require_all(f"{bag.path}, topic {', '.join(topic.name for topic in topics)}", bag.joints, streams)
     times = streams[0].times

@@ -15,13 +15,7 @@ from numpy.random import Generator
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.identification.checks import Check, check_recording
-from pixel2catch.identification.joints import (
-    groups_of,
-    hanging_on,
-    recorded_model,
-    specs_of,
-    watched_model,
-)
+from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of, watched_model
 from pixel2catch.identification.recording import Recording, Trajectory
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, friction_torque, is_settled
 from pixel2catch.mdp.dynamics_file import DynamicsFile

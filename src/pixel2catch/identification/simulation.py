@@ -71,10 +71,8 @@ def step_commands(
     """What arrives in every time step: a command, and from some moment on the next one.
 
     A servo at its torque limit does not answer to their mean, so that the moment must be known. Where several
-    commands of a step are no such pair, there is their mean only. Arguments as of `mean_commands`.
-
-    Returns:
-        Their mean [rad]; by how much the first and the last are beyond it [rad]; the share of the first.
+    commands of a step are no such pair, there is their mean only. Arguments as of `mean_commands`. Returned
+    are their mean [rad]; by how much the first and the last are beyond it [rad]; the share of the first.
     """
     mean = mean_commands(t_cmd, q_cmd, edges, latency)
     sent = [held(t_cmd, q_cmd[:, j : j + 1], edges - delay) for j, delay in enumerate(latency)]
@@ -109,10 +107,9 @@ class Servos:
         link_inertia: PerJoint,
         dt: float,
     ) -> None:
-        """Give every copy of the simulation its dynamics.
+        """Give every copy its dynamics and largest torques [N·m].
 
-        Efforts are the largest torques [N·m], the inertia of the links is what a joint moves beside its
-        armature [kg·m²], the time step is in [s].
+        The inertia of the links is what a joint moves beside its armature [kg·m²]; the time step is in [s].
         """
         self._stiffness, self._damping, self._friction, armature = (
             np.stack([getattr(each, name) for each in dynamics])
@@ -310,8 +307,7 @@ class RecordedMotion:
 def _commands(copies: Sequence[tuple[JointDynamics, _Motion]], dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Delayed commands, as `step_commands` has them; a short recording holds its last.
 
-    Returns:
-        The different ones, (num_steps, 4, num_different, num_joints), and which of them is each copy's.
+    They are the different ones, (num_steps, 4, num_different, num_joints), and which of them is each copy's.
     """
     known: dict[tuple[int, bytes, bytes], np.ndarray] = {}
     keys = []
@@ -320,8 +316,7 @@ def _commands(copies: Sequence[tuple[JointDynamics, _Motion]], dt: float) -> tup
         lag = command_lag(dynamics, dt)
         keys.append((id(motion), lag.tobytes(), dynamics.has_filter.tobytes()))
         if keys[-1] not in known:
-            recording = motion.recording
-            values = step_commands(recording.t_cmd, recording.q_cmd, motion.edges, lag)
+            values = step_commands(motion.recording.t_cmd, motion.recording.q_cmd, motion.edges, lag)
             values[:, 1:3, dynamics.has_filter] = 0.0  # a filter turns jumps into slopes
             known[keys[-1]] = np.pad(values, ((0, num_steps - len(values)), (0, 0), (0, 0)), mode="edge")
     order = list(known)

@@ -96,11 +96,7 @@ class Sam2Segmenter(Segmenter):
     """
 
     def __init__(
-        self,
-        folder: Path,
-        device: str,
-        image_size: int | None = None,
-        captured: Sequence[Module] = MODULES,
+        self, folder: Path, device: str, image_size: int | None = None, captured: Sequence[Module] = MODULES
     ) -> None:
         """Load a checkpoint; on a CUDA device also track blank images, so that the first real one is fast.
 

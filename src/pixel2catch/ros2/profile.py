@@ -47,8 +47,8 @@ class RobotPart:
 
     name: str  #: The joint group that it moves, such as "arm" or "hand".
     joints: dict[str, DriverJoint]  #: Its joints, by our names.
+    #: Topic of the joint states; another part may use it, too.
     state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]
-    """Topic of the joint states; another part may use it, too."""
     command_topic: Topic  #: Topic of the commands, and the type that this driver takes.
     command_size: int  #: How many numbers a command has.
     #: Where joints are kept that are none of ours [rad], by their place in a command.
@@ -90,8 +90,7 @@ class RobotPart:
     def command(self, joint_pos_target: Float[np.ndarray, " num_joints"], stamp: float = 0.0) -> bytes:
         """Encode the command of this part, from the targets of all joints in joint order [rad].
 
-        The stamp [s] is for drivers that take joint states; these have no names then, as the drivers go by
-        the order.
+        The stamp [s] is for drivers that take joint states, which have no names then: the order tells.
         """
         template, places = self._template
         values = template.copy()
@@ -206,9 +205,7 @@ class Profile:
 
     def __post_init__(self) -> None:
         """Give the parts the joint order; refuse what is not in the work cell, or driven twice."""
-        from pixel2catch.workcells import (
-            find_workcell,
-        )  # which needs MuJoCo: not where a profile is unpickled
+        from pixel2catch.workcells import find_workcell  # needs MuJoCo: not where a profile is unpickled
 
         workcell = find_workcell(self.workcell)
         order = tuple(joint.name for joint in workcell.joints)
