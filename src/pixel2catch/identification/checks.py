@@ -257,7 +257,7 @@ def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 
 def progress(recording: Recording) -> float:
-    """Median of Δq·q̇ / (q̇²Δt) over the faster half of the steps: 1 where speeds are those of the positions."""
+    """Median of Δq·q̇ / (q̇²Δt) over the faster half of the steps: 1 if speeds are those of the positions."""
     steps = np.diff(recording.t_meas)
     norm = np.linalg.norm(_step_speed(recording, np.diff(recording.q, axis=0), steps[:, None]), axis=1)
     is_moving = norm > np.quantile(norm, 0.5)

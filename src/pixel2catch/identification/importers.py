@@ -174,7 +174,7 @@ class Table:
 
 
 def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
-    """Read cells between commas, or spaces where no comma is; line 1 names the columns, if no names are given.
+    """Read cells between commas, or spaces where no comma is; line 1 names the columns, unless names do.
 
     Raises:
         RecordingError: If the file cannot be read, is empty, or a line has too few or too many cells.

@@ -37,6 +37,7 @@ stiffness of the slowest joint."""
 
 MAX_COPIES = 96  # copies simulated at once, for the memory
 THREADED_COPIES = 24  # copies from which on several threads are faster than one (ours, measured with the arm)
+
 PerJoint = Float[np.ndarray, " num_joints"]
 Settled = Float[np.ndarray, "num_settled num_joints"]
 

@@ -112,11 +112,7 @@ class TrackState:
 
 
 class PixelFeatureExtractor:
-    """Makes boxes and features of a stream of images; an image of a wrong kind is refused once, at the start.
-
-    Attributes:
-        clock: How long each stage took.
-    """
+    """Makes boxes and features of a stream of images; an image of a wrong kind is refused at the start."""
 
     def __init__(
         self,
@@ -130,15 +126,10 @@ class PixelFeatureExtractor:
     ) -> None:
         """Begin before the first throw.
 
-        Args:
-            segmenter: What finds the object's pixels.
-            prompter: What says which thing is the object.
-            robot: The robot, whose motion is not the object's; None where that does no harm.
-            camera: The camera, for the size of the image.
-            cfg: When a box counts.
-            waits: Look for no object, and only learn, before the first throw begins with a reset.
+        The motion of the robot is not the object's; None where that does no harm. One who waits only learns,
+        and looks for no object, before the first throw begins with a reset.
         """
-        self.clock = StageClock()
+        self.clock = StageClock()  #: How long each stage took.
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
         self._camera, self._cfg = camera, cfg or ExtractorCfg()
         self._state = TrackState()
@@ -151,15 +142,12 @@ class PixelFeatureExtractor:
         self._state, self._has_begun = TrackState(), True
 
     def step(self, frame: CameraFrame | None, now: float) -> Extraction:
-        """Process the newest image; call it once in every control step.
+        """Process the newest image; call it once in every control step, by the clock of the stamps [s].
 
-        Args:
-            frame: The newest image, be it the same as in the step before; None if there is none yet.
-            now: The time [s], of the clock of the stamps.
+        The image may be that of the step before; None if there is none yet.
 
         Raises:
-            PerceptionError: If the very first image has the wrong size or encoding; later such an image is
-                passed over.
+            PerceptionError: If the very first image has the wrong size or encoding; later it is passed over.
         """
         state = self._state
         num_skipped = 0 if frame is None else state.num_skipped(frame.stamp)

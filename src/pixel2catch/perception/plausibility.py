@@ -46,13 +46,8 @@ def judge(
 ) -> Verdict:
     """Return whether a box [px] around so many pixels can be the object's, or why not.
 
-    Args:
-        cfg: The limits.
-        camera: The camera, for the size of the image.
-        box: The box [px].
-        area: Pixels of its mask.
-        before: The box that was last accepted [px]; None where the object was just pointed out.
-        steps: Control steps since the image of that box.
+    The box before is the one last accepted [px], so many control steps ago; None where the object was just
+    pointed out.
     """
     xmin, ymin, xmax, ymax = box[0].tolist()
     if area < cfg.least_area:

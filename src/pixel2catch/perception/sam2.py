@@ -100,12 +100,9 @@ class Sam2Segmenter(Segmenter):
     ) -> None:
         """Load a checkpoint; on a CUDA device also track blank images, so that the first real one is fast.
 
-        Args:
-            folder: The checkpoint, see `load_sam2`.
-            device: "cpu" (float32), "cuda" or "cuda:N" (bfloat16).
-            image_size: Side of the square that the model sees [px], a multiple of 32; None for the
-                checkpoint's 1024. Half of it is a quarter of the work, and masks are half as fine.
-            captured: What runs as CUDA graphs on a CUDA device.
+        The device is "cpu" (float32), "cuda" or "cuda:N" (bfloat16), where modules run as CUDA graphs. The
+        model sees a square of this side [px], a multiple of 32; None is the checkpoint's 1024. Half of it is
+        a quarter of the work, and masks are half as fine.
 
         Raises:
             DeviceUnavailableError: If CUDA is asked for and absent.
@@ -116,9 +113,8 @@ class Sam2Segmenter(Segmenter):
         is_cuda = self._device.type == "cuda"
         if is_cuda:
             require_cuda(device)
-        self._model = load_sam2(
-            folder, self._device, torch.bfloat16 if is_cuda else torch.float32, image_size
-        )
+        dtype = torch.bfloat16 if is_cuda else torch.float32
+        self._model = load_sam2(folder, self._device, dtype, image_size)
         self._mean = torch.tensor(MEAN, device=self._device).view(3, 1, 1)
         self._deviation = torch.tensor(DEVIATION, device=self._device).view(3, 1, 1)
         self._upload = torch.empty((0, 0, 3), dtype=torch.uint8)
@@ -226,12 +222,10 @@ class CapturedFunction:
     """
 
     def __init__(self, function: Callable[..., Any], pool: Any) -> None:
-        """Take the function; nothing runs yet.
+        """Take the function, and a pool of `torch.cuda.graph_pool_handle`; nothing runs yet.
 
-        Args:
-            function: Depends on its arguments and on constant tensors only. In and out are nested tuples,
-                lists, dictionaries and model outputs of tensors and constants.
-            pool: From `torch.cuda.graph_pool_handle`.
+        The function depends on its arguments and on constant tensors only. In and out are nested tuples,
+        lists, dictionaries and model outputs of tensors and constants.
         """
         self._function, self._pool = function, pool
         self._graphs: dict[tuple[Any, ...], GraphedFunction[Any]] = {}

@@ -51,12 +51,9 @@ def read_intrinsics(
 ) -> Intrinsics:
     """Read or compute a lens; what the path is chooses how.
 
-    Args:
-        path: A file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo, or a
-            folder with images of a board.
-        board: The board in those images.
-        topic: Topic of the CameraInfo; may be left out if there is only one.
-        is_rectified: Whether the images to come are rectified: the projection matrix is the lens then.
+    It is a file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo on a
+    topic, which may be left out if it is the only one, or a folder with images of the board. Where the images
+    to come are rectified, the projection matrix is the lens.
 
     Raises:
         PerceptionError: If it cannot be read, is of a lens that is not OpenCV's, or too few images show the
