@@ -141,6 +141,5 @@ def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
         console.print(clearance.sentence())
     weak = sum(not check.is_good for check in assessment.checks)
     if weak:
-        console.print(
-            f"{weak} joints are excited too weakly to tell their dynamics: raise --speed or --seconds."
-        )
+        advice = "raise --speed or --seconds"
+        console.print(f"{weak} joints are excited too weakly to tell their dynamics: {advice}.")

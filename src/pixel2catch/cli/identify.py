@@ -1,9 +1,10 @@
 """`pixel2catch identify`: from recorded motion to the simulator's joint dynamics."""
 
 import json
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
@@ -45,6 +46,7 @@ class Identify:
 
     def run(self) -> None:
         """Check, fit, and write the report."""
+        from pixel2catch.circumstances import circumstances
         from pixel2catch.cli.console import results_console, say, working
         from pixel2catch.files import require_free_folder
         from pixel2catch.identification.identify import identify, start_of_fit
@@ -63,7 +65,9 @@ class Identify:
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
-            content = write_report(self.out, result, _circumstances())
+            now = circumstances()
+            command = shlex.join(["pixel2catch", *now["command"][1:]])
+            content = write_report(self.out, result, now | {"command": command})
         if self.json:
             print(json.dumps(content, indent=2))
         else:
@@ -94,16 +98,6 @@ class Identify:
             recordings.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
         report("checking the data")
         return checked(recordings, self.hold_out)
-
-
-def _circumstances() -> dict[str, Any]:
-    """When, how and where this process works."""
-    import shlex
-
-    from pixel2catch.circumstances import circumstances
-
-    now = circumstances()
-    return now | {"command": shlex.join(["pixel2catch", *now["command"][1:]])}
 
 
 def _print_result(result: "Identification") -> None:

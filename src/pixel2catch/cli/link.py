@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from pixel2catch.deployment.recorder import Connection, Images
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.ros2.transport import Clock, Transport
-    from pixel2catch.servo.process import ServoSetup
 
 NODE = "pixel2catch"  #: Name of the node; the servo's has `_servo` behind it.
 
@@ -66,23 +65,17 @@ class Link(Network):
         """
         from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
         from pixel2catch.ros2.transport import make_transport
-        from pixel2catch.servo.process import start_servo
+        from pixel2catch.servo.limits import ServoLimits
+        from pixel2catch.servo.process import ServoSetup, start_servo
+        from pixel2catch.workcells import find_workcell
 
-        setup = self._setup(profile)
+        limits = ServoLimits.of(find_workcell(profile.workcell), self.speed)
+        setup = ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)
         join = partial(make_transport, self.transport, f"{NODE}_servo", self.loopback)
         recorder = stack.enter_context(BagRecorder(record)) if record else None
         transport, clock = stack.enter_context(self.join(NODE))
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(
-            transport=transport, servo=servo.link, servo_dt=setup.limits.dt, clock=clock, recording=recording
+            transport=transport, servo=servo.link, servo_dt=limits.dt, clock=clock, recording=recording
         )
-
-    def _setup(self, profile: "Profile") -> "ServoSetup":
-        """What the servo is the servo of."""
-        from pixel2catch.servo.limits import ServoLimits
-        from pixel2catch.servo.process import ServoSetup
-        from pixel2catch.workcells import find_workcell
-
-        limits = ServoLimits.of(find_workcell(profile.workcell), self.speed)
-        return ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)

@@ -109,14 +109,12 @@ class Envelope:
         factors on everything.
         """
         known, groups = specs_of(workcell), groups_of(workcell)
-        specs, ranges = (
-            [known[name] for name in joints],
-            [MOTION_RANGES[groups[name].role] for name in joints],
-        )
+        specs = [known[name] for name in joints]
+        ranges = [MOTION_RANGES[groups[name].role] for name in joints]
         share = np.array([shrunk.get(name, 1.0) for name in joints])
         lower, upper, home = np.array([(spec.lower, spec.upper, spec.home) for spec in specs]).T
         margin, swing, acceleration = np.array(
-            [(each.margin, each.swing, each.acceleration) for each in ranges]
+            [(own.margin, own.swing, own.acceleration) for own in ranges]
         ).T
         lower, upper = lower + margin, upper - margin
         swing = share * np.minimum(swing, (upper - lower) / 2)
@@ -230,9 +228,7 @@ def _room(envelope: Envelope, offsets: Offsets) -> Row:
     """By how much each joint's signal could be larger within swing, speed and acceleration."""
     limits = (envelope.swing, envelope.speed, envelope.acceleration)
     peaks = [np.abs(np.diff(offsets, n, axis=0)).max(axis=0) * RATE**n for n in range(3)]
-    return np.min(
-        [limit / np.maximum(peak, 1e-12) for limit, peak in zip(limits, peaks, strict=True)], axis=0
-    )
+    return np.min(np.divide(limits, np.maximum(peaks, 1e-12)), axis=0)
 
 
 SEGMENTS: tuple[tuple[Signal, float], ...] = (

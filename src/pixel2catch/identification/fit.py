@@ -203,9 +203,8 @@ class _Problem:
     def dynamics(self, point: Point) -> JointDynamics:
         with np.errstate(over="ignore"):  # a latency is no exponent
             values = np.where(self._is_latency, point * LATENCY_UNIT, np.exp(point))
-        return self._dynamics.with_values(
-            **{name: values[:, i].copy() for i, name in enumerate(self._cfg.free)}
-        )
+        columns = {name: values[:, i].copy() for i, name in enumerate(self._cfg.free)}
+        return self._dynamics.with_values(**columns)
 
     def bounded(self, point: Point) -> Point:
         """The nearest point that a fit may try."""

@@ -162,12 +162,11 @@ def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[Check
     twice = sorted({str(path) for path in paths if paths.count(path) > 1})
     if twice:
         raise InvalidValueError(f"{', '.join(twice)} is given twice; give every recording once.")
-    return [
-        CheckedRecording(
-            recording=recording, checks=tuple(check_recording(recording)), is_held_out=bool(is_out)
-        )
-        for recording, is_out in zip(recordings, _held_out(paths, hold_out), strict=True)
-    ]
+    found = []
+    for recording, is_out in zip(recordings, _held_out(paths, hold_out), strict=True):
+        checks = tuple(check_recording(recording))
+        found.append(CheckedRecording(recording=recording, checks=checks, is_held_out=bool(is_out)))
+    return found
 
 
 def _held_out(paths: Sequence[Path], hold_out: str | None) -> Bool[np.ndarray, " num_recordings"]:
@@ -199,7 +198,10 @@ def identify(
         InvalidValueError: The start has no filter where one is to be fitted.
     """
     for source in sources:
-        _require_integrity(source)
+        faults = [check for check in source.checks if check.forbids_fit]
+        texts = [f"- {' of '.join(filter(None, (bad.name, bad.joint)))}: {bad.detail}" for bad in faults]
+        if texts:
+            raise RecordingError("\n".join([f"{source.recording.name} cannot be used:", *texts]))
     motion = RecordedMotion([source.recording for source in sources], cfg.physics_dt)
     report(f"fitting {', '.join(cfg.free)} of {len(start.first.joints)} joints")
     fitted = [source.recording for source in sources if not source.is_held_out]
@@ -218,21 +220,10 @@ def identify(
     )
 
 
-def _require_integrity(source: CheckedRecording) -> None:
-    """Refuse a recording of what did not happen."""
-    faults = [check for check in source.checks if check.forbids_fit]
-    if faults:
-        texts = [
-            f"- {' of '.join(filter(None, (fault.name, fault.joint)))}: {fault.detail}" for fault in faults
-        ]
-        raise RecordingError("\n".join([f"{source.recording.name} cannot be used:", *texts]))
-
-
 def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " num_joints"]]:
     """Root mean square of predicted minus measured positions of all motions together, per joint [rad].
 
-    By prediction: the `command`, as if the joint were there at once, and the simulation `before` and `after`
-    the fit.
+    Predicted by the `command`, as if the joint were there at once, and by simulation `before` and `after`.
     """
     errors = {
         name: np.concatenate([getattr(motion, name) - motion.measured for motion in motions])

@@ -206,14 +206,12 @@ def _read_rtde(folder: Path, workcell: WorkcellSpec) -> Recording:
         raise RecordingError(f"{folder}: logs of an arm; '{workcell.name}' has none, choose a --workcell.")
     joints = joints_of(workcell, arms[0])
     command, measured = read_table(folder / COMMAND_FILE), read_table(folder / MEASURED_FILE)
-    q_cmd_names, q_names, qd_names = (
-        [f"{prefix}_{i}" for i in range(len(joints))] for prefix in ("q", "actual_q", "actual_qd")
-    )
-    t_cmd, q_cmd = command.column("t"), command.columns(q_cmd_names)
+    numbers = range(len(joints))
+    t_cmd, q_cmd = command.column("t"), command.columns(f"q_{i}" for i in numbers)
     require_motion(command.place, joints, t_cmd, q_cmd, workcell=workcell)
-    t_meas, q = measured.column("timestamp"), measured.columns(q_names)
+    t_meas, q = measured.column("timestamp"), measured.columns(f"actual_q_{i}" for i in numbers)
     has_speed = any(name.startswith("actual_qd_") for name in measured.names)
-    qd = measured.columns(qd_names) if has_speed else None
+    qd = measured.columns(f"actual_qd_{i}" for i in numbers) if has_speed else None
     require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]), workcell=workcell)
     motion = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
     return Recording(name=str(folder), workcell=workcell, joints=joints, **motion)

@@ -330,9 +330,8 @@ class Trajectory:
         self._refuse(excess > TOLERANCE, "is beyond the joint's limits")
         steps = np.abs(np.diff(self.positions, axis=0, prepend=self.positions[:1]))
         allowed = np.array([largest_step(spec) for spec in specs])
-        self._refuse(
-            steps > allowed + TOLERANCE, "is farther from the target before than the servo's speed allows"
-        )
+        is_far = steps > allowed + TOLERANCE
+        self._refuse(is_far, "is farther from the target before than the servo's speed allows")
 
     def _refuse(self, is_bad: np.ndarray, reason: str) -> None:
         """Name the first bad target."""

@@ -139,9 +139,8 @@ class Sam2Segmenter(Segmenter):
                 f"the prompt's centre ({u:g}, {v:g}) px is not on the image of {width} by {height} px: mark "
                 "the object where it is seen."
             )
-        where = dict.fromkeys(
-            ("inference_device", "inference_state_device", "video_storage_device"), self._model.device
-        )
+        places = ("inference_device", "inference_state_device", "video_storage_device")
+        where = dict.fromkeys(places, self._model.device)
         self._session = Sam2VideoInferenceSession(**where, dtype=self._model.dtype)
         self._frame_idx = 0
         index = self._session.obj_id_to_idx(OBJECT)
@@ -234,7 +233,8 @@ class CapturedFunction:
         """Return what the function returns."""
         leaves, structure = pytree.tree_flatten((args, kwargs))
         tensors = {i: leaf for i, leaf in enumerate(leaves) if isinstance(leaf, Tensor)}
-        key = (structure, *map(_signature, leaves))
+        layouts = {i: (tensor.shape, tensor.dtype, tensor.device) for i, tensor in tensors.items()}
+        key = (structure, *(layouts.get(i, leaf) for i, leaf in enumerate(leaves)))
         if key not in self._graphs:
             constants = {i: leaf for i, leaf in enumerate(leaves) if i not in tensors}
             function = partial(self._of_tensors, structure, constants, tuple(tensors))
@@ -252,11 +252,6 @@ class CapturedFunction:
         leaves = constants | dict(zip(places, tensors, strict=True))
         args, kwargs = pytree.tree_unflatten([leaves[i] for i in range(len(leaves))], structure)
         return self._function(*args, **kwargs)
-
-
-def _signature(leaf: Any) -> Any:
-    """What a recording depends on: layout of a tensor, value of anything else."""
-    return (leaf.shape, leaf.dtype, leaf.device) if isinstance(leaf, Tensor) else leaf
 
 
 def capture(model: nn.Module, modules: Sequence[Module]) -> None:

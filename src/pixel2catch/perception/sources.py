@@ -92,9 +92,8 @@ def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generat
         start = frame.stamp if newest is None else start
         due = max(int((frame.stamp - start) / CONTROL_DT + 1.0 - PHASE), 0)
         if due - tick > LONGEST_PAUSE:
-            notes.append(
-                f"{(due - tick) * CONTROL_DT:.1f} s without an image after {tick * CONTROL_DT:.1f} s."
-            )
+            pause, played = (steps * CONTROL_DT for steps in (due - tick, tick))
+            notes.append(f"{pause:.1f} s without an image after {played:.1f} s.")
             tick = due - LONGEST_PAUSE
         while newest is not None and tick < due:
             yield Tick(frame=newest, now=start + (tick + PHASE) * CONTROL_DT)

@@ -56,12 +56,16 @@ def dds_type(name: str, store: Typestore = STORE) -> Any:
     # Not by a base class: DDS would announce that as a base of the message.
     made.__init__ = _take_bytes
     made.serialize = lambda sample, **_: sample.cdr
-    made.deserialize = made.deserialize_key = classmethod(lambda kind, data, **_: kind(data))
+    made.deserialize = made.deserialize_key = classmethod(_of_bytes)
     return made
 
 
 def _take_bytes(sample: Any, cdr: bytes) -> None:
     sample.cdr = cdr
+
+
+def _of_bytes(kind: Any, data: bytes, **_: Any) -> Any:
+    return kind(data)
 
 
 def _field_type(description: Any, store: Typestore) -> Any:

@@ -28,9 +28,7 @@ NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
 STORE = get_typestore(Stores.ROS2_JAZZY)
 """Definitions of all messages. Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`."""
 
-STORE.register(
-    {**get_types_from_msg("uint8 mode", SAFETY_MODE), **get_types_from_msg("int8 mode", ROBOT_MODE)}
-)
+STORE.register(get_types_from_msg("uint8 mode", SAFETY_MODE) | get_types_from_msg("int8 mode", ROBOT_MODE))
 
 
 def encode(kind: str, *fields: Any) -> bytes:
@@ -140,9 +138,8 @@ def read_joint_state(data: bytes) -> JointReading:
             f"a joint state has {len(message.position)} positions for {len(message.name)} names: "
             "look at what publishes it."
         )
-    return JointReading(
-        names=tuple(message.name), position=float64(message.position), stamp=seconds(message.header)
-    )
+    names, position = tuple(message.name), float64(message.position)
+    return JointReading(names=names, position=position, stamp=seconds(message.header))
 
 
 def float_array(values: Iterable[float]) -> bytes:

@@ -114,9 +114,8 @@ def sheet() -> Figure:
     board_width, board_height = (1e3 * SQUARE * number for number in SQUARES)
     left, bottom = 0.5 * (width - board_width), 0.5 * (height - board_height)
     extent = (left, left + board_width, bottom, bottom + board_height)
-    axes.imshow(
-        CharucoBoard().picture(), cmap="gray", vmin=0, vmax=255, interpolation="nearest", extent=extent
-    )
+    look = {"cmap": "gray", "vmin": 0, "vmax": 255, "interpolation": "nearest"}
+    axes.imshow(CharucoBoard().picture(), extent=extent, **look)
     axes.set(xlim=(0.0, width), ylim=(0.0, height))
     axes.set_axis_off()
     axes.text(
