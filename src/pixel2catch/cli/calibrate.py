@@ -88,11 +88,7 @@ class Calibrate:
         say(f"wrote {self.out}")
 
     def _board(self) -> "Pose | None":
-        """The pose of the board in the hand, if it is known.
-
-        Raises:
-            InvalidValueError: If its orientation is none.
-        """
+        """The pose of the board in the hand, if it is known; InvalidValueError if its orientation is none."""
         from math import hypot
 
         from pixel2catch.robots.chain import pose_matrix
@@ -105,11 +101,7 @@ class Calibrate:
         return pose_matrix(pos, quat)
 
     def _lens(self, path: Path) -> "Intrinsics":
-        """The lens.
-
-        Raises:
-            InvalidValueError: If it is of images of another size than the policies'.
-        """
+        """The lens; InvalidValueError if it is of images of another size than the policies'."""
         from pixel2catch.perception.calibration.intrinsics import read_intrinsics
         from pixel2catch.perception.calibration.target import CharucoBoard, Chessboard
 
@@ -126,9 +118,7 @@ class Calibrate:
     def _hand_views(self, path: Path, intrinsics: "Intrinsics") -> "list[HandView]":
         """The corners in every image of a table that shows the board.
 
-        Raises:
-            RecordingError: If the table lacks a column, or has positions that no arm can have, such as
-                degrees.
+        It is a RecordingError if the table lacks a column, or has positions that no arm can have.
         """
         import numpy as np
         import torch

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES
-from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
+from pixel2catch.perception.extractor import Extraction, Percentiles, PixelFeatureExtractor, StageClock
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.sources import Tick
-from pixel2catch.perception.timing import Percentiles, StageClock
 from pixel2catch.scene.constants import CONTROL_DT
 
 STAGES = ("robot", "segment", "box", "features", "total")

@@ -238,10 +238,8 @@ def _moved(pose: Pose, step: np.ndarray) -> Pose:
 def _covariance(fit: _Fit, owner: np.ndarray) -> np.ndarray:
     """Covariance (6, 6) of the camera's pose, from what leaving out each image changes: the jackknife.
 
-    All corners of an image share the arm's error, so it is images that are independent, not corners.
-
-    Raises:
-        PerceptionError: If the images do not tell the pose.
+    All corners of an image share the arm's error, so it is images that are independent, not corners. It is a
+    PerceptionError if they do not tell the pose.
     """
     if np.linalg.cond(fit.jacobian / np.linalg.norm(fit.jacobian, axis=0)) > LARGEST_CONDITION:
         raise PerceptionError(
