@@ -18,8 +18,7 @@ Matrix = tuple[tuple[float, ...], ...]
 class Projection:
     """A camera as numbers: the nominal one, or one of its own in every environment."""
 
-    #: K Rᵀ, so that matrix (p - center) = (u z, v z, z) of a world point p at depth z.
-    matrix: Float[Tensor, "*turns 3 3"]
+    matrix: Float[Tensor, "*turns 3 3"]  #: K Rᵀ: (u z, v z, z) = matrix (p - center), p at depth z.
     center: Float[Tensor, "*places 3"]  #: Centre of projection, world frame [m].
 
     def pixels(

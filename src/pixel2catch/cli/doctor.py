@@ -256,9 +256,8 @@ def camera(source: str | None) -> str:
     from pixel2catch.scene.constants import RGB_CAMERA
 
     report = measure_camera(open_camera(source), CAMERA_SECONDS)
-    found = (
-        f"{report.width} x {report.height} at {report.rate:.1f} Hz, longest pause {1e3 * report.pause:.0f} ms"
-    )
+    found = f"{report.width} x {report.height} at {report.rate:.1f} Hz, "
+    found += f"longest pause {1e3 * report.pause:.0f} ms"
     if (report.width, report.height) != (RGB_CAMERA.width, RGB_CAMERA.height):
         raise Broken(f"{found}: it cannot deliver {RGB_CAMERA.width} x {RGB_CAMERA.height}; use another")
     if report.rate < LEAST_RATE:

@@ -59,8 +59,7 @@ class FitCfg:
     """How the dynamics are fitted."""
 
     free: tuple[str, ...] = SERVO_PARAMETERS  #: what is fitted; other parameters keep their start values
-    #: standard deviation of what is known before, in the coordinates of the fit: 2 is a factor 7
-    prior: float = 2.0
+    prior: float = 2.0  #: deviation of what is known before, in coordinates of the fit: 2 is a factor 7
     physics_dt: float = FIT_DT  #: time step of the simulation [s]
     max_rounds: int = 4  #: most evaluations of the Jacobian with this time step
 
@@ -141,8 +140,7 @@ class NormalEquations:
     """The squares about a point, as a quadratic function of the coordinates of some directions."""
 
     directions: Directions  #: what moves
-    #: half of the second derivatives: the inverse of a covariance
-    hessian: Float[np.ndarray, "num_directions num_directions"]
+    hessian: Float[np.ndarray, "num_directions num_directions"]  #: half the curvature: an inverse covariance
     gradient: Float[np.ndarray, " num_directions"]  #: half of the derivatives
 
     def step(self, damping: float) -> Point:

@@ -62,8 +62,7 @@ class Motion:
     """A recording beside its simulation."""
 
     source: CheckedRecording
-    #: simulated positions under the dynamics before the fit, at the measurements compared [rad]
-    before: Positions
+    before: Positions  #: simulated before the fit, at the measurements compared [rad]
     after: Positions  #: and under the fitted ones
 
     @property

@@ -56,8 +56,7 @@ class CommandTopic:
 class Names:
     """What a lab's recordings call our topics and joints."""
 
-    #: topics of the commands of a bag; may be empty if only one can be it
-    command_topics: tuple[CommandTopic, ...] = ()
+    command_topics: tuple[CommandTopic, ...] = ()  #: those of a bag; empty if only one can be it
     measured_topic: str = MEASURED_TOPIC  #: topic of the measurements of a bag
     #: the recording's names of joints that have another name there, by ours
     theirs: Mapping[str, str] = field(default_factory=dict)
@@ -224,8 +223,7 @@ class _Stream:
     joints: tuple[str, ...]  #: those of the wanted joints that it has, the columns
     recorded: tuple[str, ...]  #: all joints that it has, for messages
     times: np.ndarray  #: when each message was sent [ns]
-    #: `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them
-    fields: dict[str, np.ndarray]
+    fields: dict[str, np.ndarray]  #: `MOTION_FIELDS` that every message has [rad, rad/s, N·m]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -79,14 +79,11 @@ class Recording:
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints they are
     joints: tuple[str, ...]  #: names of the joints, the columns of all arrays
     t_cmd: Float64[np.ndarray, " num_commands"]  #: send times of the commands [s], not decreasing
-    #: commanded positions [rad]; each holds until the next
-    q_cmd: Float64[np.ndarray, "num_commands num_joints"]
+    q_cmd: Float64[np.ndarray, "num_commands num_joints"]  #: commands [rad]; each holds until the next
     t_meas: Float64[np.ndarray, " num_samples"]  #: times of the measurements [s], not decreasing
     q: Float64[np.ndarray, "num_samples num_joints"]  #: measured positions [rad]
-    #: measured speeds [rad/s], if they were recorded
-    qd: Float64[np.ndarray, "num_samples num_joints"] | None = None
-    #: measured torques [N·m], if they were recorded
-    effort: Float64[np.ndarray, "num_samples num_joints"] | None = None
+    qd: Float64[np.ndarray, "num_samples num_joints"] | None = None  #: speeds [rad/s], if recorded
+    effort: Float64[np.ndarray, "num_samples num_joints"] | None = None  #: torques [N·m], if recorded
 
     def __post_init__(self) -> None:
         """Refuse what no robot can have done."""
@@ -245,8 +242,7 @@ class Trajectory:
     """
 
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints they are
-    #: names of the joints, the columns, in joint order; the others hold the start pose
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  #: names of the columns, in joint order; other joints hold the start pose
     times: Float64[np.ndarray, " num_targets"]  #: when each target is due [s], from 0
     positions: Float64[np.ndarray, "num_targets num_joints"]  #: the targets [rad]
     header: dict[str, Any] = field(default_factory=dict)  #: where they come from: anything that JSON can hold

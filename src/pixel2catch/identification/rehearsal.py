@@ -232,8 +232,7 @@ class Assessment:
 
     recording: Recording  #: the motion at every physics step
     speed: Float64[np.ndarray, " num_joints"]  #: top speed of each joint [rad/s]
-    #: top torque of each joint's servo, as a share of its limit
-    torque_share: Float64[np.ndarray, " num_joints"]
+    torque_share: Float64[np.ndarray, " num_joints"]  #: top torque of each servo, as a share of its limit
     clearances: tuple[Clearance, ...]  #: distances to the table and of the robot's parts
     checks: tuple[Check, ...]  #: whether each joint is excited enough to tell its dynamics
     faults: tuple[Fault, ...]  #: what must not be

@@ -182,8 +182,7 @@ class _Motion:
 
     recording: Recording  #: what was recorded
     edges: Float[np.ndarray, " num_edges"]  #: starts of the steps and the end of the last [s]
-    #: position [rad] and speed [rad/s] of each joint at the first measurement
-    start: Float[np.ndarray, "2 num_joints"]
+    start: Float[np.ndarray, "2 num_joints"]  #: positions [rad] and speeds [rad/s] at the first measurement
     index: Int[np.ndarray, " num_settled"]  #: for each measurement that is compared, the edge before it
     weight: Float[np.ndarray, " num_settled"]  #: and the share of the step after that edge
 

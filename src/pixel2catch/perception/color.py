@@ -27,10 +27,8 @@ LEAST_COUNT = 0.1
 class ColorRange:
     """Colours from a first to a last hue, saturation and value."""
 
-    #: First and last hue [degrees]: red 0, green 120, blue 240; (340, 20) is the reds about 0.
-    hue: tuple[float, float]
-    #: Smallest and largest share of colour in [0, 1]; grey is 0.
-    saturation: tuple[float, float] = (0.4, 1.0)
+    hue: tuple[float, float]  #: First and last [degrees]: red 0, green 120, blue 240; (340, 20) is reds.
+    saturation: tuple[float, float] = (0.4, 1.0)  #: Least and largest share of colour in [0, 1]; grey is 0.
     value: tuple[float, float] = (0.2, 1.0)  #: Smallest and largest brightness in [0, 1].
 
     def __post_init__(self) -> None:

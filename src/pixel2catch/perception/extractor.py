@@ -36,8 +36,7 @@ class CameraFrame:
 
     image: np.ndarray  #: Red, green, blue; upper row first.
     stamp: float  #: When it was taken [s].
-    #: Positions of the robot's joints at that time, in joint order [rad]; None if unknown.
-    joint_pos: np.ndarray | None = None
+    joint_pos: np.ndarray | None = None  #: The robot's at that time, in joint order [rad]; None if unknown.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +51,7 @@ class ExtractorCfg:
 class Extraction:
     """What a control step knows of the object: the box for the policy, the rest for log and safety."""
 
-    #: What `Measurement.box` is in training [px]; zeros before the first detection.
-    box: Float[Tensor, "1 4"]
+    box: Float[Tensor, "1 4"]  #: `Measurement.box` of training [px]; zeros before the first detection.
     #: The features of this box and that of the step before, for show; the first box of a throw stands for its
     #: predecessor, as at the beginning of an episode.
     features: Float[Tensor, "1 8"]
@@ -62,8 +60,7 @@ class Extraction:
     is_fresh: bool  #: Whether the box is no older than those of training.
     age: float  #: Time since the image of the box [s]; infinite before the first detection.
     score: float  #: The segmenter's score of this image, on its own scale; 0 where it was not asked.
-    #: Control steps since the image before that had none: so many too many are in the differences.
-    num_skipped: int
+    num_skipped: int  #: Control steps without an image since the last: so many too many are in differences.
     mask: Mask | None  #: The object's pixels, where it was seen.
     message: str  #: What went wrong with an image that could not be used.
 
@@ -83,8 +80,7 @@ class _Finding:
 class TrackState:
     """What is known of the object in this throw."""
 
-    #: The box that was last accepted [px].
-    box: Float[Tensor, "1 4"] = field(default_factory=lambda: torch.zeros(1, 4))
+    box: Float[Tensor, "1 4"] = field(default_factory=lambda: torch.zeros(1, 4))  #: Last accepted [px].
     box_stamp: float = -torch.inf  #: When its image was taken [s].
     image_stamp: float = -torch.inf  #: When the last image was taken that was looked at [s].
     num_lost: int = 0  #: Images since that box, or since the object was pointed out.

@@ -31,8 +31,7 @@ class PlausibilityCfg:
 
     least_area: int = 6  #: Fewest pixels.
     largest_share: float = 0.02  #: Largest share of the image. Source: ours; 0.5 % at most in those images.
-    #: Furthest that the middle of the box moves in a control step [px]; 61 in those images.
-    largest_jump: float = 90.0
+    largest_jump: float = 90.0  #: Of the middle of the box in a control step [px]; 61 in those images.
     largest_sides: int = 1  #: Most sides of the image that the box touches; an object passes one at a time.
 
 

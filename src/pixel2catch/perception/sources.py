@@ -55,8 +55,7 @@ class SourceCfg:
     name: str  #: A video file; the folder, .mcap or .db3 file of a bag; or the number or device of a camera.
     topic: str | None = None  #: The topic of a bag's images; None for the only one.
     joint_states: str = "/joint_states"  #: The topic of a bag's joint states.
-    #: Names of the robot's joints, in joint order; none if their positions are not asked for.
-    joints: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()  #: Of the robot, in joint order; none if they are not asked for.
 
 
 def ticks_of(cfg: SourceCfg, notes: list[str]) -> Generator[Tick, None, None]:

@@ -88,8 +88,7 @@ class JointMotion:
     """What a message of one of `MOTION_TYPES` says."""
 
     joints: tuple[str, ...]  #: names in the order of the numbers; empty if the type has none
-    #: one number a joint, by those of `MOTION_FIELDS` that were given
-    fields: dict[str, np.ndarray]
+    fields: dict[str, np.ndarray]  #: one number a joint, by those of `MOTION_FIELDS` that were given
 
 
 def joint_motion(where: str, message: BagMessage) -> JointMotion:

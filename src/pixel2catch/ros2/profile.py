@@ -47,8 +47,7 @@ class RobotPart:
 
     name: str  #: The joint group that it moves, such as "arm" or "hand".
     joints: dict[str, DriverJoint]  #: Its joints, by our names.
-    #: Topic of the joint states; another part may use it, too.
-    state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]
+    state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]  #: Other parts may use it, too.
     command_topic: Topic  #: Topic of the commands, and the type that this driver takes.
     command_size: int  #: How many numbers a command has.
     #: Where joints are kept that are none of ours [rad], by their place in a command.
@@ -141,8 +140,7 @@ class CameraProfile:
     """The camera's driver."""
 
     image: Annotated[Topic, TopicType(messages.IMAGE)]  #: Topic of the images.
-    #: Topic of the lens, if there is one.
-    info: Annotated[Topic, TopicType(messages.CAMERA_INFO)] | None = None
+    info: Annotated[Topic, TopicType(messages.CAMERA_INFO)] | None = None  #: Topic of the lens, if any.
     width: int  #: Image width [px].
     height: int  #: Image height [px].
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
@@ -187,8 +185,7 @@ class OperatorTopics:
     arm: BooleanTopic = field(default=_own("arm"))  #: The operator asks to arm.
     dead_man: BooleanTopic = field(default=_own("dead_man"))  #: The operator holds the dead-man's switch.
     stop: BooleanTopic = field(default=_own("stop"))  #: The operator stops.
-    #: The operator points at the object.
-    prompt: TextTopic = field(default=_own("prompt", messages.TEXT))
+    prompt: TextTopic = field(default=_own("prompt", messages.TEXT))  #: The operator points at the object.
     status: TextTopic = field(default=_own("status", messages.TEXT))  #: What the deployment does.
 
 

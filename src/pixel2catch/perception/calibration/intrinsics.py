@@ -33,10 +33,8 @@ class Intrinsics:
     size: tuple[int, int]  #: Width and height of the image [px].
     matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
     distortion: tuple[float, ...] = ()  #: As in OpenCV; none if the images are rectified.
-    #: Standard deviation of the focal length, relative to it; None if unknown.
-    focal_std: float | None = None
-    #: Root mean square distance of seen and computed corners [px]; None if it was not measured here.
-    rms: float | None = None
+    focal_std: float | None = None  #: Standard deviation, relative to the focal length; None if unknown.
+    rms: float | None = None  #: RMS distance of seen and computed corners [px]; None if not measured here.
 
     def undistorted(self, pixels: Float[np.ndarray, "num_points 2"]) -> Float[np.ndarray, "num_points 2"]:
         """Where the pinhole would see what the lens sees at these places [px]."""

@@ -30,8 +30,7 @@ SQUARE_PIXELS = 480
 class View:
     """What one image shows of a board."""
 
-    #: Corners in the frame of the board [m], or [squares] where its size is not known.
-    points: Float[np.ndarray, "num_points 3"]
+    points: Float[np.ndarray, "num_points 3"]  #: Corners in the board's frame [m], else [squares].
     pixels: Float[np.ndarray, "num_points 2"]  #: Where they are in the image [px].
 
 
