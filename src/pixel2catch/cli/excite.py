@@ -50,7 +50,9 @@ class Excite:
         from numpy.random import default_rng
 
         from pixel2catch.cli.console import say, working
+        from pixel2catch.files import write_atomically
         from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
+        from pixel2catch.identification.report import motion_picture
         from pixel2catch.workcells import find_workcell
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)
@@ -62,7 +64,10 @@ class Excite:
             truth = unlike_nominal(default_rng(self.seed), self._dynamics(None, workcell))
         with working() as report:
             found = self._find(workcell, dynamics, report)
-            _write(found, outs, pictures)
+            for (trajectory, _), path in zip(found, outs, strict=False):
+                trajectory.save(path)
+            for pair, path in zip(found, pictures, strict=False):
+                write_atomically({path: motion_picture(*pair)})
             if self.rehearse:
                 report("recording what a robot would have done")
                 trajectories = [trajectory for trajectory, _ in found]
@@ -114,19 +119,6 @@ class Excite:
             report(f"drawing and trying trajectory {i + 1} of {self.recordings}")
             found.append(find_excitation(cfg, dynamics, report))
         return found
-
-
-def _write(
-    found: "Sequence[tuple[Trajectory, Assessment]]", outs: "Sequence[Path]", pictures: "Sequence[Path]"
-) -> None:
-    """Write trajectories and pictures to as many files."""
-    from pixel2catch.files import write_atomically
-    from pixel2catch.identification.report import motion_picture
-
-    for (trajectory, _), path in zip(found, outs, strict=False):
-        trajectory.save(path)
-    for (trajectory, assessment), path in zip(found, pictures, strict=False):
-        write_atomically({path: motion_picture(trajectory, assessment)})
 
 
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:

@@ -264,8 +264,7 @@ def _limit_faults(recording: Recording, speed: np.ndarray) -> list[Fault]:
         spec, q = specs_of(recording.workcell)[joint], recording.q[:, column]
         excess, top = max(spec.lower - q.min(), q.max() - spec.upper), np.abs(speed[:, column]).max()
         if excess > LIMIT_TOLERANCE:
-            text = f"{joint} moves {excess:.3f} rad beyond its limits"
-            faults.append(Fault(text=text, joints=(joint,)))
+            faults.append(Fault(text=f"{joint} moves {excess:.3f} rad beyond its limits", joints=(joint,)))
         if top > spec.velocity_limit:
             text = f"{joint} reaches {top:.2f} rad/s of {spec.velocity_limit:.2f}"
             faults.append(Fault(text=text, joints=(joint,), remedy=0.95 * spec.velocity_limit / top))

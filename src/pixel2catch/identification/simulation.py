@@ -38,15 +38,15 @@ stiffness of the slowest joint."""
 MAX_COPIES = 96  # copies simulated at once, for the memory
 THREADED_COPIES = 24  # copies from which on several threads are faster than one (ours, measured with the arm)
 
+Times = Float[np.ndarray, " num_commands"]
+Commands = Float[np.ndarray, "num_commands num_joints"]
+Edges = Float[np.ndarray, " num_edges"]
 PerJoint = Float[np.ndarray, " num_joints"]
 Settled = Float[np.ndarray, "num_settled num_joints"]
 
 
 def mean_commands(
-    t_cmd: Float[np.ndarray, " num_commands"],
-    q_cmd: Float[np.ndarray, "num_commands num_joints"],
-    edges: Float[np.ndarray, " num_edges"],
-    latency: PerJoint,
+    t_cmd: Times, q_cmd: Commands, edges: Edges, latency: PerJoint
 ) -> Float[np.ndarray, "num_steps num_joints"]:
     """Mean of the held, delayed commands over every time step: it depends smoothly on the latency.
 
@@ -64,10 +64,7 @@ def mean_commands(
 
 
 def step_commands(
-    t_cmd: Float[np.ndarray, " num_commands"],
-    q_cmd: Float[np.ndarray, "num_commands num_joints"],
-    edges: Float[np.ndarray, " num_edges"],
-    latency: PerJoint,
+    t_cmd: Times, q_cmd: Commands, edges: Edges, latency: PerJoint
 ) -> Float[np.ndarray, "num_steps 4 num_joints"]:
     """What arrives in every time step: a command, and from some moment on the next one.
 
@@ -181,7 +178,7 @@ class _Motion:
     """A recording on the grid of physics steps."""
 
     recording: Recording  #: what was recorded
-    edges: Float[np.ndarray, " num_edges"]  #: starts of the steps and the end of the last [s]
+    edges: Edges  #: starts of the steps and the end of the last [s]
     start: Float[np.ndarray, "2 num_joints"]  #: positions [rad] and speeds [rad/s] at the first measurement
     index: Int[np.ndarray, " num_settled"]  #: for each measurement that is compared, the edge before it
     weight: Float[np.ndarray, " num_settled"]  #: and the share of the step after that edge
