@@ -18,12 +18,11 @@ from pixel2catch.envs.eye import Eye
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
-from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
+from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor, StageClock
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
-from pixel2catch.perception.timing import StageClock
 from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL, CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.rendering.video import RecordedThrow

@@ -2,7 +2,7 @@ import time
 
 import pytest
 
-from pixel2catch.perception.timing import MEMORY, StageClock
+from pixel2catch.perception.extractor import MEMORY, StageClock
 
 
 def test_percentiles_are_those_of_the_durations():

@@ -59,13 +59,9 @@ def box_fit(
     memory), so that the short fit soon forgets how the object rested before its flight, and the long fit's
     residual tells whether it has. Extrapolation to age 0 makes up for latency and for missing boxes.
 
-    Args:
-        box: Last measured boxes (xmin, ymin, xmax, ymax), newest first [px].
-        age: How long ago each was seen [control steps]. Equal ages give no slope rather than an error.
-        camera: The camera, whose axis and focal lengths make pixels of it into directions.
-
-    Returns:
-        `BOX_FIT_FEATURES`, of order 1.
+    Boxes (xmin, ymin, xmax, ymax) are newest first [px], ages in control steps; equal ages give no slope
+    rather than an error. The camera's axis and focal lengths make pixels into directions. Returned are
+    `BOX_FIT_FEATURES`, of order 1.
 
     Source: ours, `benchmarks/sight_information.py`: 0.08 s before a practised thrower's throw comes down, the
     same network after 900 gradient steps errs by 10.6 cm with these features, by 14.2 cm with 8 raw boxes and

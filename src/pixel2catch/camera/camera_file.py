@@ -34,13 +34,11 @@ class CameraFile:
     #: The camera as a pinhole, in this project's image coordinates: the middle of the first pixel is (0.5,
     #: 0.5).
     camera: CameraSpec
-    #: Its lens, (k1, k2, p1, p2[, k3[, k4, k5, k6]]) as in OpenCV; none for rectified images.
-    distortion: tuple[float, ...] = ()
+    distortion: tuple[float, ...] = ()  #: (k1, k2, p1, p2[, k3[, k4, k5, k6]]) of OpenCV; () if rectified.
     #: Covariance (6 x 6) of the position [m] and of a small turn about the centre [rad], both along the axes
     #: of the world.
     pose_covariance: tuple[tuple[float, ...], ...] = NO_POSE_ERROR
-    #: Standard deviation of the focal length, relative to it; None if unknown.
-    focal_std: float | None = None
+    focal_std: float | None = None  #: Standard deviation, relative to the focal length; None if unknown.
 
     def __post_init__(self) -> None:
         """Refuse what is no camera."""

@@ -18,8 +18,7 @@ Matrix = tuple[tuple[float, ...], ...]
 class Projection:
     """A camera as numbers: the nominal one, or one of its own in every environment."""
 
-    #: K Rᵀ, so that matrix (p - center) = (u z, v z, z) of a world point p at depth z.
-    matrix: Float[Tensor, "*turns 3 3"]
+    matrix: Float[Tensor, "*turns 3 3"]  #: K Rᵀ: (u z, v z, z) = matrix (p - center), p at depth z.
     center: Float[Tensor, "*places 3"]  #: Centre of projection, world frame [m].
 
     def pixels(
@@ -60,11 +59,9 @@ def project(
 ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
     """Project world points [m] into the image.
 
-    u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame.
-
-    Returns:
-        Pixels (u, v) [px], not clipped to the image, and depths z along the optical axis [m]. Where the depth
-        is not positive the pixel means nothing.
+    u = fx x / z + cx and v = fy y / z + cy, with (x, y, z) the point in the camera's frame: pixels [px], not
+    clipped to the image, and depths z along the optical axis [m]. Where that is not positive the pixel means
+    nothing.
     """
     return nominal_projection(camera, points).pixels(points)
 
@@ -100,11 +97,9 @@ def ray_directions(
 def is_unoccluded(hit_distance: Float[Tensor, "num_envs num_points"]) -> Bool[Tensor, "num_envs num_points"]:
     """Return whether nothing stands between the camera and each point.
 
-    The object itself is not cast against: its far side projects into its own outline.
-
-    Args:
-        hit_distance: Where the ray of `ray_directions` first hits robot or table (`Simulation.ray`), in units
-            of the ray: 1 is at the point, negative is a miss.
+    Distances are where the ray of `ray_directions` first hits robot or table (`Simulation.ray`), in units of
+    the ray: 1 is at the point, negative is a miss. The object itself is not cast against: its far side
+    projects into its own outline.
     """
     return (hit_distance < 0.0) | (hit_distance >= 1.0)
 

@@ -26,11 +26,8 @@ IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the 
 NUM_THROWS = 200  #: Throws whose paths are compared.
 
 LARGEST_RMS = 1.5
-"""Errors above this have a cause that can be found [px].
-
-Source: ours; corners of sharp images are found within a few tenths of a pixel, and errors of 1 mrad in each
-of the arm's joints make another 0.3 px.
-"""
+"""Errors above this have a cause that can be found [px]. Source: ours; corners of sharp images are found
+within a few tenths of a pixel, and errors of 1 mrad in each of the arm's joints make another 0.3 px."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,35 +36,27 @@ class Calibrate:
 
     First print the board (--print-marker) and fix it to the hand, rigidly; where does not matter. Then move
     the arm to 15 poses or more, take an image at each, and write down its name and the joints' positions.
-
-    Attributes:
-        views: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
-        workcell: The robots: a name, as for `train`, or a Python file that defines WORKCELLS; the board is in
-            the first hand.
-        intrinsics: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, a camera.json
-            of before, or a folder with 10 or more images of the printed board.
-        out: Where to write the camera; nothing is overwritten.
-        print_marker: Only write the board to print, a .png or .pdf of A4.
-        square: Edge of a square of the board, measured on paper [m].
-        chessboard: Columns and rows of inner corners, if the images of --intrinsics show a chessboard.
-        rectified: The images are rectified (image_rect): the projection matrix is the lens.
-        topic: Topic of the CameraInfo in a rosbag. Default: the only one.
-        board_pose: Pose of the board in the hand frame at the palm's centre, if it is known: x y z [m] and
-            quaternion w x y z. Default: found from the images, too.
-        json: Print the result as one JSON object.
     """
 
+    #: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
     views: Positional[Path | None] = None
+    #: The robots: a name, as for `train`, or a Python file that defines WORKCELLS; the board is in the first
+    #: hand.
     workcell: str = "ur5e_allegro"
+    #: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, a camera.json of before, or
+    #: a folder with 10 or more images of the printed board.
     intrinsics: Path | None = None
-    out: Path = Path("camera.json")
-    print_marker: Path | None = None
-    square: float = 0.06
+    out: Path = Path("camera.json")  #: Where to write the camera; nothing is overwritten.
+    print_marker: Path | None = None  #: Only write the board to print, a .png or .pdf of A4.
+    square: float = 0.06  #: Edge of a square of the board, measured on paper [m].
+    #: Columns and rows of inner corners, if the images of --intrinsics show a chessboard.
     chessboard: tuple[int, int] | None = None
-    rectified: bool = False
-    topic: str | None = None
+    rectified: bool = False  #: The images are rectified (image_rect): the projection matrix is the lens.
+    topic: str | None = None  #: Topic of the CameraInfo in a rosbag. Default: the only one.
+    #: Pose of the board in the hand frame at the palm's centre, if it is known: x y z [m] and quaternion w x
+    #: y z. Default: found from the images, too.
     board_pose: tuple[float, float, float, float, float, float, float] | None = None
-    json: bool = False
+    json: bool = False  #: Print the result as one JSON object.
 
     def run(self) -> None:
         """Print the board, or find the camera and write it."""
@@ -99,11 +88,7 @@ class Calibrate:
         say(f"wrote {self.out}")
 
     def _board(self) -> "Pose | None":
-        """The pose of the board in the hand, if it is known.
-
-        Raises:
-            InvalidValueError: If its orientation is none.
-        """
+        """The pose of the board in the hand, if it is known; InvalidValueError if its orientation is none."""
         from math import hypot
 
         from pixel2catch.robots.chain import pose_matrix
@@ -116,11 +101,7 @@ class Calibrate:
         return pose_matrix(pos, quat)
 
     def _lens(self, path: Path) -> "Intrinsics":
-        """The lens.
-
-        Raises:
-            InvalidValueError: If it is of images of another size than the policies'.
-        """
+        """The lens; InvalidValueError if it is of images of another size than the policies'."""
         from pixel2catch.perception.calibration.intrinsics import read_intrinsics
         from pixel2catch.perception.calibration.target import CharucoBoard, Chessboard
 
@@ -137,9 +118,7 @@ class Calibrate:
     def _hand_views(self, path: Path, intrinsics: "Intrinsics") -> "list[HandView]":
         """The corners in every image of a table that shows the board.
 
-        Raises:
-            RecordingError: If the table lacks a column, or has positions that no arm can have, such as
-                degrees.
+        It is a RecordingError if the table lacks a column, or has positions that no arm can have.
         """
         import numpy as np
         import torch

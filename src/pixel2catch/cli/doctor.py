@@ -30,9 +30,7 @@ STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
 """Colour of each state; the word tells without colour, too."""
 
 EXIT_BAD = 1  #: Exit status where something that is needed does not work.
-
 PACKAGE = "pixel2catch"
-
 NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Where Linux says which driver is loaded.
 
 LEAST_FREE = 1e9
@@ -258,9 +256,8 @@ def camera(source: str | None) -> str:
     from pixel2catch.scene.constants import RGB_CAMERA
 
     report = measure_camera(open_camera(source), CAMERA_SECONDS)
-    found = (
-        f"{report.width} x {report.height} at {report.rate:.1f} Hz, longest pause {1e3 * report.pause:.0f} ms"
-    )
+    found = f"{report.width} x {report.height} at {report.rate:.1f} Hz, "
+    found += f"longest pause {1e3 * report.pause:.0f} ms"
     if (report.width, report.height) != (RGB_CAMERA.width, RGB_CAMERA.height):
         raise Broken(f"{found}: it cannot deliver {RGB_CAMERA.width} x {RGB_CAMERA.height}; use another")
     if report.rate < LEAST_RATE:
@@ -296,16 +293,11 @@ class Doctor:
     """Check this machine: versions, policy, physics, rendering, GPU, perception, network.
 
     The exit status is 0 if `catch` and `evaluate` work, and what an option asks for.
-
-    Attributes:
-        checkpoint: Folder of a SAM 2.1 checkpoint to load and time, too.
-        camera: Number or device of a camera to watch for three seconds, too.
-        json: Print all checks as one JSON object.
     """
 
-    checkpoint: Path | None = None
-    camera: str | None = None
-    json: bool = False
+    checkpoint: Path | None = None  #: Folder of a SAM 2.1 checkpoint to load and time, too.
+    camera: str | None = None  #: Number or device of a camera to watch for three seconds, too.
+    json: bool = False  #: Print all checks as one JSON object.
 
     def run(self) -> None:
         """Check and print.

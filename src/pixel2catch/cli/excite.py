@@ -21,28 +21,28 @@ class Excite:
     limits and at a distance from the table and from itself. Nothing is overwritten.
     """
 
-    # Whose joints move, such as ur5e, allegro, arm or hand; the others hold the start pose. Default: all of
-    # the work cell.
+    #: Whose joints move, such as ur5e, allegro, arm or hand; the others hold the start pose. Default: all of
+    #: the work cell.
     robot: str | None = None
-    workcell: str = "ur5e_allegro"  # The robots: a name, or a Python file that defines WORKCELLS.
-    # File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
+    workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
+    #: File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
     out: Path | None = None
-    picture: Path | None = None  # File of a picture of commands and simulated motion, numbered likewise.
-    seconds: float = 40.0  # Duration of a trajectory [s].
-    # Factor on speeds, accelerations and jumps: begin small on a real robot. 1 is full: jumps like a
-    # policy's, which it takes to tell the inertia of the arm's drives.
+    picture: Path | None = None  #: File of a picture of commands and simulated motion, numbered likewise.
+    seconds: float = 40.0  #: Duration of a trajectory [s].
+    #: Factor on speeds, accelerations and jumps: begin small on a real robot. 1 is full: jumps like a
+    #: policy's, which it takes to tell the inertia of the arm's drives.
     speed: float = 0.2
-    seed: int = 0  # Seed of everything that is drawn; each further recording has the next.
-    recordings: int = 1  # Number of trajectories; a fit needs two at least, one to be held out.
-    dynamics: Path | None = None  # Dynamics file of the robot that tries them. Default: the nominal robot.
-    # New folder for what a robot would have recorded, recording-1.npz and so on, and truth.json.
+    seed: int = 0  #: Seed of everything that is drawn; each further recording has the next.
+    recordings: int = 1  #: Number of trajectories; a fit needs two at least, one to be held out.
+    dynamics: Path | None = None  #: Dynamics file of the robot that tries them. Default: the nominal robot.
+    #: New folder for what a robot would have recorded, recording-1.npz and so on, and truth.json.
     rehearse: Path | None = None
-    # Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
+    #: Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
     truth: Path | None = None
-    noise: float = 2e-4  # Standard deviation of a measured position in a rehearsal [rad].
-    # Share of turns of the sending and of the reading loop that take 40 ms in a rehearsal.
+    noise: float = 2e-4  #: Standard deviation of a measured position in a rehearsal [rad].
+    #: Share of turns of the sending and of the reading loop that take 40 ms in a rehearsal.
     stall: float = 0.05
-    # Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
+    #: Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
     physics_hz: float = 480.0
 
     def run(self) -> None:
@@ -50,7 +50,9 @@ class Excite:
         from numpy.random import default_rng
 
         from pixel2catch.cli.console import say, working
+        from pixel2catch.files import write_atomically
         from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
+        from pixel2catch.identification.report import motion_picture
         from pixel2catch.workcells import find_workcell
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)
@@ -62,7 +64,10 @@ class Excite:
             truth = unlike_nominal(default_rng(self.seed), self._dynamics(None, workcell))
         with working() as report:
             found = self._find(workcell, dynamics, report)
-            _write(found, outs, pictures)
+            for (trajectory, _), path in zip(found, outs, strict=False):
+                trajectory.save(path)
+            for pair, path in zip(found, pictures, strict=False):
+                write_atomically({path: motion_picture(*pair)})
             if self.rehearse:
                 report("recording what a robot would have done")
                 trajectories = [trajectory for trajectory, _ in found]
@@ -116,19 +121,6 @@ class Excite:
         return found
 
 
-def _write(
-    found: "Sequence[tuple[Trajectory, Assessment]]", outs: "Sequence[Path]", pictures: "Sequence[Path]"
-) -> None:
-    """Write trajectories and pictures to as many files."""
-    from pixel2catch.files import write_atomically
-    from pixel2catch.identification.report import motion_picture
-
-    for (trajectory, _), path in zip(found, outs, strict=False):
-        trajectory.save(path)
-    for (trajectory, assessment), path in zip(found, pictures, strict=False):
-        write_atomically({path: motion_picture(trajectory, assessment)})
-
-
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
     """Print what the simulated robot did."""
     from pixel2catch.cli.console import results_console
@@ -141,6 +133,5 @@ def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
         console.print(clearance.sentence())
     weak = sum(not check.is_good for check in assessment.checks)
     if weak:
-        console.print(
-            f"{weak} joints are excited too weakly to tell their dynamics: raise --speed or --seconds."
-        )
+        advice = "raise --speed or --seconds"
+        console.print(f"{weak} joints are excited too weakly to tell their dynamics: {advice}.")

@@ -1,9 +1,10 @@
 """`pixel2catch identify`: from recorded motion to the simulator's joint dynamics."""
 
 import json
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
@@ -19,32 +20,33 @@ if TYPE_CHECKING:
 class Identify:
     """Fit the simulator's joints to recorded motion: data checks, dynamics file, report."""
 
-    # Files or folders: rosbag2 (.mcap, .db3), a folder with rtde.csv and commands.csv, or .npz.
+    #: Files or folders: rosbag2 (.mcap, .db3), a folder with rtde.csv and commands.csv, or .npz.
     recordings: Positional[tuple[Path, ...]]
-    # Whose joints to fit: ur5e, allegro, ur5e_allegro; of another work cell, its arms and hands by their
-    # names, or arm, hand, or its own name.
+    #: Whose joints to fit: ur5e, allegro, ur5e_allegro; of another work cell, its arms and hands by their
+    #: names, or arm, hand, or its own name.
     robot: str
-    out: Path  # New or empty folder for dynamics.json, report.html and result.json.
-    workcell: str = "ur5e_allegro"  # The robots: a name, or a Python file that defines WORKCELLS.
-    # The recording that is not fitted, to judge the fit: its name or number (from 1), or none. Default: the
-    # last of several.
+    out: Path  #: New or empty folder for dynamics.json, report.html and result.json.
+    workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
+    #: The recording that is not fitted, to judge the fit: its name or number (from 1), or none. Default: the
+    #: last of several.
     hold_out: str | None = None
-    # Topics of the commands in a bag, each TOPIC, TOPIC=ROBOT or TOPIC=JOINT,JOINT,... where messages name no
-    # joints. Default: the only one that can be it.
+    #: Topics of the commands in a bag, each TOPIC, TOPIC=ROBOT or TOPIC=JOINT,JOINT,... where messages name
+    #: no joints. Default: the only one that can be it.
     command_topic: tuple[str, ...] = ()
-    joint_states_topic: str = "/joint_states"  # Topic of the measurements in a bag.
-    shift_commands: float = 0.0  # Added to the times of the commands [s], where their clock is another.
-    rename: tuple[str, ...] = ()  # Joints that have another name in the recordings, each OURS=THEIRS.
-    # Parameters to fit. Default: stiffness damping frictionloss armature latency; with --filter: filter_gain
-    # filter_lookahead latency.
+    joint_states_topic: str = "/joint_states"  #: Topic of the measurements in a bag.
+    shift_commands: float = 0.0  #: Added to the times of the commands [s], where their clock is another.
+    rename: tuple[str, ...] = ()  #: Joints that have another name in the recordings, each OURS=THEIRS.
+    #: Parameters to fit. Default: stiffness damping frictionloss armature latency; with --filter: filter_gain
+    #: filter_lookahead latency.
     free: tuple[str, ...] = ()
-    filter: bool = False  # Fit the UR's servoJ filter in front of a stiff servo, or of that of --start.
-    start: Path | None = None  # Dynamics file to start from: what is not fitted stays as it says.
-    physics_hz: float = 480.0  # Physics steps in a second of the fit; more are more exact, and take longer.
-    json: bool = False  # Print the numbers of the report as one JSON object.
+    filter: bool = False  #: Fit the UR's servoJ filter in front of a stiff servo, or of that of --start.
+    start: Path | None = None  #: Dynamics file to start from: what is not fitted stays as it says.
+    physics_hz: float = 480.0  #: Physics steps in a second of the fit; more are more exact, and take longer.
+    json: bool = False  #: Print the numbers of the report as one JSON object.
 
     def run(self) -> None:
         """Check, fit, and write the report."""
+        from pixel2catch.circumstances import circumstances
         from pixel2catch.cli.console import results_console, say, working
         from pixel2catch.files import require_free_folder
         from pixel2catch.identification.identify import identify, start_of_fit
@@ -63,7 +65,9 @@ class Identify:
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
-            content = write_report(self.out, result, _circumstances())
+            now = circumstances()
+            command = shlex.join(["pixel2catch", *now["command"][1:]])
+            content = write_report(self.out, result, now | {"command": command})
         if self.json:
             print(json.dumps(content, indent=2))
         else:
@@ -94,16 +98,6 @@ class Identify:
             recordings.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
         report("checking the data")
         return checked(recordings, self.hold_out)
-
-
-def _circumstances() -> dict[str, Any]:
-    """When, how and where this process works."""
-    import shlex
-
-    from pixel2catch.circumstances import circumstances
-
-    now = circumstances()
-    return now | {"command": shlex.join(["pixel2catch", *now["command"][1:]])}
 
 
 def _print_result(result: "Identification") -> None:

@@ -11,18 +11,16 @@ if TYPE_CHECKING:
     from pixel2catch.deployment.recorder import Connection, Images
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.ros2.transport import Clock, Transport
-    from pixel2catch.servo.process import ServoSetup
 
-NODE = "pixel2catch"
-"""Name of the node; the servo's has `_servo` behind it."""
+NODE = "pixel2catch"  #: Name of the node; the servo's has `_servo` behind it.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
     """Which robot it is."""
 
-    # The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
-    # ur5e_allegro_classic) or a .yaml file.
+    #: The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
+    #: ur5e_allegro_classic) or a .yaml file.
     profile: str = "ur5e_allegro_v4"
 
     def load(self) -> "Profile":
@@ -36,10 +34,10 @@ class Robot:
 class Network:
     """How a robot and its deployment are reached."""
 
-    robot: Robot = field(default_factory=Robot)  # The robot.
-    transport: Literal["dds", "ros"] = "dds"  # dds: DDS by itself; ros: rclpy of a sourced ROS 2.
-    loopback: bool = False  # Speak to this machine only, as the digital twin does.
-    clock: float = 1.0  # Seconds in a real second: 1, or the --clock of a digital twin.
+    robot: Robot = field(default_factory=Robot)  #: The robot.
+    transport: Literal["dds", "ros"] = "dds"  #: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
+    loopback: bool = False  #: Speak to this machine only, as the digital twin does.
+    clock: float = 1.0  #: Seconds in a real second: 1, or the --clock of a digital twin.
 
     @contextmanager
     def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
@@ -55,8 +53,8 @@ class Network:
 class Link(Network):
     """How the robot is reached, and how fast it may be."""
 
-    speed: float = 1.0  # Share of the full speed, up to 1.
-    dry_run: bool = False  # Send nothing to the robot: nobody announces a command.
+    speed: float = 1.0  #: Share of the full speed, up to 1.
+    dry_run: bool = False  #: Send nothing to the robot: nobody announces a command.
 
     def connect(
         self, profile: "Profile", record: Path | None, images: "Images", stack: ExitStack
@@ -67,23 +65,17 @@ class Link(Network):
         """
         from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
         from pixel2catch.ros2.transport import make_transport
-        from pixel2catch.servo.process import start_servo
+        from pixel2catch.servo.limits import ServoLimits
+        from pixel2catch.servo.process import ServoSetup, start_servo
+        from pixel2catch.workcells import find_workcell
 
-        setup = self._setup(profile)
+        limits = ServoLimits.of(find_workcell(profile.workcell), self.speed)
+        setup = ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)
         join = partial(make_transport, self.transport, f"{NODE}_servo", self.loopback)
         recorder = stack.enter_context(BagRecorder(record)) if record else None
         transport, clock = stack.enter_context(self.join(NODE))
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
         servo = stack.enter_context(start_servo(setup, join, self.clock))
         return Connection(
-            transport=transport, servo=servo.link, servo_dt=setup.limits.dt, clock=clock, recording=recording
+            transport=transport, servo=servo.link, servo_dt=limits.dt, clock=clock, recording=recording
         )
-
-    def _setup(self, profile: "Profile") -> "ServoSetup":
-        """What the servo is the servo of."""
-        from pixel2catch.servo.limits import ServoLimits
-        from pixel2catch.servo.process import ServoSetup
-        from pixel2catch.workcells import find_workcell
-
-        limits = ServoLimits.of(find_workcell(profile.workcell), self.speed)
-        return ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)

@@ -23,9 +23,9 @@ class Record:
     Put the robot near the start pose before; it goes there within the first second.
     """
 
-    trajectory: Positional[Path]  # File of the trajectory.
-    out: Path  # New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
-    link: Link = field(default_factory=Link)  # How the robot is reached, and how fast it may be.
+    trajectory: Positional[Path]  #: File of the trajectory.
+    out: Path  #: New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
+    link: Link = field(default_factory=Link)  #: How the robot is reached, and how fast it may be.
 
     def run(self) -> None:
         """Wait for the operator, follow, record."""

@@ -37,31 +37,21 @@ class Track:
 
     The object is pointed out by --box or --point, by --color, or, if neither is given and after a loss, by
     its flight. A camera is watched until Ctrl-C or --seconds.
-
-    Attributes:
-        source: A video file, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or /dev/videoN.
-        out: New or empty folder for track.mp4, features.csv and summary.json.
-        at: When the throw begins and the object is pointed out [s after the first image].
-        seconds: When to stop [s after the first image]. Default: at the end.
-        topic: Topic of the images in a rosbag. Default: the only one.
-        joint_states: Topic of the joint states in a rosbag, for --mask-robot.
-        mask_robot: Ignore motion where the robot is; the rosbag must have the states of all joints.
-        workcell: The robots, for --mask-robot: a name, as for `train`, or a Python file that defines
-            WORKCELLS.
-        perception: What looks for the object.
-        json: Print the summary as one JSON object.
     """
 
+    #: A video file, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or /dev/videoN.
     source: Positional[str]
-    out: Path = Path("track")
-    at: float = 0.0
-    seconds: float | None = None
-    topic: str | None = None
-    joint_states: str = "/joint_states"
+    out: Path = Path("track")  #: New or empty folder for track.mp4, features.csv and summary.json.
+    at: float = 0.0  #: When the throw begins and the object is pointed out [s after the first image].
+    seconds: float | None = None  #: When to stop [s after the first image]. Default: at the end.
+    topic: str | None = None  #: Topic of the images in a rosbag. Default: the only one.
+    joint_states: str = "/joint_states"  #: Topic of the joint states in a rosbag, for --mask-robot.
+    #: Ignore motion where the robot is; the rosbag must have the states of all joints.
     mask_robot: bool = False
+    #: The robots, for --mask-robot: a name, as for `train`, or a Python file that defines WORKCELLS.
     workcell: str = "ur5e_allegro"
-    perception: PerceptionArgs = field(default_factory=PerceptionArgs)
-    json: bool = False
+    perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: What looks for the object.
+    json: bool = False  #: Print the summary as one JSON object.
 
     def run(self) -> None:
         """Follow the object, write what is seen, and print how long it took."""
@@ -102,10 +92,7 @@ class Track:
             waits=True,
         )
         source = SourceCfg(
-            name=self.source,
-            topic=self.topic,
-            joint_states=self.joint_states,
-            joints=workcell.joint_names,
+            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=workcell.joint_names
         )
         with closing(ticks_of(source, notes)) as ticks:
             sightings = follow(ticks, extractor, self.at)

@@ -4,7 +4,7 @@ They look at speed, acceleration, elapsed time and lag, as the recorded position
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -20,60 +20,46 @@ MAX_SPAN_RATIO = 10.0  # longest duration of the commands, as a multiple of that
 
 STALL_TIME = 0.01
 """A step whose motion took so much longer than the clock says, and at least one more step, is a stall [s].
-
-Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms.
-"""
+Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms."""
 
 LONG_STEP = 1.5  # a step is long from this multiple of the median on (ours)
-
 STALL_ANGLE = 2e-3  # a stall is seen from this much motion on [rad] (ours, ten times a UR5e's noise)
-
 MAX_STALL_SHARE = 5e-3  # of all steps (ours, a tenth of that recording's; a jerk can look like one)
-
 PROGRESS_RANGE = (0.8, 1.25)  # change of positions over that by speeds (ours; degrees would give 0.017)
-
 MOVING_SPEED = 0.02  # a joint that is slower stands still [rad/s] (ours, 0.7 % of the arm's largest speed)
 MAX_REPEATED_SHARE = 0.02  # largest share of samples that repeat the one before while the robot moves (ours)
 
 LAG_RANGE = (-0.02, 0.3)
-"""Plausible lag of the motion behind its command [s].
-
-Source: ours; servoJ with a lookahead of 0.1 s lags by 0.1 s and a few ms. A log of the controller's own
-target can seem late by half its step, because a command is taken to hold until the next.
-"""
+"""Plausible lag of the motion behind its command [s]. Source: ours; servoJ with a lookahead of 0.1 s lags by
+0.1 s and a few ms. A log of the controller's own target can seem late by half its step, because a command is
+taken to hold until the next."""
 
 MOVED_ANGLE = 0.01  # a joint whose positions span less did not move [rad] (ours)
-
 MIN_CORRELATION = 0.5  # smallest of measured and commanded positions (ours; swapped joints are near 0)
-
 SATURATED = 0.98  # a torque of this share of its limit counts as saturated (ours)
-
 MAX_SATURATED_SHARE = 0.1  # of the samples (ours; some tell the scale of the gains, many hide the rest)
-
 MIN_SPEED_SHARE = 0.1  # speed that a joint must reach, as a share of its limit (ours)
 MIN_REVERSALS = 1  # a joint must reverse so often (ours; without a reversal friction looks like an offset)
-
 PEAK_QUANTILE = 0.995  # speeds and accelerations beyond are no peaks, but single bad samples (ours)
 
 SMOOTHING = 0.1
-"""Length of the window in which a cubic is fitted for speed and acceleration [s].
-
-Source: ours; 0.2 mrad of noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes.
-"""
+"""Length of the window in which a cubic is fitted for speed and acceleration [s]. Source: ours; 0.2 mrad of
+noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes."""
 
 NEIGHBOURS = 7  # steps whose median speed stands for that of the middle one, where none was recorded (ours)
 REFINEMENTS = 10  # steps of Gauss and Newton for the lag (ours; three are enough for sines)
+ADVICE = ("saturation", "excitation")  # checks that motion may fail and still be fitted
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
     """One answer about a recording."""
 
-    name: str  # what was checked
-    joint: str | None = None  # the joint it is about; none if it is about the whole recording
-    is_good: bool | None  # whether it passed; None if the recording cannot tell
-    is_advice: bool = False  # whether the motion can be fitted even if it failed: the fit then tells less
-    detail: str  # the figures, and the remedy if it failed
+    name: str  #: what was checked
+    joint: str | None = None  #: the joint it is about; none if it is about the whole recording
+    is_good: bool | None  #: whether it passed; None if the recording cannot tell
+    is_advice: bool = False  #: whether the motion can be fitted even if it failed: the fit then tells less
+    detail: str  #: the figures, and the remedy if it failed
 
     @property
     def forbids_fit(self) -> bool:
@@ -99,8 +85,9 @@ def check_recording(recording: Recording) -> list[Check]:
 
 
 def _judged(name: str, is_good: bool, found: str, remedy: str, joint: str | None = None) -> Check:
-    """A check with its remedy if it failed."""
-    return Check(name=name, joint=joint, is_good=is_good, detail=found if is_good else found + remedy)
+    """A check with its remedy if it failed; those of `ADVICE` forbid nothing."""
+    detail = found if is_good else found + remedy
+    return Check(name=name, joint=joint, is_good=is_good, is_advice=name in ADVICE, detail=detail)
 
 
 def _clock(name: str, time: np.ndarray, longest: str, faults: Mapping[str, bool]) -> Check:
@@ -176,11 +163,9 @@ def _clock_offset(lag: float | None) -> Check:
     if lag is None:
         return Check(name="clock offset", is_good=None, detail="no motion follows a command")
     low, high = LAG_RANGE
-    remedy = (
-        f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command's times "
-        "(--shift-commands)"
-    )
     found = f"the motion is {1e3 * lag:.1f} ms behind its command"
+    remedy = f"; plausible is {low} to {high} s: the clocks differ, add {lag:.3f} s to the command's times "
+    remedy += "(--shift-commands)"
     return _judged("clock offset", low <= lag <= high, found, remedy)
 
 
@@ -212,8 +197,7 @@ def _saturation(spec: JointSpec, effort: np.ndarray | None) -> Check:
         return Check(name="saturation", joint=spec.name, is_good=None, detail="no effort was recorded")
     share = float((np.abs(effort) >= SATURATED * spec.effort_limit).mean())
     found = f"{100 * share:.1f} % of the samples at the limit of {spec.effort_limit:g} N·m"
-    check = _judged("saturation", share <= MAX_SATURATED_SHARE, found, ": move more gently", spec.name)
-    return replace(check, is_advice=True)
+    return _judged("saturation", share <= MAX_SATURATED_SHARE, found, ": move more gently", spec.name)
 
 
 def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) -> Check:
@@ -234,7 +218,7 @@ def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) ->
         f"{speed.min():.2f} to {speed.max():.2f} rad/s, {acceleration.min():.1f} to "
         f"{acceleration.max():.1f} rad/s², {reversals} reversals"
     )
-    return replace(_judged("excitation", not lacking, found, f"; needs {lacking}", spec.name), is_advice=True)
+    return _judged("excitation", not lacking, found, f"; needs {lacking}", spec.name)
 
 
 def num_reversals(speed: np.ndarray) -> int:
@@ -261,10 +245,8 @@ def smoothed(time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nd
 def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """How much more time the joints' motion took than the clock says, step by step.
 
-    In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|² [s].
-
-    Returns:
-        The excess [s] and the motion |q̇|·e that shows it [rad], each of shape (samples - 1,).
+    In a step Δt at speed q̇ the joints move by Δq = q̇·Δt. The excess is e = (Δq - q̇·Δt)·q̇ / |q̇|² [s]; beside
+    it is returned the motion |q̇|·e that shows it [rad], both of shape (samples - 1,).
     """
     steps = np.diff(recording.t_meas)[:, None]
     moved = np.diff(recording.q, axis=0)
@@ -275,10 +257,7 @@ def excess_time(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 
 def progress(recording: Recording) -> float:
-    """Median of Δq·q̇ / (q̇²Δt) over the faster half of the steps.
-
-    It is 1 where the recorded speeds are those of the positions.
-    """
+    """Median of Δq·q̇ / (q̇²Δt) over the faster half of the steps: 1 if speeds are those of the positions."""
     steps = np.diff(recording.t_meas)
     norm = np.linalg.norm(_step_speed(recording, np.diff(recording.q, axis=0), steps[:, None]), axis=1)
     is_moving = norm > np.quantile(norm, 0.5)

@@ -26,10 +26,8 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 RATE = 125.0
-"""Targets in a second [Hz].
-
-Source: ours; every fourth cycle of a UR e-series controller (500 Hz), and four times a policy's 30 Hz.
-"""
+"""Targets in a second [Hz]. Source: ours; every fourth cycle of a UR e-series controller (500 Hz), and four
+times a policy's 30 Hz."""
 
 STILL = ("start", "pause", "end")  # parts of a trajectory that are no excitation
 PAUSE = 0.4  # rest in the middle after each kind of motion [s] (ours, three time constants of the arm)
@@ -40,31 +38,21 @@ MAX_SECONDS = 600.0
 """Longest excitation [s] (ours; a fit takes as long as all recordings together, many times over)."""
 
 MAX_TRIES = 10  # tries until it is given up (ours)
-
 SPEED_SHARE = 0.8  # of the speed limit, that commands use at full speed (ours; joints pull at each other)
-
 NUM_TONES = 9
 BAND = (0.25, 5.0)
-"""Number and lowest and highest frequency of the sines [Hz].
-
-Source: ours. Damping over stiffness of the joints corresponds to 1.2 Hz (arm) and 4.8 Hz (hand); the drives'
-inertia shows above.
-"""
+"""Number and lowest and highest frequency of the sines [Hz]. Source: ours. Damping over stiffness of the
+joints corresponds to 1.2 Hz (arm) and 4.8 Hz (hand); the drives' inertia shows above."""
 
 FADE = 0.4  # time in which sines fade in and out [s] (ours)
-
 DWELL = (0.25, 0.65)  # time between a joint's steps [s] (ours, 2 to 5 time constants of the arm)
 
 POLICY_PERIOD = 0.05
-"""Time between two targets like those of a policy [s].
-
-Source: ours, 20 Hz: a little slower than our policies, so that the servos come nearer to the targets.
-"""
+"""Time between two targets like those of a policy [s]. Source: ours, 20 Hz: a little slower than our
+policies, so that the servos come nearer to the targets."""
 
 SLOW_SPEED = 0.15  # top speed of slow reversals [rad/s] (ours; dry friction turns around within 0.1 rad/s)
-
 NUM_TURNS = 6  # groups of joints that move in turns: a joint of the arm alone, and one of each finger
-
 Row = Float64[np.ndarray, " num_joints"]
 Offsets = Float64[np.ndarray, "num_times num_joints"]
 
@@ -73,11 +61,11 @@ Offsets = Float64[np.ndarray, "num_times num_joints"]
 class ExcitationCfg:
     """What to draw."""
 
-    workcell: WorkcellSpec = UR5E_ALLEGRO  # whose joints move
-    robot: str | None = None  # which of them: one of its parts; none is all
-    seconds: float = 40.0  # duration, rest included [s]
-    seed: int = 0  # seed of everything that is drawn
-    speed: float = 1.0  # factor on speed, acceleration and jumps; 1 is full
+    workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints move
+    robot: str | None = None  #: which of them: one of its parts; none is all
+    seconds: float = 40.0  #: duration, rest included [s]
+    seed: int = 0  #: seed of everything that is drawn
+    speed: float = 1.0  #: factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn."""
@@ -99,13 +87,13 @@ class ExcitationCfg:
 class Envelope:
     """What commands of some joints keep to; one entry per joint."""
 
-    joints: tuple[str, ...]  # their names
-    home: Row  # start pose [rad]
-    center: Row  # middle of the excitation [rad]: next to the start pose, with room for `swing` on both sides
-    swing: Row  # farthest from the middle [rad]
-    speed: Row  # largest speed of a command [rad/s]
-    acceleration: Row  # largest acceleration of a smooth command [rad/s²]
-    step: Row  # largest jump of a command [rad]
+    joints: tuple[str, ...]  #: their names
+    home: Row  #: start pose [rad]
+    center: Row  #: middle of the excitation [rad]: next to the start pose, with room for `swing` at each side
+    swing: Row  #: farthest from the middle [rad]
+    speed: Row  #: largest speed of a command [rad/s]
+    acceleration: Row  #: largest acceleration of a smooth command [rad/s²]
+    step: Row  #: largest jump of a command [rad]
 
     @classmethod
     def of(
@@ -121,14 +109,12 @@ class Envelope:
         factors on everything.
         """
         known, groups = specs_of(workcell), groups_of(workcell)
-        specs, ranges = (
-            [known[name] for name in joints],
-            [MOTION_RANGES[groups[name].role] for name in joints],
-        )
+        specs = [known[name] for name in joints]
+        ranges = [MOTION_RANGES[groups[name].role] for name in joints]
         share = np.array([shrunk.get(name, 1.0) for name in joints])
         lower, upper, home = np.array([(spec.lower, spec.upper, spec.home) for spec in specs]).T
         margin, swing, acceleration = np.array(
-            [(each.margin, each.swing, each.acceleration) for each in ranges]
+            [(own.margin, own.swing, own.acceleration) for own in ranges]
         ).T
         lower, upper = lower + margin, upper - margin
         swing = share * np.minimum(swing, (upper - lower) / 2)
@@ -242,9 +228,7 @@ def _room(envelope: Envelope, offsets: Offsets) -> Row:
     """By how much each joint's signal could be larger within swing, speed and acceleration."""
     limits = (envelope.swing, envelope.speed, envelope.acceleration)
     peaks = [np.abs(np.diff(offsets, n, axis=0)).max(axis=0) * RATE**n for n in range(3)]
-    return np.min(
-        [limit / np.maximum(peak, 1e-12) for limit, peak in zip(limits, peaks, strict=True)], axis=0
-    )
+    return np.min(np.divide(limits, np.maximum(peaks, 1e-12)), axis=0)
 
 
 SEGMENTS: tuple[tuple[Signal, float], ...] = (

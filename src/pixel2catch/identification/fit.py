@@ -41,7 +41,6 @@ ROUGH = 0.03  # share of the squares that is worth a step while only the lag mov
 FINE = 0.2  # step that is worth to be taken, in standard errors of what is fitted (ours)
 MAX_STEPS = 6  # steps under one Jacobian (ours; each is about a fifth of the one before, or of no use)
 MAX_STEP = 1.0  # longest step of a coordinate (ours; farther away motion is another)
-
 DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; of their steps, tried at once, the best is taken (ours)
 
 DIFFERENCE = 1e-2
@@ -49,7 +48,6 @@ DIFFERENCE = 1e-2
 of what is worth fitting, and more than the kinks that a torque limit makes."""
 
 LEAST_RESIDUAL = 1e-6  # residuals count as at least so large [rad] (ours, far below the noise of encoders)
-
 Point = Float[np.ndarray, "num_joints num_free"]
 Residuals = Float[np.ndarray, "num_settled num_joints"]
 Weight = Float[np.ndarray, " num_joints"]
@@ -60,11 +58,10 @@ Report = Callable[[str], None]
 class FitCfg:
     """How the dynamics are fitted."""
 
-    free: tuple[str, ...] = SERVO_PARAMETERS  # parameters that are fitted; the others keep their start values
-    # standard deviation of what is known before, in the coordinates of the fit: 2 is a factor 7
-    prior: float = 2.0
-    physics_dt: float = FIT_DT  # time step of the simulation [s]
-    max_rounds: int = 4  # most evaluations of the Jacobian with this time step
+    free: tuple[str, ...] = SERVO_PARAMETERS  #: what is fitted; other parameters keep their start values
+    prior: float = 2.0  #: deviation of what is known before, in coordinates of the fit: 2 is a factor 7
+    physics_dt: float = FIT_DT  #: time step of the simulation [s]
+    max_rounds: int = 4  #: most evaluations of the Jacobian with this time step
 
     def __post_init__(self) -> None:
         """Refuse unknown parameters, none at all, and sizes that are not positive."""
@@ -82,11 +79,11 @@ class FitCfg:
 class Fit:
     """A fit and how well its recordings determine it."""
 
-    dynamics: JointDynamics  # the fitted dynamics
-    free: tuple[str, ...]  # the parameters that were fitted
-    # of each joint's free parameters, in the coordinates of the fit; the prior is in it
+    dynamics: JointDynamics  #: the fitted dynamics
+    free: tuple[str, ...]  #: the parameters that were fitted
+    #: of each joint's free parameters, in the coordinates of the fit; the prior is in it
     covariance: Float[np.ndarray, "num_joints num_free num_free"]
-    prior: float  # standard deviation of the prior: where it is not reduced, the recordings tell nothing
+    prior: float  #: standard deviation of the prior: where it is not reduced, the recordings tell nothing
 
 
 def fit_dynamics(
@@ -122,8 +119,8 @@ def fit_dynamics(
 class Directions:
     """Ways in which a point can move."""
 
-    steps: Float[np.ndarray, "num_directions num_joints num_free"]  # a unit step of each
-    felt_by: Bool[np.ndarray, "num_directions num_joints"]  # which joints move otherwise then
+    steps: Float[np.ndarray, "num_directions num_joints num_free"]  #: a unit step of each
+    felt_by: Bool[np.ndarray, "num_directions num_joints"]  #: which joints move otherwise then
 
     def together(self) -> list[list[int]]:
         """Directions by number, in batches that no joint feels more than one of."""
@@ -142,10 +139,9 @@ class Directions:
 class NormalEquations:
     """The squares about a point, as a quadratic function of the coordinates of some directions."""
 
-    directions: Directions  # what moves
-    # half of the second derivatives: the inverse of a covariance
-    hessian: Float[np.ndarray, "num_directions num_directions"]
-    gradient: Float[np.ndarray, " num_directions"]  # half of the derivatives
+    directions: Directions  #: what moves
+    hessian: Float[np.ndarray, "num_directions num_directions"]  #: half the curvature: an inverse covariance
+    gradient: Float[np.ndarray, " num_directions"]  #: half of the derivatives
 
     def step(self, damping: float) -> Point:
         """The step to the least squares; damping, as Marquardt's, makes it shorter and steeper."""
@@ -169,11 +165,11 @@ class NormalEquations:
 class Jacobian:
     """Derivatives of the simulated positions at a point."""
 
-    residuals: Residuals  # simulated minus measured positions at the point [rad]
-    directions: Directions  # what moves
-    # change of the positions in each of some simulations, in which several directions moved
+    residuals: Residuals  #: simulated minus measured positions at the point [rad]
+    directions: Directions  #: what moves
+    #: change of the positions in each of some simulations, in which several directions moved
     changes: Float[np.ndarray, "num_simulations num_settled num_joints"]
-    source: Int[np.ndarray, " num_directions"]  # in which of these each direction moved
+    source: Int[np.ndarray, " num_directions"]  #: in which of these each direction moved
 
 
 class _Problem:
@@ -205,9 +201,8 @@ class _Problem:
     def dynamics(self, point: Point) -> JointDynamics:
         with np.errstate(over="ignore"):  # a latency is no exponent
             values = np.where(self._is_latency, point * LATENCY_UNIT, np.exp(point))
-        return self._dynamics.with_values(
-            **{name: values[:, i].copy() for i, name in enumerate(self._cfg.free)}
-        )
+        columns = {name: values[:, i].copy() for i, name in enumerate(self._cfg.free)}
+        return self._dynamics.with_values(**columns)
 
     def bounded(self, point: Point) -> Point:
         """The nearest point that a fit may try."""

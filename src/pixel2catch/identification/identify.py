@@ -22,13 +22,10 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STIFF_FACTOR = 10.0
-"""Stiffness of the servo behind a command filter over the nominal one.
-
-Source: ours; the controller's feed-forward makes that servo look stiffer than positions can tell.
-"""
+"""Stiffness of the servo behind a command filter over the nominal one. Source: ours; the controller's
+feed-forward makes that servo look stiffer than positions can tell."""
 
 STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
-
 NO_HOLD_OUT = "none"  # what is held out if everything is to be fitted
 CONFIDENCE = 1.96  # standard deviations in half a 95 % interval
 LAG = "damping / stiffness"  # name of the ratio that says how far a joint lags behind its command
@@ -37,7 +34,6 @@ RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "
 """The ratios that decide how a joint follows its command, with their units."""
 
 LEAST_HALF_WIDTH = 0.02  # is always left, as a share (ours; gains drift with temperature and load)
-
 Positions = Float[np.ndarray, "num_settled num_joints"]
 
 
@@ -45,11 +41,11 @@ Positions = Float[np.ndarray, "num_settled num_joints"]
 class Start:
     """What is known before a fit."""
 
-    workcell: WorkcellSpec  # whose joints are fitted
-    robot: str  # what is fitted: one of its parts
-    file: DynamicsFile | None  # the dynamics file that was given, if any
-    before: JointDynamics  # the robot's joints in it; those that are not in it are nominal
-    first: JointDynamics  # the same, with a command filter in front where one is to be fitted
+    workcell: WorkcellSpec  #: whose joints are fitted
+    robot: str  #: what is fitted: one of its parts
+    file: DynamicsFile | None  #: the dynamics file that was given, if any
+    before: JointDynamics  #: the robot's joints in it; those that are not in it are nominal
+    first: JointDynamics  #: the same, with a command filter in front where one is to be fitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +54,7 @@ class CheckedRecording:
 
     recording: Recording
     checks: tuple[Check, ...]
-    is_held_out: bool  # whether it is not fitted, so that it tells how good the fit is
+    is_held_out: bool  #: whether it is not fitted, so that it tells how good the fit is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,9 +62,8 @@ class Motion:
     """A recording beside its simulation."""
 
     source: CheckedRecording
-    # simulated positions under the dynamics before the fit, at the measurements compared [rad]
-    before: Positions
-    after: Positions  # and under the fitted ones
+    before: Positions  #: simulated before the fit, at the measurements compared [rad]
+    after: Positions  #: and under the fitted ones
 
     @property
     def recording(self) -> Recording:
@@ -95,11 +90,11 @@ class Motion:
 class Identification:
     """A fit with what a reader needs to judge it."""
 
-    start: Start  # what was known before
-    fit: Fit  # what was fitted, and how well it is known
-    file: DynamicsFile  # the result as training takes it, with the ranges in which it randomises the gains
+    start: Start  #: what was known before
+    fit: Fit  #: what was fitted, and how well it is known
+    file: DynamicsFile  #: the result as training takes it, with the ranges in which it randomises the gains
     motions: tuple[Motion, ...]
-    physics_dt: float  # time step of the simulation [s]
+    physics_dt: float  #: time step of the simulation [s]
 
     def of(self, is_held_out: bool) -> tuple[Motion, ...]:
         """The motions that were held out, or those that were fitted."""
@@ -125,7 +120,9 @@ def start_of_fit(
     before = (file.dynamics.over(nominal) if file else nominal).select(joints)
     first = before
     if fits_filter:
-        servo = before if file else stiff(before)
+        stiffness = STIFF_FACTOR * before.stiffness
+        stiff = before.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
+        servo = before if file else stiff
         gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
         lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
         first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
@@ -146,12 +143,6 @@ def _require_arm(part: str, joints: Sequence[str], workcell: WorkcellSpec) -> No
         )
 
 
-def stiff(nominal: JointDynamics) -> JointDynamics:
-    """The servos of a controller whose feed-forward makes them look stiffer than positions can tell."""
-    stiffness = STIFF_FACTOR * nominal.stiffness
-    return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
-
-
 def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[CheckedRecording]:
     """Check recordings, and choose which one judges the fit.
 
@@ -166,12 +157,11 @@ def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[Check
     twice = sorted({str(path) for path in paths if paths.count(path) > 1})
     if twice:
         raise InvalidValueError(f"{', '.join(twice)} is given twice; give every recording once.")
-    return [
-        CheckedRecording(
-            recording=recording, checks=tuple(check_recording(recording)), is_held_out=bool(is_out)
-        )
-        for recording, is_out in zip(recordings, _held_out(paths, hold_out), strict=True)
-    ]
+    found = []
+    for recording, is_out in zip(recordings, _held_out(paths, hold_out), strict=True):
+        checks = tuple(check_recording(recording))
+        found.append(CheckedRecording(recording=recording, checks=checks, is_held_out=bool(is_out)))
+    return found
 
 
 def _held_out(paths: Sequence[Path], hold_out: str | None) -> Bool[np.ndarray, " num_recordings"]:
@@ -203,7 +193,10 @@ def identify(
         InvalidValueError: The start has no filter where one is to be fitted.
     """
     for source in sources:
-        _require_integrity(source)
+        faults = [check for check in source.checks if check.forbids_fit]
+        texts = [f"- {' of '.join(filter(None, (bad.name, bad.joint)))}: {bad.detail}" for bad in faults]
+        if texts:
+            raise RecordingError("\n".join([f"{source.recording.name} cannot be used:", *texts]))
     motion = RecordedMotion([source.recording for source in sources], cfg.physics_dt)
     report(f"fitting {', '.join(cfg.free)} of {len(start.first.joints)} joints")
     fitted = [source.recording for source in sources if not source.is_held_out]
@@ -222,21 +215,10 @@ def identify(
     )
 
 
-def _require_integrity(source: CheckedRecording) -> None:
-    """Refuse a recording of what did not happen."""
-    faults = [check for check in source.checks if check.forbids_fit]
-    if faults:
-        texts = [
-            f"- {' of '.join(filter(None, (fault.name, fault.joint)))}: {fault.detail}" for fault in faults
-        ]
-        raise RecordingError("\n".join([f"{source.recording.name} cannot be used:", *texts]))
-
-
 def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " num_joints"]]:
     """Root mean square of predicted minus measured positions of all motions together, per joint [rad].
 
-    By prediction: the `command`, as if the joint were there at once, and the simulation `before` and `after`
-    the fit.
+    Predicted by the `command`, as if the joint were there at once, and by simulation `before` and `after`.
     """
     errors = {
         name: np.concatenate([getattr(motion, name) - motion.measured for motion in motions])
@@ -259,9 +241,9 @@ def half_widths(fit: Fit) -> Float[np.ndarray, "num_joints num_free"]:
 class Ratio:
     """The ratio of two parameters, which is often known where they are not."""
 
-    name: str  # one of `RATIOS`
-    value: Float[np.ndarray, " num_joints"]  # of each joint
-    half_width: Float[np.ndarray, " num_joints"]  # half of the 95 % interval of its logarithm
+    name: str  #: one of `RATIOS`
+    value: Float[np.ndarray, " num_joints"]  #: of each joint
+    half_width: Float[np.ndarray, " num_joints"]  #: half of the 95 % interval of its logarithm
 
 
 def ratios(fit: Fit) -> tuple[Ratio, ...]:

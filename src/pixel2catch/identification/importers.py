@@ -46,9 +46,9 @@ FORMATS = (
 class CommandTopic:
     """A topic on which commands were sent."""
 
-    name: str  # its name
-    # our names of the joints in messages that name none, in their order; empty if they are the robot's
-    # joints, or if the messages name them
+    name: str
+    #: our names of the joints in messages that name none, in their order; empty if they are the robot's
+    #: joints, or if the messages name them
     joints: tuple[str, ...] = ()
 
 
@@ -56,10 +56,9 @@ class CommandTopic:
 class Names:
     """What a lab's recordings call our topics and joints."""
 
-    # topics of the commands of a bag; may be empty if only one can be it
-    command_topics: tuple[CommandTopic, ...] = ()
-    measured_topic: str = MEASURED_TOPIC  # topic of the measurements of a bag
-    # the recording's names of joints that have another name there, by ours
+    command_topics: tuple[CommandTopic, ...] = ()  #: those of a bag; empty if only one can be it
+    measured_topic: str = MEASURED_TOPIC  #: topic of the measurements of a bag
+    #: the recording's names of joints that have another name there, by ours
     theirs: Mapping[str, str] = field(default_factory=dict)
 
     def ours(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -78,11 +77,8 @@ class Names:
     ) -> "Names":
         """Read the options of the command line.
 
-        Args:
-            command_topics: Each `TOPIC`, `TOPIC=ROBOT` or `TOPIC=JOINT,JOINT,…` with the recording's names.
-            measured_topic: As in `Names`.
-            renames: Each `OURS=THEIRS`.
-            workcell: Whose joints are ours.
+        Topics are `TOPIC`, `TOPIC=ROBOT` or `TOPIC=JOINT,JOINT,…` with the recording's names; renames are
+        `OURS=THEIRS`.
 
         Raises:
             UnknownNameError: If a joint that is renamed is none of ours.
@@ -147,9 +143,9 @@ class Table:
     """A text table: cells become numbers when a column is asked for."""
 
     path: Path
-    names: tuple[str, ...]  # names of the columns
-    rows: tuple[tuple[str, ...], ...]  # cells as text, row by row
-    place: Place  # what rows are called in messages: lines of the file, counted from 1
+    names: tuple[str, ...]  #: names of the columns
+    rows: tuple[tuple[str, ...], ...]  #: cells as text, row by row
+    place: Place  #: what rows are called in messages: lines of the file, counted from 1
 
     def column(self, name: str) -> np.ndarray:
         """The numbers of a column.
@@ -162,16 +158,13 @@ class Table:
                 f"{self.path}: no column {name}; it has {', '.join(self.names)}. "
                 "Record this column, or give it this name in the first line."
             )
-        index = self.names.index(name)
-        numbers = np.empty(len(self.rows))
-        for i, row in enumerate(self.rows):
+        numbers, cells = np.empty(len(self.rows)), [row[self.names.index(name)] for row in self.rows]
+        for i, cell in enumerate(cells):
             try:
-                numbers[i] = float(row[index])
+                numbers[i] = float(cell)
             except ValueError:
-                raise RecordingError(
-                    f"{self.place.at(i)}, column {name}: '{row[index]}' is no number; "
-                    "correct or cut this line."
-                ) from None
+                where = f"{self.place.at(i)}, column {name}"
+                raise RecordingError(f"{where}: '{cell}' is no number; correct or cut this line.") from None
         return numbers
 
     def columns(self, names: Iterable[str]) -> np.ndarray:
@@ -180,9 +173,7 @@ class Table:
 
 
 def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
-    """Read a table of cells between commas, or between spaces where there is no comma.
-
-    Its first line names the columns, unless their names are given.
+    """Read cells between commas, or spaces where no comma is; line 1 names the columns, unless names do.
 
     Raises:
         RecordingError: If the file cannot be read, is empty, or a line has too few or too many cells.
@@ -214,28 +205,25 @@ def _read_rtde(folder: Path, workcell: WorkcellSpec) -> Recording:
         raise RecordingError(f"{folder}: logs of an arm; '{workcell.name}' has none, choose a --workcell.")
     joints = joints_of(workcell, arms[0])
     command, measured = read_table(folder / COMMAND_FILE), read_table(folder / MEASURED_FILE)
-    q_cmd_names, q_names, qd_names = (
-        [f"{prefix}_{i}" for i in range(len(joints))] for prefix in ("q", "actual_q", "actual_qd")
-    )
-    t_cmd, q_cmd = command.column("t"), command.columns(q_cmd_names)
+    numbers = range(len(joints))
+    t_cmd, q_cmd = command.column("t"), command.columns(f"q_{i}" for i in numbers)
     require_motion(command.place, joints, t_cmd, q_cmd, workcell=workcell)
-    t_meas, q = measured.column("timestamp"), measured.columns(q_names)
+    t_meas, q = measured.column("timestamp"), measured.columns(f"actual_q_{i}" for i in numbers)
     has_speed = any(name.startswith("actual_qd_") for name in measured.names)
-    qd = measured.columns(qd_names) if has_speed else None
+    qd = measured.columns(f"actual_qd_{i}" for i in numbers) if has_speed else None
     require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]), workcell=workcell)
-    arrays = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
-    return Recording(name=str(folder), workcell=workcell, joints=joints, **arrays)
+    motion = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
+    return Recording(name=str(folder), workcell=workcell, joints=joints, **motion)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Stream:
     """The motion on one topic."""
 
-    joints: tuple[str, ...]  # those of the wanted joints that it has, the columns
-    recorded: tuple[str, ...]  # all joints that it has, for messages
-    times: np.ndarray  # when each message was sent [ns]
-    # `position` [rad], and `velocity` [rad/s] and `effort` [N·m] where every message has them
-    fields: dict[str, np.ndarray]
+    joints: tuple[str, ...]  #: those of the wanted joints that it has, the columns
+    recorded: tuple[str, ...]  #: all joints that it has, for messages
+    times: np.ndarray  #: when each message was sent [ns]
+    fields: dict[str, np.ndarray]  #: `MOTION_FIELDS` that every message has [rad, rad/s, N·m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,10 +283,7 @@ def _only_command_topic(bag: _Bag) -> str:
 
 
 def _merged(bag: _Bag, topics: Sequence[CommandTopic]) -> tuple[np.ndarray, np.ndarray]:
-    """Times [ns] and positions [rad] of the commands on all topics together.
-
-    There is a row for each time at which a command was sent; what was not sent then holds.
-    """
+    """Times [ns] at which any command was sent, and positions [rad]; what was not sent then holds."""
     streams = [_read_topic(bag, topic) for topic in topics]
     _require_all(f"{bag.path}, topic {', '.join(topic.name for topic in topics)}", bag.joints, streams)
     times = streams[0].times

@@ -19,24 +19,21 @@ from pixel2catch.scene.scene import SceneCfg, build_spec
 class MotionRange:
     """How far joints of a role get, and how they are excited."""
 
-    reach: float  # no joint gets so far from 0 [rad]
-    margin: float  # distance that commands of an excitation keep from a joint's limits [rad]
-    swing: float  # farthest from the middle of the excitation [rad]
-    acceleration: float  # largest acceleration of its smooth commands [rad/s²]
+    reach: float  #: no joint gets so far from 0 [rad]
+    margin: float  #: distance that commands of an excitation keep from a joint's limits [rad]
+    swing: float  #: farthest from the middle of the excitation [rad]
+    acceleration: float  #: largest acceleration of its smooth commands [rad/s²]
 
 
 MOTION_RANGES = {
     "arm": MotionRange(reach=2.0 * pi + 0.1, margin=0.03, swing=0.35, acceleration=15.0),
     "hand": MotionRange(reach=pi, margin=0.06, swing=0.4, acceleration=100.0),
 }
-"""By the role of a joint group.
-
-Source: reach of arms: UR, ±360°, and 0.1 rad for calibration; of hands: the limits of ours end at 1.72 rad.
-The others are ours: the palm stays within 0.5 m of its start and 0.18 m above the table. UR limits the torque
-only: 15 rad/s² of all joints at once take 51 N·m of the UR5e's 150. A fast arm shakes the hand; fingers do
-not meet; 100 rad/s² take 0.22 of the Allegro hand's 0.5 N·m at most, which is, as the arm's, several times
-what dry friction hides.
-"""
+"""By the role of a joint group. Source: reach of arms: UR, ±360°, and 0.1 rad for calibration; of hands: the
+limits of ours end at 1.72 rad. The others are ours: the palm stays within 0.5 m of its start and 0.18 m above
+the table. UR limits the torque only: 15 rad/s² of all joints at once take 51 N·m of the UR5e's 150. A fast
+arm shakes the hand; fingers do not meet; 100 rad/s² take 0.22 of the Allegro hand's 0.5 N·m at most, which
+is, as the arm's, several times what dry friction hides."""
 
 
 def parts(workcell: WorkcellSpec) -> dict[str, tuple[str, ...]]:

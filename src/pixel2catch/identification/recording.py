@@ -21,14 +21,11 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 REMEDY = "Record the missing joints, rename them (--rename OURS=THEIRS), or choose another --robot."
 """What to do about joints that are not there."""
 
-FORMAT_VERSION = 1
-"""Version of the trajectory files."""
+FORMAT_VERSION = 1  #: Version of the trajectory files.
 
 REST = 1.0
-"""Least time at rest, at the beginning and at the end of a trajectory [s].
-
-Source: ours; a recording's first half second is not compared, and a servo settles in about as long.
-"""
+"""Least time at rest, at the beginning and at the end of a trajectory [s]. Source: ours; a recording's first
+half second is not compared, and a servo settles in about as long."""
 
 UNREADABLE = (
     OSError,
@@ -49,9 +46,9 @@ TOLERANCE = 1e-9  # excess of a limit that is rounding [rad, s]
 class Place:
     """Where rows of numbers come from, for messages."""
 
-    source: str  # file, or topic of a bag
-    row: str = "row"  # what a row is called there
-    first_row: int = 0  # number of the first one
+    source: str  #: file, or topic of a bag
+    row: str = "row"  #: what a row is called there
+    first_row: int = 0  #: number of the first one
 
     def at(self, index: int) -> str:
         """The place of a row."""
@@ -78,18 +75,15 @@ class Recording:
         UnknownNameError: If the work cell has no such joint.
     """
 
-    name: str = "recording"  # what messages and reports call it
-    workcell: WorkcellSpec = UR5E_ALLEGRO  # whose joints they are
-    joints: tuple[str, ...]  # names of the joints, the columns of all arrays
-    t_cmd: Float64[np.ndarray, " num_commands"]  # send times of the commands [s], not decreasing
-    # commanded positions [rad]; each holds until the next
-    q_cmd: Float64[np.ndarray, "num_commands num_joints"]
-    t_meas: Float64[np.ndarray, " num_samples"]  # times of the measurements [s], not decreasing
-    q: Float64[np.ndarray, "num_samples num_joints"]  # measured positions [rad]
-    # measured speeds [rad/s], if they were recorded
-    qd: Float64[np.ndarray, "num_samples num_joints"] | None = None
-    # measured torques [N·m], if they were recorded
-    effort: Float64[np.ndarray, "num_samples num_joints"] | None = None
+    name: str = "recording"  #: what messages and reports call it
+    workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints they are
+    joints: tuple[str, ...]  #: names of the joints, the columns of all arrays
+    t_cmd: Float64[np.ndarray, " num_commands"]  #: send times of the commands [s], not decreasing
+    q_cmd: Float64[np.ndarray, "num_commands num_joints"]  #: commands [rad]; each holds until the next
+    t_meas: Float64[np.ndarray, " num_samples"]  #: times of the measurements [s], not decreasing
+    q: Float64[np.ndarray, "num_samples num_joints"]  #: measured positions [rad]
+    qd: Float64[np.ndarray, "num_samples num_joints"] | None = None  #: speeds [rad/s], if recorded
+    effort: Float64[np.ndarray, "num_samples num_joints"] | None = None  #: torques [N·m], if recorded
 
     def __post_init__(self) -> None:
         """Refuse what no robot can have done."""
@@ -247,12 +241,11 @@ class Trajectory:
         UnknownNameError: If the work cell has no such joint.
     """
 
-    workcell: WorkcellSpec = UR5E_ALLEGRO  # whose joints they are
-    # names of the joints, the columns, in joint order; the others hold the start pose
-    joints: tuple[str, ...]
-    times: Float64[np.ndarray, " num_targets"]  # when each target is due [s], from 0
-    positions: Float64[np.ndarray, "num_targets num_joints"]  # the targets [rad]
-    header: dict[str, Any] = field(default_factory=dict)  # where they come from: anything that JSON can hold
+    workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints they are
+    joints: tuple[str, ...]  #: names of the columns, in joint order; other joints hold the start pose
+    times: Float64[np.ndarray, " num_targets"]  #: when each target is due [s], from 0
+    positions: Float64[np.ndarray, "num_targets num_joints"]  #: the targets [rad]
+    header: dict[str, Any] = field(default_factory=dict)  #: where they come from: anything that JSON can hold
 
     def __post_init__(self) -> None:
         """Refuse what no robot should be sent."""
@@ -333,9 +326,8 @@ class Trajectory:
         self._refuse(excess > TOLERANCE, "is beyond the joint's limits")
         steps = np.abs(np.diff(self.positions, axis=0, prepend=self.positions[:1]))
         allowed = np.array([largest_step(spec) for spec in specs])
-        self._refuse(
-            steps > allowed + TOLERANCE, "is farther from the target before than the servo's speed allows"
-        )
+        is_far = steps > allowed + TOLERANCE
+        self._refuse(is_far, "is farther from the target before than the servo's speed allows")
 
     def _refuse(self, is_bad: np.ndarray, reason: str) -> None:
         """Name the first bad target."""

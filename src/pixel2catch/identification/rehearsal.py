@@ -15,13 +15,7 @@ from numpy.random import Generator
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.identification.checks import Check, check_recording
-from pixel2catch.identification.joints import (
-    groups_of,
-    hanging_on,
-    recorded_model,
-    specs_of,
-    watched_model,
-)
+from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of, watched_model
 from pixel2catch.identification.recording import Recording, Trajectory
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, friction_torque, is_settled
 from pixel2catch.mdp.dynamics_file import DynamicsFile
@@ -30,14 +24,11 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
-
 MIN_PHYSICS_HZ = 120.0  # fewest physics steps in a second. Source: paper, the rate of a training.
 
 LIMIT_TOLERANCE = 0.005
-"""Excess of a position limit that counts as none [rad].
-
-Source: ours; in the start pose two joints stand at their limits, and the pull of others moves them a little.
-"""
+"""Excess of a position limit that counts as none [rad]. Source: ours; in the start pose two joints stand at
+their limits, and the pull of others moves them a little."""
 
 HORIZON = 0.1  # distance up to which the robot is watched [m]
 
@@ -46,14 +37,14 @@ HORIZON = 0.1  # distance up to which the robot is watched [m]
 class RecorderCfg:
     """How motion is commanded and recorded: two loops that know nothing of each other."""
 
-    noise: float = 2e-4  # standard deviation of a measured position [rad]. Default: a UR's encoders.
-    stall: float = 0.05  # share of each loop's turns that take 40 ms
-    send_period: float = 0.008  # turn of the loop that sends targets [s]
-    read_period: float = 0.008  # turn of the loop that reads positions [s]
-    # by how much the clock of the measurements is ahead of that of the commands [s]. Positions cannot
-    # tell it from latency.
+    noise: float = 2e-4  #: standard deviation of a measured position [rad]. Default: a UR's encoders.
+    stall: float = 0.05  #: share of each loop's turns that take 40 ms
+    send_period: float = 0.008  #: turn of the loop that sends targets [s]
+    read_period: float = 0.008  #: turn of the loop that reads positions [s]
+    #: by how much the clock of the measurements is ahead of that of the commands [s]. Positions cannot
+    #: tell it from latency.
     clock_offset: float = 0.0
-    physics_hz: float = 1.0 / FIT_DT  # physics steps in a second; a fit with as many finds the truth best
+    physics_hz: float = 1.0 / FIT_DT  #: physics steps in a second; a fit with as many finds the truth best
 
     def __post_init__(self) -> None:
         """Refuse what no recorder does."""
@@ -137,9 +128,9 @@ def unlike_nominal(rng: Generator, nominal: JointDynamics, latency: float = 0.01
 class Rule:
     """A distance to keep."""
 
-    name: str  # between what
-    margin: float  # the distance [m]
-    is_of_hand: bool  # whether only joints of what the arm carries change it
+    name: str  #: between what
+    margin: float  #: the distance [m]
+    is_of_hand: bool  #: whether only joints of what the arm carries change it
 
 
 RULES = (
@@ -147,21 +138,19 @@ RULES = (
     Rule(name="arm and robot", margin=0.02, is_of_hand=False),
     Rule(name="hand and hand", margin=0.005, is_of_hand=True),
 )
-"""What is kept apart.
-
-Source: ours. A lab's table, and what stands on it, differ by some centimetres; our arm is made of capsules;
-the maker's covers of the fingers run 5.5 to 9 mm beyond the boxes of his description, which are ours, too.
-"""
+"""What is kept apart. Source: ours. A lab's table, and what stands on it, differ by some centimetres; our arm
+is made of capsules; the maker's covers of the fingers run 5.5 to 9 mm beyond the boxes of his description,
+which are ours, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clearance:
     """The least distance under one rule."""
 
-    rule: Rule  # the rule
-    distance: float = np.inf  # the distance [m]; infinite beyond the horizon
-    bodies: tuple[str, str] = ("", "")  # between which bodies it was
-    time: float = 0.0  # when it was [s]
+    rule: Rule  #: the rule
+    distance: float = np.inf  #: the distance [m]; infinite beyond the horizon
+    bodies: tuple[str, str] = ("", "")  #: between which bodies it was
+    time: float = 0.0  #: when it was [s]
 
     @property
     def is_kept(self) -> bool:
@@ -232,22 +221,21 @@ def _rule_of_pairs(model: mujoco.MjModel, workcell: WorkcellSpec) -> np.ndarray:
 class Fault:
     """Something that a robot must not do."""
 
-    text: str  # what it is, in words
-    joints: tuple[str, ...]  # whose motion should shrink
-    remedy: float = 0.85  # by which factor. Default: ours.
+    text: str  #: what it is, in words
+    joints: tuple[str, ...]  #: whose motion should shrink
+    remedy: float = 0.85  #: by which factor. Default: ours.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Assessment:
     """What a trajectory makes a simulated robot do."""
 
-    recording: Recording  # the motion at every physics step
-    speed: Float64[np.ndarray, " num_joints"]  # top speed of each joint [rad/s]
-    # top torque of each joint's servo, as a share of its limit
-    torque_share: Float64[np.ndarray, " num_joints"]
-    clearances: tuple[Clearance, ...]  # distances to the table and of the robot's parts
-    checks: tuple[Check, ...]  # whether each joint is excited enough to tell its dynamics
-    faults: tuple[Fault, ...]  # what must not be
+    recording: Recording  #: the motion at every physics step
+    speed: Float64[np.ndarray, " num_joints"]  #: top speed of each joint [rad/s]
+    torque_share: Float64[np.ndarray, " num_joints"]  #: top torque of each servo, as a share of its limit
+    clearances: tuple[Clearance, ...]  #: distances to the table and of the robot's parts
+    checks: tuple[Check, ...]  #: whether each joint is excited enough to tell its dynamics
+    faults: tuple[Fault, ...]  #: what must not be
 
 
 def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
@@ -276,8 +264,7 @@ def _limit_faults(recording: Recording, speed: np.ndarray) -> list[Fault]:
         spec, q = specs_of(recording.workcell)[joint], recording.q[:, column]
         excess, top = max(spec.lower - q.min(), q.max() - spec.upper), np.abs(speed[:, column]).max()
         if excess > LIMIT_TOLERANCE:
-            text = f"{joint} moves {excess:.3f} rad beyond its limits"
-            faults.append(Fault(text=text, joints=(joint,)))
+            faults.append(Fault(text=f"{joint} moves {excess:.3f} rad beyond its limits", joints=(joint,)))
         if top > spec.velocity_limit:
             text = f"{joint} reaches {top:.2f} rad/s of {spec.velocity_limit:.2f}"
             faults.append(Fault(text=text, joints=(joint,), remedy=0.95 * spec.velocity_limit / top))

@@ -21,13 +21,7 @@ from matplotlib.figure import Figure
 
 from pixel2catch.files import require_free_folder, write_atomically
 from pixel2catch.identification.fit import LATENCY_UNIT
-from pixel2catch.identification.identify import (
-    Identification,
-    Motion,
-    half_widths,
-    ratios,
-    tracking_errors,
-)
+from pixel2catch.identification.identify import Identification, Motion, half_widths, ratios, tracking_errors
 from pixel2catch.identification.joints import short, specs_of
 from pixel2catch.identification.recording import Trajectory
 from pixel2catch.identification.rehearsal import Assessment

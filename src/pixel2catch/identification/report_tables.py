@@ -220,10 +220,10 @@ def ranges_grid(result: Identification) -> Grid:
 class WeakDirection:
     """Parameters of a joint that can change together with hardly a change of its motion."""
 
-    joint: str  # name of the joint
-    parameters: tuple[str, ...]  # names of the parameters, the one that changes most first
-    half_width: float  # half of the 95 % interval along the direction, in the coordinates of the fit
-    is_scale: bool  # whether all of them grow together, so that their ratios are known
+    joint: str  #: name of the joint
+    parameters: tuple[str, ...]  #: names of the parameters, the one that changes most first
+    half_width: float  #: half of the 95 % interval along the direction, in the coordinates of the fit
+    is_scale: bool  #: whether all of them grow together, so that their ratios are known
 
     @property
     def meaning(self) -> str:

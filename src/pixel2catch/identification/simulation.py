@@ -25,11 +25,9 @@ from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter
 from pixel2catch.sim.batch import BatchSimulation
 
 FIT_DT = 1.0 / 480.0
-"""Physics time step of a fit [s].
-
-Source: ours; in excitation up to the torque limits, positions of the arm are within 0.03 mrad of those at
-6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone they would be off by up to 1.8.
-"""
+"""Physics time step of a fit [s]. Source: ours; in excitation up to the torque limits, positions of the arm
+are within 0.03 mrad of those at 6 kHz, those of the hand within 0.08. With MuJoCo's implicit damping alone
+they would be off by up to 1.8."""
 
 START_WINDOW = 0.1  # measurements whose parabola begins a motion [s] (ours, a tenth of a settling)
 
@@ -40,16 +38,15 @@ stiffness of the slowest joint."""
 MAX_COPIES = 96  # copies simulated at once, for the memory
 THREADED_COPIES = 24  # copies from which on several threads are faster than one (ours, measured with the arm)
 
-
+Times = Float[np.ndarray, " num_commands"]
+Commands = Float[np.ndarray, "num_commands num_joints"]
+Edges = Float[np.ndarray, " num_edges"]
 PerJoint = Float[np.ndarray, " num_joints"]
 Settled = Float[np.ndarray, "num_settled num_joints"]
 
 
 def mean_commands(
-    t_cmd: Float[np.ndarray, " num_commands"],
-    q_cmd: Float[np.ndarray, "num_commands num_joints"],
-    edges: Float[np.ndarray, " num_edges"],
-    latency: PerJoint,
+    t_cmd: Times, q_cmd: Commands, edges: Edges, latency: PerJoint
 ) -> Float[np.ndarray, "num_steps num_joints"]:
     """Mean of the held, delayed commands over every time step: it depends smoothly on the latency.
 
@@ -67,18 +64,13 @@ def mean_commands(
 
 
 def step_commands(
-    t_cmd: Float[np.ndarray, " num_commands"],
-    q_cmd: Float[np.ndarray, "num_commands num_joints"],
-    edges: Float[np.ndarray, " num_edges"],
-    latency: PerJoint,
+    t_cmd: Times, q_cmd: Commands, edges: Edges, latency: PerJoint
 ) -> Float[np.ndarray, "num_steps 4 num_joints"]:
     """What arrives in every time step: a command, and from some moment on the next one.
 
     A servo at its torque limit does not answer to their mean, so that the moment must be known. Where several
-    commands of a step are no such pair, there is their mean only. Arguments as of `mean_commands`.
-
-    Returns:
-        Their mean [rad]; by how much the first and the last are beyond it [rad]; the share of the first.
+    commands of a step are no such pair, there is their mean only. Arguments as of `mean_commands`. Returned
+    are their mean [rad]; by how much the first and the last are beyond it [rad]; the share of the first.
     """
     mean = mean_commands(t_cmd, q_cmd, edges, latency)
     sent = [held(t_cmd, q_cmd[:, j : j + 1], edges - delay) for j, delay in enumerate(latency)]
@@ -113,10 +105,9 @@ class Servos:
         link_inertia: PerJoint,
         dt: float,
     ) -> None:
-        """Give every copy of the simulation its dynamics.
+        """Give every copy its dynamics and largest torques [N·m].
 
-        Efforts are the largest torques [N·m], the inertia of the links is what a joint moves beside its
-        armature [kg·m²], the time step is in [s].
+        The inertia of the links is what a joint moves beside its armature [kg·m²]; the time step is in [s].
         """
         self._stiffness, self._damping, self._friction, armature = (
             np.stack([getattr(each, name) for each in dynamics])
@@ -186,12 +177,11 @@ class Filters:
 class _Motion:
     """A recording on the grid of physics steps."""
 
-    recording: Recording  # what was recorded
-    edges: Float[np.ndarray, " num_edges"]  # starts of the steps and the end of the last [s]
-    # position [rad] and speed [rad/s] of each joint at the first measurement
-    start: Float[np.ndarray, "2 num_joints"]
-    index: Int[np.ndarray, " num_settled"]  # for each measurement that is compared, the edge before it
-    weight: Float[np.ndarray, " num_settled"]  # and the share of the step after that edge
+    recording: Recording  #: what was recorded
+    edges: Edges  #: starts of the steps and the end of the last [s]
+    start: Float[np.ndarray, "2 num_joints"]  #: positions [rad] and speeds [rad/s] at the first measurement
+    index: Int[np.ndarray, " num_settled"]  #: for each measurement that is compared, the edge before it
+    weight: Float[np.ndarray, " num_settled"]  #: and the share of the step after that edge
 
     @classmethod
     def of(cls, recording: Recording, dt: float) -> "_Motion":
@@ -314,8 +304,7 @@ class RecordedMotion:
 def _commands(copies: Sequence[tuple[JointDynamics, _Motion]], dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Delayed commands, as `step_commands` has them; a short recording holds its last.
 
-    Returns:
-        The different ones, (num_steps, 4, num_different, num_joints), and which of them is each copy's.
+    They are the different ones, (num_steps, 4, num_different, num_joints), and which of them is each copy's.
     """
     known: dict[tuple[int, bytes, bytes], np.ndarray] = {}
     keys = []
@@ -324,8 +313,7 @@ def _commands(copies: Sequence[tuple[JointDynamics, _Motion]], dt: float) -> tup
         lag = command_lag(dynamics, dt)
         keys.append((id(motion), lag.tobytes(), dynamics.has_filter.tobytes()))
         if keys[-1] not in known:
-            recording = motion.recording
-            values = step_commands(recording.t_cmd, recording.q_cmd, motion.edges, lag)
+            values = step_commands(motion.recording.t_cmd, motion.recording.q_cmd, motion.edges, lag)
             values[:, 1:3, dynamics.has_filter] = 0.0  # a filter turns jumps into slopes
             known[keys[-1]] = np.pad(values, ((0, num_steps - len(values)), (0, 0), (0, 0)), mode="edge")
     order = list(known)

@@ -20,7 +20,6 @@ SEEN, HELD, STALE = (80, 255, 80), (255, 190, 60), (255, 80, 80)
 """Colours of a box that was just seen, of one that is held, and of one too old."""
 
 UNKNOWN, OUTLINE, TEXT, FRAME = (120, 120, 120), (255, 80, 255), (235, 235, 235), (70, 70, 70)
-
 HEADER = 24  #: Height of the line of text [px].
 PLOT_ROWS, PLOT_COLUMNS, PLOT_HEIGHT = 2, 4, 72  #: The features' plots; their height is in pixels.
 HISTORY = 150  #: Control steps in a plot: 5 s.

@@ -10,19 +10,14 @@ from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.image_track import SPECK, ImageTrack, find_blobs
 from pixel2catch.perception.segmenter import NOT_FOUND, Image, Mask, Prompt, Segmentation, Segmenter
 
-Colors = UInt8[np.ndarray, "_ 3"]
-"""Red, green and blue of some pixels."""
+Colors = UInt8[np.ndarray, "_ 3"]  #: Red, green and blue of some pixels.
 
 Histogram = Float32[np.ndarray, " num_colors"]
 """How many pixels have each colour, with older images counting less."""
 
-SHIFT = 4
-"""A colour is the upper four bits of each channel: 16 levels. Source: ours."""
-
+SHIFT = 4  #: A colour is the upper four bits of each channel: 16 levels. Source: ours.
 LEVELS = 256 >> SHIFT
-
-FADE = 0.8
-"""Weight of what was learned before, in every image. Source: ours; five images."""
+FADE = 0.8  #: Weight of what was learned before, in every image. Source: ours; five images.
 
 LEAST_COUNT = 0.1
 """Pixels of a colour, spread over its neighbours, below which it is not known. Source: ours."""
@@ -30,17 +25,11 @@ LEAST_COUNT = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class ColorRange:
-    """Colours from a first to a last hue, saturation and value.
+    """Colours from a first to a last hue, saturation and value."""
 
-    Attributes:
-        hue: First and last hue [degrees]: red 0, green 120, blue 240; (340, 20) is the reds about 0.
-        saturation: Smallest and largest share of colour in [0, 1]; grey is 0.
-        value: Smallest and largest brightness in [0, 1].
-    """
-
-    hue: tuple[float, float]
-    saturation: tuple[float, float] = (0.4, 1.0)
-    value: tuple[float, float] = (0.2, 1.0)
+    hue: tuple[float, float]  #: First and last [degrees]: red 0, green 120, blue 240; (340, 20) is reds.
+    saturation: tuple[float, float] = (0.4, 1.0)  #: Least and largest share of colour in [0, 1]; grey is 0.
+    value: tuple[float, float] = (0.2, 1.0)  #: Smallest and largest brightness in [0, 1].
 
     def __post_init__(self) -> None:
         """Refuse a range that no colour is in."""

@@ -1,9 +1,13 @@
 """Images to pixel features, once in every control step: what training got from `envs.eye`, from a camera.
 
 An image goes through the segmenter to a mask, its largest region to a box, and a plausible box to features.
-Box and features are computed by the functions of training, `camera.boxes`.
+Box and features are computed by the functions of training, `camera.boxes`. How long each stage takes is kept.
 """
 
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,26 +22,21 @@ from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, judge
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Mask, Segmentation, Segmenter, check_image
-from pixel2catch.perception.timing import StageClock
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 LARGEST_AGE = 2.5 * CONTROL_DT
 """Age up to which a box is fresh [s]. Source: release; in training boxes are one or two steps old."""
 
+MEMORY = 10_000  #: Durations that are kept of each stage: five minutes at 30 Hz.
+
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFrame:
-    """One image of the camera; whether it is one is checked by whoever gets it.
+    """One image of the camera; whether it is one is checked by whoever gets it."""
 
-    Attributes:
-        image: Red, green, blue; upper row first.
-        stamp: When it was taken [s].
-        joint_pos: Positions of the robot's joints at that time, in joint order [rad]; None if unknown.
-    """
-
-    image: np.ndarray
-    stamp: float
-    joint_pos: np.ndarray | None = None
+    image: np.ndarray  #: Red, green, blue; upper row first.
+    stamp: float  #: When it was taken [s].
+    joint_pos: np.ndarray | None = None  #: The robot's at that time, in joint order [rad]; None if unknown.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,33 +49,20 @@ class ExtractorCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class Extraction:
-    """What a control step knows of the object: the box for the policy, the rest for log and safety.
+    """What a control step knows of the object: the box for the policy, the rest for log and safety."""
 
-    Attributes:
-        box: What `Measurement.box` is in training [px]; zeros before the first detection.
-        features: The features of this box and that of the step before, for show; the first box of a throw
-            stands for its predecessor, as at the beginning of an episode.
-        verdict: What became of the image; only `SEEN` gives a new box.
-        is_valid: Whether the object was seen in this throw.
-        is_fresh: Whether the box is no older than those of training.
-        age: Time since the image of the box [s]; infinite before the first detection.
-        score: The segmenter's score of this image, on its own scale; 0 where it was not asked.
-        num_skipped: Control steps since the image before that had none: so many too many are in the
-            differences.
-        mask: The object's pixels, where it was seen.
-        message: What went wrong with an image that could not be used.
-    """
-
-    box: Float[Tensor, "1 4"]
+    box: Float[Tensor, "1 4"]  #: `Measurement.box` of training [px]; zeros before the first detection.
+    #: The features of this box and that of the step before, for show; the first box of a throw stands for its
+    #: predecessor, as at the beginning of an episode.
     features: Float[Tensor, "1 8"]
-    verdict: Verdict
-    is_valid: bool
-    is_fresh: bool
-    age: float
-    score: float
-    num_skipped: int
-    mask: Mask | None
-    message: str
+    verdict: Verdict  #: What became of the image; only `SEEN` gives a new box.
+    is_valid: bool  #: Whether the object was seen in this throw.
+    is_fresh: bool  #: Whether the box is no older than those of training.
+    age: float  #: Time since the image of the box [s]; infinite before the first detection.
+    score: float  #: The segmenter's score of this image, on its own scale; 0 where it was not asked.
+    num_skipped: int  #: Control steps without an image since the last: so many too many are in differences.
+    mask: Mask | None  #: The object's pixels, where it was seen.
+    message: str  #: What went wrong with an image that could not be used.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,25 +78,16 @@ class _Finding:
 
 @dataclass(kw_only=True)
 class TrackState:
-    """What is known of the object in this throw.
+    """What is known of the object in this throw."""
 
-    Attributes:
-        box: The box that was last accepted [px].
-        box_stamp: When its image was taken [s].
-        image_stamp: When the last image was taken that was looked at [s].
-        num_lost: Images since that box, or since the object was pointed out.
-        is_pointed_out: Whether the segmenter was told what the object is.
-        is_continued: Whether the box is one of the thing that was last pointed out.
-        is_at_robot: Whether the box touched the robot. What vanished there is taken to be in its hand: then
-            nothing else is looked for, and only the segmenter can find it again.
-    """
-
-    box: Float[Tensor, "1 4"] = field(default_factory=lambda: torch.zeros(1, 4))
-    box_stamp: float = -torch.inf
-    image_stamp: float = -torch.inf
-    num_lost: int = 0
-    is_pointed_out: bool = False
-    is_continued: bool = False
+    box: Float[Tensor, "1 4"] = field(default_factory=lambda: torch.zeros(1, 4))  #: Last accepted [px].
+    box_stamp: float = -torch.inf  #: When its image was taken [s].
+    image_stamp: float = -torch.inf  #: When the last image was taken that was looked at [s].
+    num_lost: int = 0  #: Images since that box, or since the object was pointed out.
+    is_pointed_out: bool = False  #: Whether the segmenter was told what the object is.
+    is_continued: bool = False  #: Whether the box is one of the thing that was last pointed out.
+    #: Whether the box touched the robot. What vanished there is taken to be in its hand: then nothing else is
+    #: looked for, and only the segmenter can find it again.
     is_at_robot: bool = False
 
     @property
@@ -135,12 +112,46 @@ class TrackState:
         self.is_at_robot = ignored is not None and bool(ignored[ymin:ymax, xmin:xmax].any())
 
 
-class PixelFeatureExtractor:
-    """Makes boxes and features of a stream of images; an image of a wrong kind is refused once, at the start.
+@dataclass(frozen=True, kw_only=True)
+class Percentiles:
+    """Durations of one stage [s]: half of them, 95 % and 99 % were shorter; and how many there were."""
 
-    Attributes:
-        clock: How long each stage took.
-    """
+    p50: float
+    p95: float
+    p99: float
+    count: int
+
+    @classmethod
+    def of(cls, durations: Iterable[float]) -> "Percentiles":
+        """Those of some durations [s]."""
+        values = list(durations)
+        p50, p95, p99 = np.percentile(values, (50, 95, 99)).tolist()
+        return cls(p50=p50, p95=p95, p99=p99, count=len(values))
+
+
+class StageClock:
+    """Measures named stages and keeps their latest durations."""
+
+    def __init__(self) -> None:
+        """Begin with no stage."""
+        self._durations: dict[str, deque[float]] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure what runs in this context, be it left by an error."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._durations.setdefault(name, deque(maxlen=MEMORY)).append(time.perf_counter() - begin)
+
+    def percentiles(self) -> dict[str, Percentiles]:
+        """Durations by stage, in the order in which the stages first ended."""
+        return {name: Percentiles.of(durations) for name, durations in self._durations.items()}
+
+
+class PixelFeatureExtractor:
+    """Makes boxes and features of a stream of images; an image of a wrong kind is refused at the start."""
 
     def __init__(
         self,
@@ -154,15 +165,10 @@ class PixelFeatureExtractor:
     ) -> None:
         """Begin before the first throw.
 
-        Args:
-            segmenter: What finds the object's pixels.
-            prompter: What says which thing is the object.
-            robot: The robot, whose motion is not the object's; None where that does no harm.
-            camera: The camera, for the size of the image.
-            cfg: When a box counts.
-            waits: Look for no object, and only learn, before the first throw begins with a reset.
+        The motion of the robot is not the object's; None where that does no harm. One who waits only learns,
+        and looks for no object, before the first throw begins with a reset.
         """
-        self.clock = StageClock()
+        self.clock = StageClock()  #: How long each stage took.
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
         self._camera, self._cfg = camera, cfg or ExtractorCfg()
         self._state = TrackState()
@@ -175,15 +181,12 @@ class PixelFeatureExtractor:
         self._state, self._has_begun = TrackState(), True
 
     def step(self, frame: CameraFrame | None, now: float) -> Extraction:
-        """Process the newest image; call it once in every control step.
+        """Process the newest image; call it once in every control step, by the clock of the stamps [s].
 
-        Args:
-            frame: The newest image, be it the same as in the step before; None if there is none yet.
-            now: The time [s], of the clock of the stamps.
+        The image may be that of the step before; None if there is none yet.
 
         Raises:
-            PerceptionError: If the very first image has the wrong size or encoding; later such an image is
-                passed over.
+            PerceptionError: If the very first image has the wrong size or encoding; later it is passed over.
         """
         state = self._state
         num_skipped = 0 if frame is None else state.num_skipped(frame.stamp)

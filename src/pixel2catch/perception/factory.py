@@ -21,33 +21,23 @@ Corners = tuple[float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionArgs:
-    """What looks for the object, and through which camera.
+    """What looks for the object, and through which camera."""
 
-    Attributes:
-        segmenter: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint.
-        box: The object when the throw begins: xmin, ymin, xmax, ymax [px].
-        point: A point on the object when the throw begins: u, v [px].
-        region: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
-        color: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
-        saturation: Smallest and largest saturation of --color.
-        value: Smallest and largest brightness of --color.
-        camera: Camera file as `calibrate` writes it. Default: the camera of the policies.
-        checkpoint: Folder of a SAM 2.1 checkpoint in the format of transformers.
-        image_size: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
-        device: Where SAM 2 runs: cpu, cuda, cuda:1, ...
-    """
-
+    #: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint.
     segmenter: Literal["background", "color", "sam2"] = "background"
-    box: Corners | None = None
-    point: tuple[float, float] | None = None
+    box: Corners | None = None  #: The object when the throw begins: xmin, ymin, xmax, ymax [px].
+    point: tuple[float, float] | None = None  #: A point on the object when the throw begins: u, v [px].
+    #: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
     region: Corners | None = None
+    #: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
     color: Span | None = None
-    saturation: Span = (0.4, 1.0)
-    value: Span = (0.2, 1.0)
-    camera: Path | None = None
-    checkpoint: Path | None = None
+    saturation: Span = (0.4, 1.0)  #: Smallest and largest saturation of --color.
+    value: Span = (0.2, 1.0)  #: Smallest and largest brightness of --color.
+    camera: Path | None = None  #: Camera file as `calibrate` writes it. Default: the camera of the policies.
+    checkpoint: Path | None = None  #: Folder of a SAM 2.1 checkpoint in the format of transformers.
+    #: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
     image_size: int | None = None
-    device: str = "cpu"
+    device: str = "cpu"  #: Where SAM 2 runs: cpu, cuda, cuda:1, ...
 
     def prepare(self) -> None:
         """Leave the cores to others, unless SAM 2 is to run on them."""

@@ -27,19 +27,12 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class PlausibilityCfg:
-    """Limits of the plausible. Source: ours, from 1,500 rendered images of 16 catches.
+    """Limits of the plausible. Source: ours, from 1,500 rendered images of 16 catches."""
 
-    Attributes:
-        least_area: Fewest pixels.
-        largest_share: Largest share of the image. Source: ours; 0.5 % at most in those images.
-        largest_jump: Furthest that the middle of the box moves in a control step [px]; 61 in those images.
-        largest_sides: Most sides of the image that the box touches; an object passes one at a time.
-    """
-
-    least_area: int = 6
-    largest_share: float = 0.02
-    largest_jump: float = 90.0
-    largest_sides: int = 1
+    least_area: int = 6  #: Fewest pixels.
+    largest_share: float = 0.02  #: Largest share of the image. Source: ours; 0.5 % at most in those images.
+    largest_jump: float = 90.0  #: Of the middle of the box in a control step [px]; 61 in those images.
+    largest_sides: int = 1  #: Most sides of the image that the box touches; an object passes one at a time.
 
 
 def judge(
@@ -52,13 +45,8 @@ def judge(
 ) -> Verdict:
     """Return whether a box [px] around so many pixels can be the object's, or why not.
 
-    Args:
-        cfg: The limits.
-        camera: The camera, for the size of the image.
-        box: The box [px].
-        area: Pixels of its mask.
-        before: The box that was last accepted [px]; None where the object was just pointed out.
-        steps: Control steps since the image of that box.
+    The box before is the one last accepted [px], so many control steps ago; None where the object was just
+    pointed out.
     """
     xmin, ymin, xmax, ymax = box[0].tolist()
     if area < cfg.least_area:

@@ -26,13 +26,7 @@ class RobotMask:
     def __init__(
         self, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA, *, margin: int = MARGIN
     ) -> None:
-        """Compute the corners of every geom, also of those that are only seen.
-
-        Args:
-            workcell: The robots.
-            camera: The camera.
-            margin: Pixels about the robots that are taken for them, too.
-        """
+        """Compute the corners of every geom, also of those that are only seen; the margin is in pixels."""
         self._camera, self._margin = camera, margin
         self._model = bare_model(workcell, visuals=True)
         self._data = mujoco.MjData(self._model)
@@ -59,17 +53,13 @@ class RobotMask:
         canvas = np.zeros((self._camera.height, self._camera.width), dtype=np.uint8)
         parts = zip(np.split(rounded, self._ends), np.split(depth[0].numpy(), self._ends), strict=True)
         for corners, distance in parts:
-            self._fill(canvas, corners[distance > NEAREST])
+            if not (distance > NEAREST).any():
+                continue
+            hull = cv2.convexHull(corners[distance > NEAREST])
+            cv2.fillConvexPoly(canvas, hull, 1)
+            if self._margin:
+                cv2.polylines(canvas, [hull], isClosed=True, color=1, thickness=2 * self._margin + 1)
         return canvas > 0
-
-    def _fill(self, canvas: np.ndarray, corners: np.ndarray) -> None:
-        """Draw the hull of one geom's corners and a line about it."""
-        if not len(corners):
-            return
-        hull = cv2.convexHull(corners)
-        cv2.fillConvexPoly(canvas, hull, 1)
-        if self._margin:
-            cv2.polylines(canvas, [hull], isClosed=True, color=1, thickness=2 * self._margin + 1)
 
 
 def _corners(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "num_corners 3"]:
@@ -77,13 +67,12 @@ def _corners(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "num_corners
     x, y, z = model.geom_size[geom]
     match mujoco.mjtGeom(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_BOX:
-            shape = shapes.box(2 * x, 2 * y, 2 * z)
+            return shapes.box(2 * x, 2 * y, 2 * z).vertices
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
-            shape = shapes.capsule(x, 2 * y)
+            return shapes.capsule(x, 2 * y).vertices
         case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            shape = shapes.cylinder(x, 2 * y)
+            return shapes.cylinder(x, 2 * y).vertices
         case mujoco.mjtGeom.mjGEOM_SPHERE:
-            shape = shapes.sphere(x)
+            return shapes.sphere(x).vertices
         case kind:
             raise PerceptionError(f"the robot has a geom of type {kind.name}, which cannot be projected yet.")
-    return shape.vertices

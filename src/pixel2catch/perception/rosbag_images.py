@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE)
-
-NUM_STATES = 1000
-"""Joint states that are remembered until an image of their time arrives: 2 s at 500 Hz."""
+NUM_STATES = 1000  #: Joint states that are remembered until an image of their time arrives: 2 s at 500 Hz.
 
 
 def first_camera_info(path: Path, topic: str | None) -> Any:
@@ -63,9 +61,8 @@ def bag_frames(
     """
     with opened_bag(path) as reader:
         images = _image_connections(path, reader.connections, topic)
-        states = [
-            each for each in reader.connections if each.topic == joint_states and each.msgtype == JOINT_STATE
-        ]
+        wanted = (joint_states, JOINT_STATE)
+        states = [each for each in reader.connections if (each.topic, each.msgtype) == wanted]
         positions, num_damaged, reason = _JointPositions(joints), 0, ""
         for message in decoded(reader, [*images, *states]):
             stamp = (message.stamp or message.received) / 1e9
@@ -74,10 +71,8 @@ def bag_frames(
                 continue
             image = _image(message)
             if image is None:
-                num_damaged, reason = (
-                    num_damaged + 1,
-                    f"of {len(message.content.data)} bytes at {stamp:.3f} s",
-                )
+                num_damaged += 1
+                reason = f"of {len(message.content.data)} bytes at {stamp:.3f} s"
                 continue
             yield CameraFrame(image=image, stamp=stamp, joint_pos=positions.at(stamp))
         if num_damaged:

@@ -96,20 +96,13 @@ class Sam2Segmenter(Segmenter):
     """
 
     def __init__(
-        self,
-        folder: Path,
-        device: str,
-        image_size: int | None = None,
-        captured: Sequence[Module] = MODULES,
+        self, folder: Path, device: str, image_size: int | None = None, captured: Sequence[Module] = MODULES
     ) -> None:
         """Load a checkpoint; on a CUDA device also track blank images, so that the first real one is fast.
 
-        Args:
-            folder: The checkpoint, see `load_sam2`.
-            device: "cpu" (float32), "cuda" or "cuda:N" (bfloat16).
-            image_size: Side of the square that the model sees [px], a multiple of 32; None for the
-                checkpoint's 1024. Half of it is a quarter of the work, and masks are half as fine.
-            captured: What runs as CUDA graphs on a CUDA device.
+        The device is "cpu" (float32), "cuda" or "cuda:N" (bfloat16), where modules run as CUDA graphs. The
+        model sees a square of this side [px], a multiple of 32; None is the checkpoint's 1024. Half of it is
+        a quarter of the work, and masks are half as fine.
 
         Raises:
             DeviceUnavailableError: If CUDA is asked for and absent.
@@ -120,9 +113,8 @@ class Sam2Segmenter(Segmenter):
         is_cuda = self._device.type == "cuda"
         if is_cuda:
             require_cuda(device)
-        self._model = load_sam2(
-            folder, self._device, torch.bfloat16 if is_cuda else torch.float32, image_size
-        )
+        dtype = torch.bfloat16 if is_cuda else torch.float32
+        self._model = load_sam2(folder, self._device, dtype, image_size)
         self._mean = torch.tensor(MEAN, device=self._device).view(3, 1, 1)
         self._deviation = torch.tensor(DEVIATION, device=self._device).view(3, 1, 1)
         self._upload = torch.empty((0, 0, 3), dtype=torch.uint8)
@@ -147,9 +139,8 @@ class Sam2Segmenter(Segmenter):
                 f"the prompt's centre ({u:g}, {v:g}) px is not on the image of {width} by {height} px: mark "
                 "the object where it is seen."
             )
-        where = dict.fromkeys(
-            ("inference_device", "inference_state_device", "video_storage_device"), self._model.device
-        )
+        places = ("inference_device", "inference_state_device", "video_storage_device")
+        where = dict.fromkeys(places, self._model.device)
         self._session = Sam2VideoInferenceSession(**where, dtype=self._model.dtype)
         self._frame_idx = 0
         index = self._session.obj_id_to_idx(OBJECT)
@@ -230,12 +221,10 @@ class CapturedFunction:
     """
 
     def __init__(self, function: Callable[..., Any], pool: Any) -> None:
-        """Take the function; nothing runs yet.
+        """Take the function, and a pool of `torch.cuda.graph_pool_handle`; nothing runs yet.
 
-        Args:
-            function: Depends on its arguments and on constant tensors only. In and out are nested tuples,
-                lists, dictionaries and model outputs of tensors and constants.
-            pool: From `torch.cuda.graph_pool_handle`.
+        The function depends on its arguments and on constant tensors only. In and out are nested tuples,
+        lists, dictionaries and model outputs of tensors and constants.
         """
         self._function, self._pool = function, pool
         self._graphs: dict[tuple[Any, ...], GraphedFunction[Any]] = {}
@@ -244,7 +233,8 @@ class CapturedFunction:
         """Return what the function returns."""
         leaves, structure = pytree.tree_flatten((args, kwargs))
         tensors = {i: leaf for i, leaf in enumerate(leaves) if isinstance(leaf, Tensor)}
-        key = (structure, *map(_signature, leaves))
+        layouts = {i: (tensor.shape, tensor.dtype, tensor.device) for i, tensor in tensors.items()}
+        key = (structure, *(layouts.get(i, leaf) for i, leaf in enumerate(leaves)))
         if key not in self._graphs:
             constants = {i: leaf for i, leaf in enumerate(leaves) if i not in tensors}
             function = partial(self._of_tensors, structure, constants, tuple(tensors))
@@ -262,11 +252,6 @@ class CapturedFunction:
         leaves = constants | dict(zip(places, tensors, strict=True))
         args, kwargs = pytree.tree_unflatten([leaves[i] for i in range(len(leaves))], structure)
         return self._function(*args, **kwargs)
-
-
-def _signature(leaf: Any) -> Any:
-    """What a recording depends on: layout of a tensor, value of anything else."""
-    return (leaf.shape, leaf.dtype, leaf.device) if isinstance(leaf, Tensor) else leaf
 
 
 def capture(model: nn.Module, modules: Sequence[Module]) -> None:

@@ -32,8 +32,7 @@ LONGEST_PAUSE = 150
 FIRST_IMAGE_TIMEOUT = 5.0
 """Time in which a camera must give its first image [s]. Source: ours; webcams need up to two."""
 
-LONGEST_STALL = 10.0
-"""Time without a new image after which a camera is taken to be gone [s]. Source: ours."""
+LONGEST_STALL = 10.0  #: Time without a new image after which a camera is taken to be gone [s]. Source: ours.
 
 RETRY, POLL = 0.01, 0.002
 """Time between attempts to read a camera that gives nothing, and between looks for a new image [s]."""
@@ -56,8 +55,7 @@ class SourceCfg:
     name: str  #: A video file; the folder, .mcap or .db3 file of a bag; or the number or device of a camera.
     topic: str | None = None  #: The topic of a bag's images; None for the only one.
     joint_states: str = "/joint_states"  #: The topic of a bag's joint states.
-    #: Names of the robot's joints, in joint order; none if their positions are not asked for.
-    joints: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()  #: Of the robot, in joint order; none if they are not asked for.
 
 
 def ticks_of(cfg: SourceCfg, notes: list[str]) -> Generator[Tick, None, None]:
@@ -93,9 +91,8 @@ def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generat
         start = frame.stamp if newest is None else start
         due = max(int((frame.stamp - start) / CONTROL_DT + 1.0 - PHASE), 0)
         if due - tick > LONGEST_PAUSE:
-            notes.append(
-                f"{(due - tick) * CONTROL_DT:.1f} s without an image after {tick * CONTROL_DT:.1f} s."
-            )
+            pause, played = (steps * CONTROL_DT for steps in (due - tick, tick))
+            notes.append(f"{pause:.1f} s without an image after {played:.1f} s.")
             tick = due - LONGEST_PAUSE
         while newest is not None and tick < due:
             yield Tick(frame=newest, now=start + (tick + PHASE) * CONTROL_DT)

@@ -8,18 +8,15 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES
-from pixel2catch.perception.extractor import Extraction, PixelFeatureExtractor
+from pixel2catch.perception.extractor import Extraction, Percentiles, PixelFeatureExtractor, StageClock
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.sources import Tick
-from pixel2catch.perception.timing import Percentiles, StageClock
 from pixel2catch.scene.constants import CONTROL_DT
 
 STAGES = ("robot", "segment", "box", "features", "total")
 """Stages of the extractor, in the order in which they run."""
 
-LOOKED = "segment"
-"""The stage that runs whenever an image was looked at; other control steps cost nothing."""
-
+LOOKED = "segment"  #: The stage that runs whenever an image was looked at; other control steps cost nothing.
 BOX_EDGES = ("xmin", "ymin", "xmax", "ymax")
 
 COLUMNS = (
@@ -31,19 +28,12 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Sighting:
-    """One control step.
+    """One control step."""
 
-    Attributes:
-        tick: The image, and the time.
-        time: Since the first control step [s].
-        extraction: What was seen.
-        durations: How long each stage took [s]; without those that did not run.
-    """
-
-    tick: Tick
-    time: float
-    extraction: Extraction
-    durations: dict[str, float]
+    tick: Tick  #: The image, and the time.
+    time: float  #: Since the first control step [s].
+    extraction: Extraction  #: What was seen.
+    durations: dict[str, float]  #: How long each stage took [s]; without those that did not run.
 
     def row(self) -> dict[str, Any]:
         """The sighting as a row of a table, by `COLUMNS`."""

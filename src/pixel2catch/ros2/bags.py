@@ -47,10 +47,10 @@ class BagMessage:
     """A message of a bag."""
 
     topic: str
-    type: str  # its ROS type
-    received: int  # when the recorder got it [ns]
-    stamp: int  # time in its header [ns]; 0 if there is none
-    content: Any  # as `messages.decode` has it
+    type: str  #: its ROS type
+    received: int  #: when the recorder got it [ns]
+    stamp: int  #: time in its header [ns]; 0 if there is none
+    content: Any  #: as `messages.decode` has it
 
 
 def decoded(reader: "AnyReader", connections: "list[Connection]") -> Iterator[BagMessage]:
@@ -87,9 +87,8 @@ MOTION_FIELDS = ("position", "velocity", "effort")
 class JointMotion:
     """What a message of one of `MOTION_TYPES` says."""
 
-    joints: tuple[str, ...]  # names in the order of the numbers; empty if the type has none
-    # one number a joint, by those of `MOTION_FIELDS` that were given
-    fields: dict[str, np.ndarray]
+    joints: tuple[str, ...]  #: names in the order of the numbers; empty if the type has none
+    fields: dict[str, np.ndarray]  #: one number a joint, by those of `MOTION_FIELDS` that were given
 
 
 def joint_motion(where: str, message: BagMessage) -> JointMotion:

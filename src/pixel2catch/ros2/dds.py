@@ -55,9 +55,8 @@ def dds_type(name: str, store: Typestore = STORE) -> Any:
     made: Any = make_idl_struct(f"{short}_", f"{package}.{kind}.dds_.{short}_", fields, dataclassify=False)
     # Not by a base class: DDS would announce that as a base of the message.
     made.__init__ = _take_bytes
-    made.serialize = _give_bytes
-    made.deserialize = classmethod(_of_bytes)
-    made.deserialize_key = classmethod(_of_bytes)
+    made.serialize = lambda sample, **_: sample.cdr
+    made.deserialize = made.deserialize_key = classmethod(_of_bytes)
     return made
 
 
@@ -65,17 +64,8 @@ def _take_bytes(sample: Any, cdr: bytes) -> None:
     sample.cdr = cdr
 
 
-def _give_bytes(sample: Any, **_: Any) -> bytes:
-    return sample.cdr
-
-
 def _of_bytes(kind: Any, data: bytes, **_: Any) -> Any:
     return kind(data)
-
-
-def type_hash(name: str) -> bytes:
-    """What an endpoint says of its message's definition, so that ROS 2 (from Jazzy on) can compare."""
-    return f"typehash={STORE.hash_rihs01(name)};".encode()
 
 
 def _field_type(description: Any, store: Typestore) -> Any:
@@ -91,12 +81,6 @@ def _field_type(description: Any, store: Typestore) -> Any:
 
 MESSAGE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 
-LATCHED = Qos(
-    Policy.Durability.TransientLocal,
-    Policy.Reliability.Reliable(max_blocking_time=0),
-    Policy.History.KeepLast(1),
-)
-
 
 class NodeAnnouncement:
     """Tells ROS's tools the name of a node, and which publishers and subscriptions are its own.
@@ -111,7 +95,8 @@ class NodeAnnouncement:
         self._writers: list[Any] = []
         self._type = dds_type(MESSAGE, store)
         topic = DdsTopic(participant, "ros_discovery_info", self._type)
-        self._writer = DataWriter(participant, topic, LATCHED)
+        latched = Qos(Policy.Durability.TransientLocal, NEVER_BLOCK, Policy.History.KeepLast(1))
+        self._writer = DataWriter(participant, topic, latched)
         self._announce()
 
     @classmethod
@@ -147,8 +132,7 @@ class NodeAnnouncement:
         self._writer.write(self._type(bytes(self._store.serialize_cdr(message, MESSAGE))))
 
 
-LARGEST_DOMAIN = 232
-"""Largest domain whose ports exist. Source: DDS-RTPS."""
+LARGEST_DOMAIN = 232  #: Largest domain whose ports exist. Source: DDS-RTPS.
 
 LOOPBACK = """
 <CycloneDDS><Domain>
@@ -166,10 +150,8 @@ LOOPBACK = """
   <Internal><SocketReceiveBufferSize max="8MB"/></Internal>
 </Domain></CycloneDDS>
 """
-"""This machine only: no multicast, and room for a few images that nobody has read yet.
-
-The tag keeps a rehearsal from a robot's driver on this machine, which may listen on this interface, too.
-"""
+"""This machine only: no multicast, and room for a few images that nobody has read yet. The tag keeps a
+rehearsal from a robot's driver on this machine, which may listen on this interface, too."""
 
 NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)
 """A slow reader may lose messages; it does not hold up the writer."""
@@ -226,18 +208,17 @@ class DdsTransport(Transport):
             ) from error
         self._clock = clock
         self._news = WaitSet(self._participant)
-        self._kept: list[Publisher | Subscription] = []
+        self._kept: list[Publisher | Subscription] = []  # the library takes off the network what nobody holds
         self._watchers: dict[Topic, DataReader] = {}
         self._announcement = NodeAnnouncement.of(self._participant, node_name)
 
     def publisher(self, topic: Topic) -> Publisher:
         """See `Transport.publisher`."""
-        qos = Qos(_durability(topic), NEVER_BLOCK, Policy.History.KeepLast(1), _user_data(topic))
+        qos = _qos(topic, 1, NEVER_BLOCK)
         writer = DataWriter(self._participant, self._dds_topic(topic), qos)
         if self._announcement:
             self._announcement.add(writer)
-        publisher = _DdsPublisher(topic, writer)
-        self._kept.append(publisher)  # the library would take it off the network with its last reference
+        self._kept.append(publisher := _DdsPublisher(topic, writer))
         return publisher
 
     def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
@@ -246,8 +227,7 @@ class DdsTransport(Transport):
         self._news.attach(ReadCondition(reader, NEW))
         if self._announcement:
             self._announcement.add(reader)
-        subscription = _DdsSubscription(reader, depth, self._clock)
-        self._kept.append(subscription)
+        self._kept.append(subscription := _DdsSubscription(reader, depth, self._clock))
         return subscription
 
     def num_other_publishers(self, topic: Topic) -> int:
@@ -270,8 +250,7 @@ class DdsTransport(Transport):
     def _reader(self, topic: Topic, depth: int, *policies: object) -> DataReader:
         """Best effort hears every publisher; latched messages must be asked for reliably."""
         reliability = NEVER_BLOCK if topic.is_latched else Policy.Reliability.BestEffort
-        history = Policy.History.KeepLast(depth)
-        qos = Qos(_durability(topic), reliability, history, _user_data(topic), *policies)
+        qos = _qos(topic, depth, reliability, *policies)
         return DataReader(self._participant, self._dds_topic(topic), qos)
 
     def _dds_topic(self, topic: Topic) -> DdsTopic:
@@ -308,9 +287,8 @@ class _DdsSubscription(Subscription):
         return [Message(data=each.cdr, arrival=time) for each, time in zip(samples, arrivals, strict=True)]
 
 
-def _durability(topic: Topic) -> object:
-    return Policy.Durability.TransientLocal if topic.is_latched else Policy.Durability.Volatile
-
-
-def _user_data(topic: Topic) -> object:
-    return Policy.Userdata(type_hash(topic.type))
+def _qos(topic: Topic, depth: int, *policies: object) -> Qos:
+    """The qualities of an endpoint, which tells its message's definition: ROS 2 (from Jazzy on) compares."""
+    durability = Policy.Durability.TransientLocal if topic.is_latched else Policy.Durability.Volatile
+    definition = Policy.Userdata(f"typehash={STORE.hash_rihs01(topic.type)};".encode())
+    return Qos(durability, Policy.History.KeepLast(depth), definition, *policies)

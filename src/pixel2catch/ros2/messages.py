@@ -28,9 +28,7 @@ NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
 STORE = get_typestore(Stores.ROS2_JAZZY)
 """Definitions of all messages. Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`."""
 
-STORE.register(
-    {**get_types_from_msg("uint8 mode", SAFETY_MODE), **get_types_from_msg("int8 mode", ROBOT_MODE)}
-)
+STORE.register(get_types_from_msg("uint8 mode", SAFETY_MODE) | get_types_from_msg("int8 mode", ROBOT_MODE))
 
 
 def encode(kind: str, *fields: Any) -> bytes:
@@ -86,29 +84,26 @@ TEXT = "std_msgs/msg/String"
 CHANNELS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 """Encodings of images that are read, and how their channels become red, green and blue."""
 
-OPTICAL_FRAME = "camera_color_optical_frame"
-"""Frame of the images. Source: RealSense driver."""
-
-Pixels = UInt8[np.ndarray, "height width 3"]
-"""Red, green, blue; upper row first."""
+OPTICAL_FRAME = "camera_color_optical_frame"  #: Frame of the images. Source: RealSense driver.
+Pixels = UInt8[np.ndarray, "height width 3"]  #: Red, green, blue; upper row first.
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointReading:
     """What a joint state says."""
 
-    names: tuple[str, ...]  # the sender's names of the joints, as many as it likes, in its order
-    position: Float[np.ndarray, " num_joints"]  # their positions [rad]
-    stamp: float  # when they were measured [s]
+    names: tuple[str, ...]  #: the sender's names of the joints, as many as it likes, in its order
+    position: Float[np.ndarray, " num_joints"]  #: their positions [rad]
+    stamp: float  #: when they were measured [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageReading:
     """An image as it arrived."""
 
-    pixels: Pixels  # it cannot be written into, as it may be the message itself
-    stamp: float  # when it was exposed [s]
-    encoding: str  # how the message had it
+    pixels: Pixels  #: it cannot be written into, as it may be the message itself
+    stamp: float  #: when it was exposed [s]
+    encoding: str  #: how the message had it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,9 +138,8 @@ def read_joint_state(data: bytes) -> JointReading:
             f"a joint state has {len(message.position)} positions for {len(message.name)} names: "
             "look at what publishes it."
         )
-    return JointReading(
-        names=tuple(message.name), position=float64(message.position), stamp=seconds(message.header)
-    )
+    names, position = tuple(message.name), float64(message.position)
+    return JointReading(names=names, position=position, stamp=seconds(message.header))
 
 
 def float_array(values: Iterable[float]) -> bytes:
@@ -245,10 +239,7 @@ number, read_number = _single(NUMBER, float)
 text, read_text = _single(TEXT, str)
 safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
 robot_mode, read_robot_mode = _single(ROBOT_MODE, int, "mode")
-
-
-FORMAT = "rgb8; jpeg compressed bgr8"
-"""What was compressed, and how. Source: image_transport."""
+FORMAT = "rgb8; jpeg compressed bgr8"  #: What was compressed, and how. Source: image_transport.
 
 SUFFIX = "/compressed"
 """What the topic of compressed images is called behind that of the raw ones. Source: image_transport."""

@@ -21,11 +21,8 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading, JointReading
 from pixel2catch.ros2.transport import Topic
 
-PROFILES = Path(__file__).parent / "profiles"
-"""The profiles that are shipped."""
-
-COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)
-"""Types of the messages that take commands."""
+PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
+COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)  #: Types of the messages that take commands.
 
 
 @dataclass(frozen=True)
@@ -50,8 +47,7 @@ class RobotPart:
 
     name: str  #: The joint group that it moves, such as "arm" or "hand".
     joints: dict[str, DriverJoint]  #: Its joints, by our names.
-    state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]
-    """Topic of the joint states; another part may use it, too."""
+    state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]  #: Other parts may use it, too.
     command_topic: Topic  #: Topic of the commands, and the type that this driver takes.
     command_size: int  #: How many numbers a command has.
     #: Where joints are kept that are none of ours [rad], by their place in a command.
@@ -93,8 +89,7 @@ class RobotPart:
     def command(self, joint_pos_target: Float[np.ndarray, " num_joints"], stamp: float = 0.0) -> bytes:
         """Encode the command of this part, from the targets of all joints in joint order [rad].
 
-        The stamp [s] is for drivers that take joint states; these have no names then, as the drivers go by
-        the order.
+        The stamp [s] is for drivers that take joint states, which have no names then: the order tells.
         """
         template, places = self._template
         values = template.copy()
@@ -145,8 +140,7 @@ class CameraProfile:
     """The camera's driver."""
 
     image: Annotated[Topic, TopicType(messages.IMAGE)]  #: Topic of the images.
-    #: Topic of the lens, if there is one.
-    info: Annotated[Topic, TopicType(messages.CAMERA_INFO)] | None = None
+    info: Annotated[Topic, TopicType(messages.CAMERA_INFO)] | None = None  #: Topic of the lens, if any.
     width: int  #: Image width [px].
     height: int  #: Image height [px].
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
@@ -191,8 +185,7 @@ class OperatorTopics:
     arm: BooleanTopic = field(default=_own("arm"))  #: The operator asks to arm.
     dead_man: BooleanTopic = field(default=_own("dead_man"))  #: The operator holds the dead-man's switch.
     stop: BooleanTopic = field(default=_own("stop"))  #: The operator stops.
-    #: The operator points at the object.
-    prompt: TextTopic = field(default=_own("prompt", messages.TEXT))
+    prompt: TextTopic = field(default=_own("prompt", messages.TEXT))  #: The operator points at the object.
     status: TextTopic = field(default=_own("status", messages.TEXT))  #: What the deployment does.
 
 
@@ -209,9 +202,7 @@ class Profile:
 
     def __post_init__(self) -> None:
         """Give the parts the joint order; refuse what is not in the work cell, or driven twice."""
-        from pixel2catch.workcells import (
-            find_workcell,
-        )  # which needs MuJoCo: not where a profile is unpickled
+        from pixel2catch.workcells import find_workcell  # needs MuJoCo: not where a profile is unpickled
 
         workcell = find_workcell(self.workcell)
         order = tuple(joint.name for joint in workcell.joints)

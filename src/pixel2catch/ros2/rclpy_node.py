@@ -51,9 +51,8 @@ class RosTransport(Transport):
     def publisher(self, topic: Topic) -> Publisher:
         """Announce a topic that this node sends."""
         self._num_own[topic.name] = self._num_own.get(topic.name, 0) + 1
-        return _RosPublisher(
-            self._node.create_publisher(_type(topic), topic.name, _qos(topic, 1, is_reader=False))
-        )
+        qos = _qos(topic, 1, is_reader=False)
+        return _RosPublisher(self._node.create_publisher(_type(topic), topic.name, qos))
 
     def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
         """Begin to listen to a topic."""
@@ -93,9 +92,8 @@ def _type(topic: Topic) -> Any:
         return get_message(topic.type)
     except (AttributeError, ModuleNotFoundError, ValueError) as error:
         package = topic.type.partition("/")[0]
-        raise DeploymentError(
-            f"{topic.name}: ROS 2 has no {topic.type} ({error}): install {package}."
-        ) from error
+        message = f"{topic.name}: ROS 2 has no {topic.type} ({error}): install {package}."
+        raise DeploymentError(message) from error
 
 
 def _qos(topic: Topic, depth: int, *, is_reader: bool) -> QoSProfile:
@@ -106,8 +104,6 @@ def _qos(topic: Topic, depth: int, *, is_reader: bool) -> QoSProfile:
     is_reliable = topic.is_latched or not is_reader
     return QoSProfile(
         depth=depth,
-        reliability=(QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT),
-        durability=(
-            QoSDurabilityPolicy.TRANSIENT_LOCAL if topic.is_latched else QoSDurabilityPolicy.VOLATILE
-        ),
+        reliability=QoSReliabilityPolicy.RELIABLE if is_reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if topic.is_latched else QoSDurabilityPolicy.VOLATILE,
     )

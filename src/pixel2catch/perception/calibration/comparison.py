@@ -34,8 +34,7 @@ class Comparison:
     lens: float  #: Largest distance that is the lens's distortion alone [px].
     uncertainty: float  #: Root mean square distance that the calibration leaves open [px].
     move: Vec3  #: What would bring the camera to the policy's place, world frame [m].
-    #: What would then bring it to the policy's orientation, about its own axes: right, down, forward [rad].
-    turn: Vec3
+    turn: Vec3  #: What would then turn it to the policy's, about its own axes: right, down, forward [rad].
 
 
 def compare(

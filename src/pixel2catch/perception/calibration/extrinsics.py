@@ -37,20 +37,15 @@ OUTLIER_FACTOR = 3.0
 """An image is left out if its error is more than so many times the median of all. Source: ours."""
 
 ERRORS_USED, ERRORS_WRONG = 1.0, 5.0
-"""Below the one an image is used, above the other it is left out, whatever the others are [px].
-
-Source: ours; the corners of a sharp image are found within a few tenths of a pixel, and 3 mrad of error in
-each of the arm's joints make 1 px.
-"""
+"""Below the one an image is used, above the other it is left out, whatever the others are [px]. Source: ours;
+the corners of a sharp image are found within a few tenths of a pixel, and 3 mrad of error in each of the
+arm's joints make 1 px."""
 
 ROBUST_SCALE = 1.0  #: Residuals far above this count less in the first fit [px].
 
 LARGEST_CONDITION = 1e3
-"""Condition of the Jacobian above which a direction of the camera is not told.
-
-Source: ours; turning about one axis only gives 9e3 with joints that shake by 0.5 mrad, poses all about the
-workspace give 50.
-"""
+"""Condition of the Jacobian above which a direction of the camera is not told. Source: ours; turning about
+one axis only gives 9e3 with joints that shake by 0.5 mrad, poses all about the workspace give 50."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,10 +238,8 @@ def _moved(pose: Pose, step: np.ndarray) -> Pose:
 def _covariance(fit: _Fit, owner: np.ndarray) -> np.ndarray:
     """Covariance (6, 6) of the camera's pose, from what leaving out each image changes: the jackknife.
 
-    All corners of an image share the arm's error, so it is images that are independent, not corners.
-
-    Raises:
-        PerceptionError: If the images do not tell the pose.
+    All corners of an image share the arm's error, so it is images that are independent, not corners. It is a
+    PerceptionError if they do not tell the pose.
     """
     if np.linalg.cond(fit.jacobian / np.linalg.norm(fit.jacobian, axis=0)) > LARGEST_CONDITION:
         raise PerceptionError(

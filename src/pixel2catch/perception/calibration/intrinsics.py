@@ -23,7 +23,6 @@ LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
 """Lens models of ROS that are OpenCV's; no name stands for no distortion."""
 
 MIN_VIEWS = 10  #: Images of a board that a lens takes. Source: OpenCV's tutorial asks for at least 10.
-
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
@@ -34,10 +33,8 @@ class Intrinsics:
     size: tuple[int, int]  #: Width and height of the image [px].
     matrix: Float[np.ndarray, "3 3"]  #: Focal lengths and optical axis [px].
     distortion: tuple[float, ...] = ()  #: As in OpenCV; none if the images are rectified.
-    #: Standard deviation of the focal length, relative to it; None if unknown.
-    focal_std: float | None = None
-    #: Root mean square distance of seen and computed corners [px]; None if it was not measured here.
-    rms: float | None = None
+    focal_std: float | None = None  #: Standard deviation, relative to the focal length; None if unknown.
+    rms: float | None = None  #: RMS distance of seen and computed corners [px]; None if not measured here.
 
     def undistorted(self, pixels: Float[np.ndarray, "num_points 2"]) -> Float[np.ndarray, "num_points 2"]:
         """Where the pinhole would see what the lens sees at these places [px]."""
@@ -52,12 +49,9 @@ def read_intrinsics(
 ) -> Intrinsics:
     """Read or compute a lens; what the path is chooses how.
 
-    Args:
-        path: A file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo, or a
-            folder with images of a board.
-        board: The board in those images.
-        topic: Topic of the CameraInfo; may be left out if there is only one.
-        is_rectified: Whether the images to come are rectified: the projection matrix is the lens then.
+    It is a file of `camera_calibration` (.yaml), a camera file (.json), a rosbag2 with a CameraInfo on a
+    topic, which may be left out if it is the only one, or a folder with images of the board. Where the images
+    to come are rectified, the projection matrix is the lens.
 
     Raises:
         PerceptionError: If it cannot be read, is of a lens that is not OpenCV's, or too few images show the

@@ -23,7 +23,6 @@ SQUARES = (3, 4)
 SQUARE = 0.06  #: Edge of a printed square [m].
 MARKER_SHARE = 0.75  #: Edge of a marker over that of its square.
 PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4  #: A4 [mm].
-
 SQUARE_PIXELS = 480
 
 
@@ -31,8 +30,7 @@ SQUARE_PIXELS = 480
 class View:
     """What one image shows of a board."""
 
-    #: Corners in the frame of the board [m], or [squares] where its size is not known.
-    points: Float[np.ndarray, "num_points 3"]
+    points: Float[np.ndarray, "num_points 3"]  #: Corners in the board's frame [m], else [squares].
     pixels: Float[np.ndarray, "num_points 2"]  #: Where they are in the image [px].
 
 
@@ -115,9 +113,8 @@ def sheet() -> Figure:
     board_width, board_height = (1e3 * SQUARE * number for number in SQUARES)
     left, bottom = 0.5 * (width - board_width), 0.5 * (height - board_height)
     extent = (left, left + board_width, bottom, bottom + board_height)
-    axes.imshow(
-        CharucoBoard().picture(), cmap="gray", vmin=0, vmax=255, interpolation="nearest", extent=extent
-    )
+    look = {"cmap": "gray", "vmin": 0, "vmax": 255, "interpolation": "nearest"}
+    axes.imshow(CharucoBoard().picture(), extent=extent, **look)
     axes.set(xlim=(0.0, width), ylim=(0.0, height))
     axes.set_axis_off()
     axes.text(
