@@ -66,16 +66,12 @@ Source: ours. Larger weights, and paying for the motion of fingers, keep them fr
 class AgentSpec:
     """One learner: the joints it moves, what it sees, and what it is rewarded for."""
 
-    name: str
-    """Name in logs, files and the agents' dictionaries."""
+    name: str  #: Name in logs, files and the agents' dictionaries.
+    #: The body parts that it moves, in joint order; its reward is the sum of theirs.
     parts: tuple[BodyPart, ...]
-    """The body parts that it moves, in joint order; its reward is the sum of theirs."""
-    teammates: tuple[BodyPart, ...] = ()
-    """Body parts that others move, whose reward it gets as well."""
-    observation: tuple[ObservationTerm, ...] = PAPER_TERMS
-    """Terms of one observation frame."""
-    memory: tuple[ObservationTerm, ...] = ()
-    """Terms of what it remembers of the images."""
+    teammates: tuple[BodyPart, ...] = ()  #: Body parts that others move, whose reward it gets as well.
+    observation: tuple[ObservationTerm, ...] = PAPER_TERMS  #: Terms of one observation frame.
+    memory: tuple[ObservationTerm, ...] = ()  #: Terms of what it remembers of the images.
 
     @property
     def joints(self) -> Columns:

@@ -29,14 +29,10 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 class Method:
     """Which agents learn, and which pixel features they see."""
 
-    name: str
-    """Name on the command line and in policy files."""
-    agents: tuple[AgentSpec, ...]
-    """The learners, in joint order."""
-    pixel_features: tuple[str, ...]
-    """Names out of `camera.boxes.PIXEL_FEATURES`."""
-    num_boxes: int = 1
-    """Measured boxes that it remembers."""
+    name: str  #: Name on the command line and in policy files.
+    agents: tuple[AgentSpec, ...]  #: The learners, in joint order.
+    pixel_features: tuple[str, ...]  #: Names out of `camera.boxes.PIXEL_FEATURES`.
+    num_boxes: int = 1  #: Measured boxes that it remembers.
 
     @property
     def knows_age(self) -> bool:
@@ -56,10 +52,8 @@ class Method:
 class Memory:
     """What agents remember of the images besides the paper's two frames."""
 
-    num_boxes: int
-    """Measured boxes."""
-    terms: tuple[ObservationTerm, ...]
-    """What is observed of them."""
+    num_boxes: int  #: Measured boxes.
+    terms: tuple[ObservationTerm, ...]  #: What is observed of them.
 
 
 MEMORIES: dict[str, Memory] = {

@@ -29,18 +29,12 @@ COMMON_RANDOMIZATION = ("action_noise",)
 
 @dataclass(frozen=True, kw_only=True)
 class TaskVariant:
-    """Other ranges that hold in a share of the episodes.
+    """Other ranges that hold in a share of the episodes."""
 
-    Attributes:
-        share: The share.
-        throws: Where from and where to.
-        randomization: What differs from episode to episode.
-        sensing: Noise and delay of the sensors; of these only what is drawn for an episode may differ.
-    """
-
-    share: float
-    throws: ThrowCfg
-    randomization: RandomizationCfg
+    share: float  #: The share.
+    throws: ThrowCfg  #: Where from and where to.
+    randomization: RandomizationCfg  #: What differs from episode to episode.
+    #: Noise and delay of the sensors; of these only what is drawn for an episode may differ.
     sensing: SensingCfg
 
     def of(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
@@ -50,31 +44,22 @@ class TaskVariant:
 
 @dataclass(frozen=True, kw_only=True)
 class CatchEnvCfg:
-    """Everything that defines the task.
+    """Everything that defines the task."""
 
-    Attributes:
-        scene: What the model is made from.
-        dynamics: Dynamics of the joints; those that are not in it are nominal, and all if there is none.
-        objects: Names of the objects that are thrown.
-        throws: Where from and where to.
-        randomization: What differs from episode to episode.
-        sensing: The camera; noise and delay of camera and encoders.
-        shake: How the table shakes.
-        episode: When an episode ends.
-        variants: Ranges that differ in a share of the episodes each; in the rest the others hold.
-        is_value_told: Whether the value networks know what was drawn for an episode.
-    """
-
-    scene: SceneCfg = field(default_factory=SceneCfg)
+    scene: SceneCfg = field(default_factory=SceneCfg)  #: What the model is made from.
+    #: Dynamics of the joints; those that are not in it are nominal, and all if there is none.
     dynamics: JointDynamics | None = None
-    objects: tuple[str, ...] = SEEN
-    throws: ThrowCfg = field(default_factory=ThrowCfg)
+    objects: tuple[str, ...] = SEEN  #: Names of the objects that are thrown.
+    throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Where from and where to.
+    #: What differs from episode to episode.
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
+    #: The camera; noise and delay of camera and encoders.
     sensing: SensingCfg = field(default_factory=SensingCfg)
-    shake: ShakeCfg = field(default_factory=ShakeCfg)
-    episode: EpisodeCfg = field(default_factory=EpisodeCfg)
+    shake: ShakeCfg = field(default_factory=ShakeCfg)  #: How the table shakes.
+    episode: EpisodeCfg = field(default_factory=EpisodeCfg)  #: When an episode ends.
+    #: Ranges that differ in a share of the episodes each; in the rest the others hold.
     variants: tuple[TaskVariant, ...] = ()
-    is_value_told: bool = False
+    is_value_told: bool = False  #: Whether the value networks know what was drawn for an episode.
 
     def __post_init__(self) -> None:
         """Refuse shares of more than everything, and variants in what is not drawn for an episode."""

@@ -26,25 +26,17 @@ from pixel2catch.scene.scene import SceneCfg
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """The present episode of each environment.
+    """The present episode of each environment."""
 
-    Attributes:
-        parameters: Object, dynamics, biases and latency.
-        throw: The throw, in the frame of the robot's base.
-        sight: What is wrong with the sight; none if nothing ever is.
-        shake: How the table shakes; none if it stands still.
-        command_delay: Control steps between a command and its effect; not always whole.
-        drag: Deceleration of the object by air over the square of its speed [1/m]; none without air.
-        record: What became of the episode so far.
-    """
-
-    parameters: EpisodeParameters
-    throw: Throw
-    sight: Sight | None
-    shake: Shake | None
+    parameters: EpisodeParameters  #: Object, dynamics, biases and latency.
+    throw: Throw  #: The throw, in the frame of the robot's base.
+    sight: Sight | None  #: What is wrong with the sight; none if nothing ever is.
+    shake: Shake | None  #: How the table shakes; none if it stands still.
+    #: Control steps between a command and its effect; not always whole.
     command_delay: Float[Tensor, " num_envs"]
+    #: Deceleration of the object by air over the square of its speed [1/m]; none without air.
     drag: Float[Tensor, " num_envs"] | None
-    record: EpisodeRecord
+    record: EpisodeRecord  #: What became of the episode so far.
 
 
 def draw_episode(

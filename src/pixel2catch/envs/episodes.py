@@ -18,56 +18,38 @@ REST_STEPS = HOLD_STEPS // 2
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeRecord:
-    """The present episode of each environment so far.
+    """The present episode of each environment so far."""
 
-    Attributes:
-        object_id: Row of the object in the table of objects.
-        aim: Where the throw was aimed at, world frame [m].
-        steps: Control steps.
-        held_steps: Consecutive control steps with the object near the palm, up to now.
-        is_tracked: Whether the palm reached the object (T.R.).
-        is_success: Whether it was held long enough (S.R.).
-        is_palm_contact: Whether a palm itself touched it.
-        is_hand_contact: Whether any part of the hand did.
-        is_dropped: Whether it fell or passed the robot.
-        is_table_contact: Whether the robot touched the table.
-        is_self_contact: Whether the robot touched itself.
-        self_contact_steps: Control steps in which it did.
-        contact_height: Height of the object at its first contact with the hand [m]; 0 before.
-        contact_steps: Control steps with contact of object and hand.
-        penetration_sum: Deepest overlap of each of them, summed [m].
-        max_penetration: Deepest overlap of the object with anything, over all physics steps [m].
-        max_table_penetration: Likewise of robot and table [m].
-        max_joint_speed: Largest speed of an arm joint, over all physics steps [rad/s].
-        max_torque_share: Largest joint torque as a share of its limit.
-        hold_speed: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; of no
-            meaning without one.
-        hold_torque_share: Mean torque of the hand's joints then, as a share of their limits; likewise.
-        peak_deceleration: Largest change of the object's velocity in a control step over its duration, from
-            that of the first contact with the hand to success [m/s²].
-    """
-
-    object_id: Int[Tensor, " num_envs"]
-    aim: Float[Tensor, "num_envs 3"]
-    steps: Int[Tensor, " num_envs"]
+    object_id: Int[Tensor, " num_envs"]  #: Row of the object in the table of objects.
+    aim: Float[Tensor, "num_envs 3"]  #: Where the throw was aimed at, world frame [m].
+    steps: Int[Tensor, " num_envs"]  #: Control steps.
+    #: Consecutive control steps with the object near the palm, up to now.
     held_steps: Int[Tensor, " num_envs"]
-    is_tracked: Bool[Tensor, " num_envs"]
-    is_success: Bool[Tensor, " num_envs"]
-    is_palm_contact: Bool[Tensor, " num_envs"]
-    is_hand_contact: Bool[Tensor, " num_envs"]
-    is_dropped: Bool[Tensor, " num_envs"]
-    is_table_contact: Bool[Tensor, " num_envs"]
-    is_self_contact: Bool[Tensor, " num_envs"]
-    self_contact_steps: Int[Tensor, " num_envs"]
+    is_tracked: Bool[Tensor, " num_envs"]  #: Whether the palm reached the object (T.R.).
+    is_success: Bool[Tensor, " num_envs"]  #: Whether it was held long enough (S.R.).
+    is_palm_contact: Bool[Tensor, " num_envs"]  #: Whether a palm itself touched it.
+    is_hand_contact: Bool[Tensor, " num_envs"]  #: Whether any part of the hand did.
+    is_dropped: Bool[Tensor, " num_envs"]  #: Whether it fell or passed the robot.
+    is_table_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched the table.
+    is_self_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched itself.
+    self_contact_steps: Int[Tensor, " num_envs"]  #: Control steps in which it did.
+    #: Height of the object at its first contact with the hand [m]; 0 before.
     contact_height: Float[Tensor, " num_envs"]
-    contact_steps: Int[Tensor, " num_envs"]
-    penetration_sum: Float[Tensor, " num_envs"]
+    contact_steps: Int[Tensor, " num_envs"]  #: Control steps with contact of object and hand.
+    penetration_sum: Float[Tensor, " num_envs"]  #: Deepest overlap of each of them, summed [m].
+    #: Deepest overlap of the object with anything, over all physics steps [m].
     max_penetration: Float[Tensor, " num_envs"]
-    max_table_penetration: Float[Tensor, " num_envs"]
+    max_table_penetration: Float[Tensor, " num_envs"]  #: Likewise of robot and table [m].
+    #: Largest speed of an arm joint, over all physics steps [rad/s].
     max_joint_speed: Float[Tensor, " num_envs"]
-    max_torque_share: Float[Tensor, " num_envs"]
+    max_torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque as a share of its limit.
+    #: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; of no meaning without
+    #: one.
     hold_speed: Float[Tensor, " num_envs"]
+    #: Mean torque of the hand's joints then, as a share of their limits; likewise.
     hold_torque_share: Float[Tensor, " num_envs"]
+    #: Largest change of the object's velocity in a control step over its duration, from that of the first
+    #: contact with the hand to success [m/s²].
     peak_deceleration: Float[Tensor, " num_envs"]
 
     @classmethod

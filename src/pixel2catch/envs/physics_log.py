@@ -13,26 +13,17 @@ from pixel2catch.scene.scene import contact_sensors
 
 
 class PhysicsLog(NamedTuple):
-    """Extremes over the physics steps of one control step.
+    """Extremes over the physics steps of one control step."""
 
-    Attributes:
-        is_touching: Which palms and fingers touched the object: each palm, then its fingers.
-        is_robot_on_table: Whether a robot touched the table.
-        is_self_contact: Whether a robot touched itself, or another one.
-        penetration: Deepest overlap of the object with anything [m].
-        table_penetration: Deepest overlap of a robot and the table [m].
-        joint_speed: Largest speed of an arm joint [rad/s].
-        torque_share: Largest joint torque, as a share of its limit.
-        hand_torque_share: Mean torque of the hand's joints, as a share of their limits.
-    """
-
+    #: Which palms and fingers touched the object: each palm, then its fingers.
     is_touching: Bool[Tensor, "num_envs num_parts"]
-    is_robot_on_table: Bool[Tensor, " num_envs"]
-    is_self_contact: Bool[Tensor, " num_envs"]
-    penetration: Float[Tensor, " num_envs"]
-    table_penetration: Float[Tensor, " num_envs"]
-    joint_speed: Float[Tensor, " num_envs"]
-    torque_share: Float[Tensor, " num_envs"]
+    is_robot_on_table: Bool[Tensor, " num_envs"]  #: Whether a robot touched the table.
+    is_self_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched itself, or another one.
+    penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of the object with anything [m].
+    table_penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of a robot and the table [m].
+    joint_speed: Float[Tensor, " num_envs"]  #: Largest speed of an arm joint [rad/s].
+    torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque, as a share of its limit.
+    #: Mean torque of the hand's joints, as a share of their limits.
     hand_torque_share: Float[Tensor, " num_envs"]
 
     def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "PhysicsLog":
@@ -45,23 +36,14 @@ class PhysicsLog(NamedTuple):
 
 
 class ContactColumns(NamedTuple):
-    """Columns of `sensordata` with the numbers of contacts and the least distances.
+    """Columns of `sensordata` with the numbers of contacts and the least distances."""
 
-    Attributes:
-        found: Numbers of contacts, a column a sensor.
-        dist: Least distances, likewise.
-        touching: Sensors of palms and fingers with the object, among those columns.
-        anything: The sensor of the object with anything.
-        table: Sensors of the robots with the table.
-        robots: Sensors of the robots with themselves and each other.
-    """
-
-    found: slice
-    dist: slice
-    touching: slice
-    anything: int
-    table: slice
-    robots: slice
+    found: slice  #: Numbers of contacts, a column a sensor.
+    dist: slice  #: Least distances, likewise.
+    touching: slice  #: Sensors of palms and fingers with the object, among those columns.
+    anything: int  #: The sensor of the object with anything.
+    table: slice  #: Sensors of the robots with the table.
+    robots: slice  #: Sensors of the robots with themselves and each other.
 
     @classmethod
     def of(cls, model: mujoco.MjModel, workcell: WorkcellSpec) -> "ContactColumns":

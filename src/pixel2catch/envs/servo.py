@@ -19,34 +19,21 @@ FRICTION_SPEED = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class ServoState:
-    """Joints and present gains of the servos, one row per environment.
+    """Joints and present gains of the servos, one row per environment."""
 
-    Attributes:
-        joint_pos: Joint positions [rad].
-        joint_vel: Joint speeds [rad/s].
-        stiffness: Gain on the position error [N·m/rad].
-        damping: Gain on the speed [N·m·s/rad].
-    """
-
-    joint_pos: Float[Tensor, "num_envs num_joints"]
-    joint_vel: Float[Tensor, "num_envs num_joints"]
-    stiffness: Float[Tensor, "num_envs num_joints"]
-    damping: Float[Tensor, "num_envs num_joints"]
+    joint_pos: Float[Tensor, "num_envs num_joints"]  #: Joint positions [rad].
+    joint_vel: Float[Tensor, "num_envs num_joints"]  #: Joint speeds [rad/s].
+    stiffness: Float[Tensor, "num_envs num_joints"]  #: Gain on the position error [N·m/rad].
+    damping: Float[Tensor, "num_envs num_joints"]  #: Gain on the speed [N·m·s/rad].
 
 
 @dataclass(frozen=True)
 class Servos:
-    """Limits and friction of all joints, in joint order.
+    """Limits and friction of all joints, in joint order."""
 
-    Attributes:
-        effort_limit: Largest torque [N·m].
-        velocity_limit: Largest speed [rad/s].
-        frictionloss: Dry friction [N·m].
-    """
-
-    effort_limit: Float[Tensor, " num_joints"]
-    velocity_limit: Float[Tensor, " num_joints"]
-    frictionloss: Float[Tensor, " num_joints"]
+    effort_limit: Float[Tensor, " num_joints"]  #: Largest torque [N·m].
+    velocity_limit: Float[Tensor, " num_joints"]  #: Largest speed [rad/s].
+    frictionloss: Float[Tensor, " num_joints"]  #: Dry friction [N·m].
 
     @classmethod
     def on(

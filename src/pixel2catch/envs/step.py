@@ -12,39 +12,24 @@ from pixel2catch.mdp.snapshot import Measurement
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """What the networks see.
+    """What the networks see."""
 
-    Attributes:
-        policy: Observation of each agent, by name.
-        state: Input of every value network: all observations and what only the simulator knows.
-        teacher: Observation of each agent of another method that is imitated; empty without one.
-    """
-
-    policy: dict[str, Float[Tensor, "num_envs _"]]
+    policy: dict[str, Float[Tensor, "num_envs _"]]  #: Observation of each agent, by name.
+    #: Input of every value network: all observations and what only the simulator knows.
     state: Float[Tensor, "num_envs _"]
+    #: Observation of each agent of another method that is imitated; empty without one.
     teacher: dict[str, Float[Tensor, "num_envs _"]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What one control step returned; environments that ended have begun anew.
+    """What one control step returned; environments that ended have begun anew."""
 
-    Attributes:
-        observation: What the networks see next.
-        rewards: Reward of each agent, by name.
-        terminated: Whether the episode ended, time-outs included (paper).
-        truncated: Never: a time-out is a termination.
-        record: The episodes up to this step, before any reset.
-        log: What happened within this step, likewise.
-        measurement: What the robot measured, of which `observation` was made.
-        joint_pos_target: The joint targets that were commanded [rad].
-    """
-
-    observation: Observation
-    rewards: dict[str, Float[Tensor, " num_envs"]]
-    terminated: Bool[Tensor, " num_envs"]
-    truncated: Bool[Tensor, " num_envs"]
-    record: EpisodeRecord
-    log: PhysicsLog
-    measurement: Measurement
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]
+    observation: Observation  #: What the networks see next.
+    rewards: dict[str, Float[Tensor, " num_envs"]]  #: Reward of each agent, by name.
+    terminated: Bool[Tensor, " num_envs"]  #: Whether the episode ended, time-outs included (paper).
+    truncated: Bool[Tensor, " num_envs"]  #: Never: a time-out is a termination.
+    record: EpisodeRecord  #: The episodes up to this step, before any reset.
+    log: PhysicsLog  #: What happened within this step, likewise.
+    measurement: Measurement  #: What the robot measured, of which `observation` was made.
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: The joint targets that were commanded [rad].

@@ -30,14 +30,11 @@ class Batch(NamedTuple):
     values: Tensor
     returns: Tensor
     advantages: Tensor
-    advice: Tensor
-    """Actions of a teacher, (..., 0) without one."""
-    is_first: Tensor
-    """Whether an episode begins with the observation."""
+    advice: Tensor  #: Actions of a teacher, (..., 0) without one.
+    is_first: Tensor  #: Whether an episode begins with the observation.
+    #: That of the policy's GRU at the start of the rollout, (1, num, size); (..., 0) without one.
     policy_hidden_state: Tensor
-    """That of the policy's GRU at the start of the rollout, (1, num, size); (..., 0) without one."""
-    value_hidden_state: Tensor
-    """That of the value network's, likewise."""
+    value_hidden_state: Tensor  #: That of the value network's, likewise.
 
     def each(self, function: Callable[[Tensor], Tensor]) -> "Batch":
         """Return the batch of what a function makes of every tensor."""

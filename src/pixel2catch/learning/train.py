@@ -31,16 +31,12 @@ REWARD_TERM = "reward_term/"
 class TrainResult:
     """How a training ended."""
 
+    #: Interrupted is by Ctrl-C or a termination signal; failed is only in the file.
     status: Literal["failed", "interrupted", "finished"]
-    """Interrupted is by Ctrl-C or a termination signal; failed is only in the file."""
-    transitions: int
-    """Transitions learnt from."""
-    seconds: float
-    """Wall-clock time over all sessions [s]."""
-    policy: Path
-    """Folder of the policy."""
-    metrics: Row
-    """The last row of metrics."""
+    transitions: int  #: Transitions learnt from.
+    seconds: float  #: Wall-clock time over all sessions [s].
+    policy: Path  #: Folder of the policy.
+    metrics: Row  #: The last row of metrics.
 
 
 def train(

@@ -13,14 +13,10 @@ from pixel2catch.scene.constants import CONTROL_DT
 
 @dataclass(frozen=True, kw_only=True)
 class BoxHistory:
-    """Measured boxes, the newest first; an image in which nothing was found adds none.
+    """Measured boxes, the newest first; an image in which nothing was found adds none."""
 
-    Attributes:
-        box: xmin, ymin, xmax, ymax [px].
-        age: Time since the exposure of each image, by its stamp [control steps].
-    """
-
-    box: Float[Tensor, "num_envs num_boxes 4"]
+    box: Float[Tensor, "num_envs num_boxes 4"]  #: xmin, ymin, xmax, ymax [px].
+    #: Time since the exposure of each image, by its stamp [control steps].
     age: Float[Tensor, "num_envs num_boxes"]
 
     @classmethod

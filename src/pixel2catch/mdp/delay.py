@@ -14,13 +14,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class DelayLine(Generic[T]):
-    """Values on their way, tensors or dataclasses of tensors: the newest and its predecessors.
+    """Values on their way, tensors or dataclasses of tensors: the newest and its predecessors."""
 
-    Attributes:
-        ages: Values by age in control steps, newest first.
-    """
-
-    ages: tuple[T, ...]
+    ages: tuple[T, ...]  #: Values by age in control steps, newest first.
 
     def delivered(self, delay: Float[Tensor, " num_envs"]) -> T:
         """The value that is `delay` control steps old, or the next newer one where there is none."""

@@ -19,21 +19,13 @@ from pixel2catch.scene.constants import RGB_CAMERA
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One control step as an agent sees it.
+    """One control step as an agent sees it."""
 
-    Attributes:
-        before: The measurement one control step earlier.
-        now: The measurement.
-        joints: The agent's columns in joint order.
-        palms: The palms that it serves.
-        pixel_columns: The columns of `PIXEL_FEATURES` that the method uses.
-    """
-
-    before: Measurement
-    now: Measurement
-    joints: Columns
-    palms: Columns
-    pixel_columns: tuple[int, ...]
+    before: Measurement  #: The measurement one control step earlier.
+    now: Measurement  #: The measurement.
+    joints: Columns  #: The agent's columns in joint order.
+    palms: Columns  #: The palms that it serves.
+    pixel_columns: tuple[int, ...]  #: The columns of `PIXEL_FEATURES` that the method uses.
 
 
 ObservationTerm = Callable[[Frame], Float[Tensor, "num_envs k"]]

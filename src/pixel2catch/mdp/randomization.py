@@ -19,18 +19,14 @@ from pixel2catch.robots.workcell import WorkcellSpec
 
 @dataclass(frozen=True, kw_only=True)
 class GainRanges:
-    """Ranges of the factors on the gains of every joint, in joint order.
+    """Ranges of the factors on the gains of every joint, in joint order."""
 
-    Attributes:
-        stiffness_scale: Factor on a joint's stiffness; one range is every joint's, none those of the robot's
-            joint groups (Source: paper, Table I).
-        damping_scale: Factor on its damping, drawn apart; likewise.
-        is_damping_relative: Whether the damping is multiplied by the factor on the stiffness as well, where
-            their ratio is better known than either; none is nowhere.
-    """
-
+    #: Factor on a joint's stiffness; one range is every joint's, none those of the robot's joint groups
+    #: (Source: paper, Table I).
     stiffness_scale: tuple[Range, ...] = ()
-    damping_scale: tuple[Range, ...] = ()
+    damping_scale: tuple[Range, ...] = ()  #: Factor on its damping, drawn apart; likewise.
+    #: Whether the damping is multiplied by the factor on the stiffness as well, where their ratio is better
+    #: known than either; none is nowhere.
     is_damping_relative: tuple[bool, ...] = ()
 
     def of(self, workcell: WorkcellSpec) -> "GainRanges":
@@ -69,62 +65,39 @@ def _for_each(values: tuple[Entry, ...], default: tuple[Entry, ...], name: str) 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomizationCfg:
-    """Ranges of uniform draws and standard deviations of Gaussian ones.
+    """Ranges of uniform draws and standard deviations of Gaussian ones."""
 
-    Attributes:
-        gains: Factors on stiffness and damping of each joint.
-        action_noise: Factor on the noise of the actions of each joint group.
-        action_bias: Factor on their errors that last an episode.
-        initial_joint_noise: Largest deviation of each joint from its start position [rad].
-        mass_scale: Factor on the object's mass and inertia.
-        restitution: Restitution of contacts with the object.
-        friction: Sliding friction of contacts with the object (release).
-        command_delay: Control steps between a command and its effect, first and last of the draw per episode
-            (ours; the paper's training has none).
-        command_delay_grid: Difference of neighbouring delays that are drawn [control steps]; 0 draws any.
-        air_density: Density of the air that slows the object [kg/m³]; 0 is none, as in the paper's training,
-            1.2 is real.
-    """
-
-    gains: GainRanges = field(default_factory=GainRanges)
-    action_noise: float = 1.0
-    action_bias: float = 1.0
-    initial_joint_noise: float = 0.125
-    mass_scale: Range = (0.5, 1.5)
-    restitution: Range = (0.0, 0.5)
-    friction: Range = (0.5, 1.5)
+    gains: GainRanges = field(default_factory=GainRanges)  #: Factors on stiffness and damping of each joint.
+    action_noise: float = 1.0  #: Factor on the noise of the actions of each joint group.
+    action_bias: float = 1.0  #: Factor on their errors that last an episode.
+    initial_joint_noise: float = 0.125  #: Largest deviation of each joint from its start position [rad].
+    mass_scale: Range = (0.5, 1.5)  #: Factor on the object's mass and inertia.
+    restitution: Range = (0.0, 0.5)  #: Restitution of contacts with the object.
+    friction: Range = (0.5, 1.5)  #: Sliding friction of contacts with the object (release).
+    #: Control steps between a command and its effect, first and last of the draw per episode (ours; the
+    #: paper's training has none).
     command_delay: Range = (0, 0)
+    #: Difference of neighbouring delays that are drawn [control steps]; 0 draws any.
     command_delay_grid: float = 1.0
+    #: Density of the air that slows the object [kg/m³]; 0 is none, as in the paper's training, 1.2 is real.
     air_density: Amount = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeParameters:
-    """The draws of one episode in each environment.
+    """The draws of one episode in each environment."""
 
-    Attributes:
-        object_id: Row of the object in the table of objects.
-        stiffness_scale: Factor on each joint's stiffness.
-        damping_scale: Factor on each joint's damping.
-        action_bias: Error of each action.
-        joint_bias: Error of each encoder [rad].
-        joint_offset: Deviation of each joint from its start position [rad].
-        mass_scale: Factor on the object's mass.
-        restitution: Restitution of contacts with the object.
-        friction: Sliding friction of contacts with the object.
-        latency: Control steps between image and delivered box; not always whole.
-    """
-
-    object_id: Int[Tensor, " num_envs"]
-    stiffness_scale: Float[Tensor, "num_envs num_joints"]
-    damping_scale: Float[Tensor, "num_envs num_joints"]
-    action_bias: Float[Tensor, "num_envs num_joints"]
-    joint_bias: Float[Tensor, "num_envs num_joints"]
+    object_id: Int[Tensor, " num_envs"]  #: Row of the object in the table of objects.
+    stiffness_scale: Float[Tensor, "num_envs num_joints"]  #: Factor on each joint's stiffness.
+    damping_scale: Float[Tensor, "num_envs num_joints"]  #: Factor on each joint's damping.
+    action_bias: Float[Tensor, "num_envs num_joints"]  #: Error of each action.
+    joint_bias: Float[Tensor, "num_envs num_joints"]  #: Error of each encoder [rad].
+    #: Deviation of each joint from its start position [rad].
     joint_offset: Float[Tensor, "num_envs num_joints"]
-    mass_scale: Float[Tensor, " num_envs"]
-    restitution: Float[Tensor, " num_envs"]
-    friction: Float[Tensor, " num_envs"]
-    latency: Float[Tensor, " num_envs"]
+    mass_scale: Float[Tensor, " num_envs"]  #: Factor on the object's mass.
+    restitution: Float[Tensor, " num_envs"]  #: Restitution of contacts with the object.
+    friction: Float[Tensor, " num_envs"]  #: Sliding friction of contacts with the object.
+    latency: Float[Tensor, " num_envs"]  #: Control steps between image and delivered box; not always whole.
 
 
 def sample_parameters(

@@ -23,57 +23,41 @@ RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)
 
 @dataclass(frozen=True, kw_only=True)
 class SensingCfg:
-    """Noise and delay of the sensors.
+    """Noise and delay of the sensors."""
 
-    Attributes:
-        corner_noise: Largest error of each edge of the box, uniform [px] (Source: paper).
-        latency_steps: Control steps between image and delivered box, first and last of the draw per episode
-            (Source: release).
-        latency_grid: Difference of neighbouring latencies that are drawn [control steps] (Source: release,
-            whole steps); 0 draws any, as there are outside a simulation.
-        joint_noise: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation
-            noise).
-        joint_bias: Standard deviation of their error in an episode [rad] (Source: release).
-        least_visible: Share of the object's surface points that must be visible for a detection (Source:
-            ours, see `benchmarks/box_error.py`).
-        camera: The camera, as a pinhole, and how well it is known: the true camera of an episode is drawn
-            within that. The default is the release's, known exactly.
-        camera_offset: Distance of the true camera from that one, in a random direction [m]. This and what
-            follows is nothing in the paper's training (Source: ours; values with their sources are in
-            `envs.tasks` and `evaluation.stress.suite`).
-        camera_turn: Angle between the two, about a random axis [rad].
-        focal_error: Relative error of the focal length, of random sign.
-        box_bias: Shift of every box of an episode in a random direction [px].
-        box_scale: Factor on the size of every box about its centre.
-        edge_noise: Largest error of each edge on top of `corner_noise` [px].
-        drop_rate: Share of the images in which the object is not found.
-        blackout_steps: Control steps of each flight, at a random time, without any image.
-        image_period: Control steps from one image that is looked at to the next, at least 1: perception that
-            takes 60 ms looks at every second.
-        clock_error: How far the stamps of all images of an episode are off, early or late [s].
-        stamp_jitter: Standard deviation of the error of each stamp [s].
-        unstamped: Share of the episodes whose images have no stamps: their age is then taken for
-            `ASSUMED_AGE`.
-    """
-
-    corner_noise: float = 5.0
+    corner_noise: float = 5.0  #: Largest error of each edge of the box, uniform [px] (Source: paper).
+    #: Control steps between image and delivered box, first and last of the draw per episode (Source:
+    #: release).
     latency_steps: Range = (1, 2)
+    #: Difference of neighbouring latencies that are drawn [control steps] (Source: release, whole steps); 0
+    #: draws any, as there are outside a simulation.
     latency_grid: float = 1.0
+    #: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation noise).
     joint_noise: float = 0.005
-    joint_bias: float = 0.001
+    joint_bias: float = 0.001  #: Standard deviation of their error in an episode [rad] (Source: release).
+    #: Share of the object's surface points that must be visible for a detection (Source: ours, see
+    #: `benchmarks/box_error.py`).
     least_visible: float = 0.05
+    #: The camera, as a pinhole, and how well it is known: the true camera of an episode is drawn within that.
+    #: The default is the release's, known exactly.
     camera: CameraFile = RELEASE_CAMERA
+    #: Distance of the true camera from that one, in a random direction [m]. This and what follows is nothing
+    #: in the paper's training (Source: ours; values with their sources are in `envs.tasks` and
+    #: `evaluation.stress.suite`).
     camera_offset: Amount = 0.0
-    camera_turn: Amount = 0.0
-    focal_error: Amount = 0.0
-    box_bias: Amount = 0.0
-    box_scale: float = 1.0
-    edge_noise: float = 0.0
-    drop_rate: Amount = 0.0
-    blackout_steps: Amount = 0
+    camera_turn: Amount = 0.0  #: Angle between the two, about a random axis [rad].
+    focal_error: Amount = 0.0  #: Relative error of the focal length, of random sign.
+    box_bias: Amount = 0.0  #: Shift of every box of an episode in a random direction [px].
+    box_scale: float = 1.0  #: Factor on the size of every box about its centre.
+    edge_noise: float = 0.0  #: Largest error of each edge on top of `corner_noise` [px].
+    drop_rate: Amount = 0.0  #: Share of the images in which the object is not found.
+    blackout_steps: Amount = 0  #: Control steps of each flight, at a random time, without any image.
+    #: Control steps from one image that is looked at to the next, at least 1: perception that takes 60 ms
+    #: looks at every second.
     image_period: Amount = 1.0
-    clock_error: Amount = 0.0
-    stamp_jitter: Amount = 0.0
+    clock_error: Amount = 0.0  #: How far the stamps of all images of an episode are off, early or late [s].
+    stamp_jitter: Amount = 0.0  #: Standard deviation of the error of each stamp [s].
+    #: Share of the episodes whose images have no stamps: their age is then taken for `ASSUMED_AGE`.
     unstamped: float = 0.0
 
     def __post_init__(self) -> None:
@@ -92,22 +76,14 @@ ASSUMED_AGE = 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class Detection:
-    """What is known of the object from one image.
+    """What is known of the object from one image."""
 
-    Attributes:
-        box: Its bounding box [px].
-        object_pos: Its position by a tracker, world frame [m].
-        is_seen: Whether it was found in that image; if not, box and position are of the last one in which it
-            was.
-        stale: Control steps since that one.
-        age_error: What its stamp makes its age appear larger [control steps].
-    """
-
-    box: Float[Tensor, "num_envs 4"]
-    object_pos: Float[Tensor, "num_envs 3"]
+    box: Float[Tensor, "num_envs 4"]  #: Its bounding box [px].
+    object_pos: Float[Tensor, "num_envs 3"]  #: Its position by a tracker, world frame [m].
+    #: Whether it was found in that image; if not, box and position are of the last one in which it was.
     is_seen: Bool[Tensor, " num_envs"]
-    stale: Float[Tensor, " num_envs"]
-    age_error: Float[Tensor, " num_envs"]
+    stale: Float[Tensor, " num_envs"]  #: Control steps since that one.
+    age_error: Float[Tensor, " num_envs"]  #: What its stamp makes its age appear larger [control steps].
 
     def held(self, is_seen: Bool[Tensor, " num_envs"], previous: "Detection") -> "Detection":
         """This detection where the object is seen, else the previous one, a control step older."""

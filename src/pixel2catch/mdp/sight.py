@@ -18,29 +18,18 @@ from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 
 @dataclass(frozen=True, kw_only=True)
 class Sight:
-    """The draws of one episode in each environment.
+    """The draws of one episode in each environment."""
 
-    Attributes:
-        camera: The true camera; a tracker assumes the one that it was drawn about.
-        box_bias: Shift of every box, along u and v [px].
-        drop_rate: Share of the images in which the object is not found.
-        blackout_start: Control step of the episode at which the images fail.
-        blackout_steps: Control steps for which they do.
-        image_period: Control steps from one image that is looked at to the next.
-        clock_error: What the stamps make every box appear older [control steps].
-        stamp_jitter: Standard deviation of such an error of each image [control steps].
-        is_stamped: Whether images have stamps.
-    """
-
-    camera: Projection
-    box_bias: Float[Tensor, "num_envs 2"]
-    drop_rate: Float[Tensor, " num_envs"]
-    blackout_start: Int[Tensor, " num_envs"]
-    blackout_steps: Int[Tensor, " num_envs"]
-    image_period: Float[Tensor, " num_envs"]
-    clock_error: Float[Tensor, " num_envs"]
+    camera: Projection  #: The true camera; a tracker assumes the one that it was drawn about.
+    box_bias: Float[Tensor, "num_envs 2"]  #: Shift of every box, along u and v [px].
+    drop_rate: Float[Tensor, " num_envs"]  #: Share of the images in which the object is not found.
+    blackout_start: Int[Tensor, " num_envs"]  #: Control step of the episode at which the images fail.
+    blackout_steps: Int[Tensor, " num_envs"]  #: Control steps for which they do.
+    image_period: Float[Tensor, " num_envs"]  #: Control steps from one image that is looked at to the next.
+    clock_error: Float[Tensor, " num_envs"]  #: What the stamps make every box appear older [control steps].
+    #: Standard deviation of such an error of each image [control steps].
     stamp_jitter: Float[Tensor, " num_envs"]
-    is_stamped: Bool[Tensor, " num_envs"]
+    is_stamped: Bool[Tensor, " num_envs"]  #: Whether images have stamps.
 
     def is_dark(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
         """Whether there is no image after so many control steps of the episode."""

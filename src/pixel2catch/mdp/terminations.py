@@ -23,14 +23,10 @@ DROP_X = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeCfg:
-    """When an episode ends besides the loss of the object.
+    """When an episode ends besides the loss of the object."""
 
-    Attributes:
-        max_steps: Control steps after which it ends: 3.0 s (Source: release).
-        ends_on_success: Whether a success ends it (Source: paper; evaluation goes on to test the hold).
-    """
-
-    max_steps: int = 90
+    max_steps: int = 90  #: Control steps after which it ends: 3.0 s (Source: release).
+    #: Whether a success ends it (Source: paper; evaluation goes on to test the hold).
     ends_on_success: bool = True
 
 

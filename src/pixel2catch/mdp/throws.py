@@ -21,59 +21,37 @@ Amount = float | Range
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowCfg:
-    """Ranges of uniformly drawn throws, world frame [m].
+    """Ranges of uniformly drawn throws, world frame [m]."""
 
-    Attributes:
-        release_x: Where the object is released, x.
-        release_y: Likewise, y.
-        release_z: Likewise, z.
-        aim_x: Where the path comes down through the catch height, x.
-        aim_y: Likewise, y.
-        aim_z: The catch height.
-        peak_z: Highest point of the path.
-        clearance: Least height of the peak over release and aim.
-        hover_steps: Control steps that the object hovers before it flies, first and last.
-        speed_deviation: Standard deviation of a relative error of the speed at release. This and what
-            follows is 0 in training (ours, for tests of policies).
-        angle_deviation: Standard deviation of the errors of its elevation and of its azimuth [rad].
-        spin: Largest angular speed of the object, uniform, about a random axis [rad/s].
-    """
-
-    release_x: Range = (2.4, 2.9)
-    release_y: Range = (-0.3, 0.3)
-    release_z: Range = (0.75, 0.85)
-    aim_x: Range = (0.65, 0.85)
-    aim_y: Range = (-0.35, 0.35)
-    aim_z: Range = (0.9, 1.1)
-    peak_z: Range = (1.6, 1.9)
-    clearance: float = 0.2
+    release_x: Range = (2.4, 2.9)  #: Where the object is released, x.
+    release_y: Range = (-0.3, 0.3)  #: Likewise, y.
+    release_z: Range = (0.75, 0.85)  #: Likewise, z.
+    aim_x: Range = (0.65, 0.85)  #: Where the path comes down through the catch height, x.
+    aim_y: Range = (-0.35, 0.35)  #: Likewise, y.
+    aim_z: Range = (0.9, 1.1)  #: The catch height.
+    peak_z: Range = (1.6, 1.9)  #: Highest point of the path.
+    clearance: float = 0.2  #: Least height of the peak over release and aim.
+    #: Control steps that the object hovers before it flies, first and last.
     hover_steps: tuple[int, int] = (5, 19)
+    #: Standard deviation of a relative error of the speed at release. This and what follows is 0 in training
+    #: (ours, for tests of policies).
     speed_deviation: Amount = 0.0
+    #: Standard deviation of the errors of its elevation and of its azimuth [rad].
     angle_deviation: Amount = 0.0
-    spin: float = 0.0
+    spin: float = 0.0  #: Largest angular speed of the object, uniform, about a random axis [rad/s].
 
 
 @dataclass(frozen=True, kw_only=True)
 class Throw:
-    """One throw per environment.
+    """One throw per environment."""
 
-    Attributes:
-        pos: Release position [m].
-        quat: Orientation, uniform over all rotations, (w, x, y, z).
-        hover_vel: Velocity before the release [m/s]; only that of a moving frame.
-        lin_vel: Velocity at release [m/s].
-        ang_vel: Angular velocity at release, frame of the object [rad/s].
-        aim: Where the path is meant to come down through the catch height [m].
-        hover_steps: Control steps before the release.
-    """
-
-    pos: Float[Tensor, "num_envs 3"]
-    quat: Float[Tensor, "num_envs 4"]
-    hover_vel: Float[Tensor, "num_envs 3"]
-    lin_vel: Float[Tensor, "num_envs 3"]
-    ang_vel: Float[Tensor, "num_envs 3"]
-    aim: Float[Tensor, "num_envs 3"]
-    hover_steps: Int[Tensor, " num_envs"]
+    pos: Float[Tensor, "num_envs 3"]  #: Release position [m].
+    quat: Float[Tensor, "num_envs 4"]  #: Orientation, uniform over all rotations, (w, x, y, z).
+    hover_vel: Float[Tensor, "num_envs 3"]  #: Velocity before the release [m/s]; only that of a moving frame.
+    lin_vel: Float[Tensor, "num_envs 3"]  #: Velocity at release [m/s].
+    ang_vel: Float[Tensor, "num_envs 3"]  #: Angular velocity at release, frame of the object [rad/s].
+    aim: Float[Tensor, "num_envs 3"]  #: Where the path is meant to come down through the catch height [m].
+    hover_steps: Int[Tensor, " num_envs"]  #: Control steps before the release.
 
     def flight_time(self) -> Float[Tensor, " num_envs"]:
         """Time from the release until the path comes down through the catch height, but for drag [s]."""

@@ -22,10 +22,9 @@ FORMAT_VERSION = 2
 class AgentContract:
     """Inputs and outputs of one agent's network."""
 
+    #: Name and size of every observation term, in the order of the input vector.
     observation: tuple[tuple[str, int], ...]
-    """Name and size of every observation term, in the order of the input vector."""
-    joints: tuple[str, ...]
-    """Names of the joints, in the order of the output vector."""
+    joints: tuple[str, ...]  #: Names of the joints, in the order of the output vector.
 
     @property
     def num_inputs(self) -> int:
@@ -37,24 +36,17 @@ class AgentContract:
 class PolicyContract:
     """What the policy of a method expects of the world and promises to it."""
 
-    method: str
-    """Name of the method."""
-    pixel_features: tuple[str, ...]
-    """Names of the pixel features, in their order within a frame."""
-    agents: dict[str, AgentContract]
-    """The agents by name."""
+    method: str  #: Name of the method.
+    pixel_features: tuple[str, ...]  #: Names of the pixel features, in their order within a frame.
+    agents: dict[str, AgentContract]  #: The agents by name.
+    #: How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad].
     commands: dict[str, dict[str, float]]
-    """How an action becomes a joint target, by joint: the fields of its `JointCommand` [rad]."""
-    control_dt: float
-    """Time between two actions [s]."""
+    control_dt: float  #: Time between two actions [s].
+    #: The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation.
     camera: dict[str, int | float | tuple[float, ...]]
-    """The fields of its `CameraSpec`: size and intrinsics [px], position [m], orientation."""
-    workcell: str
-    """Name of the work cell."""
-    task: str = "nominal"
-    """Name of the task that it was trained for; it may act in others."""
-    format_version: int = FORMAT_VERSION
-    """Version of the file format."""
+    workcell: str  #: Name of the work cell.
+    task: str = "nominal"  #: Name of the task that it was trained for; it may act in others.
+    format_version: int = FORMAT_VERSION  #: Version of the file format.
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain dictionaries, lists and numbers, ready for JSON."""
