@@ -18,8 +18,7 @@ from gymnasium.spaces import Box
 from numpy import ndarray
 from torch import Tensor
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.step import Observation, Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Observation, Step
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.methods import Method
 

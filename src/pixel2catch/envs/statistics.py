@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.envs.episodes import FAILURES, EpisodeRecord, failure
+from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.mdp.throws import Range
 
 SHARES = (

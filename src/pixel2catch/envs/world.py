@@ -2,15 +2,17 @@
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import mujoco
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.camera.pinhole import camera_center, is_unoccluded, ray_directions
-from pixel2catch.envs.drives import Drives
-from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
+from pixel2catch.envs.actuators import JointActuators
+from pixel2catch.envs.episode import StepExtremes
 from pixel2catch.mdp.columns import Columns, merged, take
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
@@ -22,9 +24,8 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.cfg import contact_solref
 from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA, CameraSpec
 from pixel2catch.scene.objects import OBJECTS, surface_points
-from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, object_table
-from pixel2catch.sim.devices import make_simulation
-from pixel2catch.sim.simulation import Simulation
+from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, contact_sensors, object_table
+from pixel2catch.sim.simulation import Simulation, make_simulation
 from pixel2catch.workcells import find_workcell
 
 OCCLUDER_GROUPS = (0, 3)
@@ -59,6 +60,40 @@ class _Fields:
     site_xpos: Tensor
     xpos: Tensor
     xmat: Tensor
+
+
+class ContactColumns(NamedTuple):
+    """Columns of `sensordata` with the numbers of contacts and the least distances."""
+
+    found: slice  #: Numbers of contacts, a column a sensor.
+    dist: slice  #: Least distances, likewise.
+    touching: slice  #: Sensors of palms and fingers with the object, among those columns.
+    anything: int  #: The sensor of the object with anything.
+    table: slice  #: Sensors of the robots with the table.
+    robots: slice  #: Sensors of the robots with themselves and each other.
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, workcell: WorkcellSpec) -> "ContactColumns":
+        """Find the columns; the sensors follow each other, two numbers each.
+
+        Raises:
+            ValueError: If the model's sensors are laid out otherwise.
+        """
+        names = [*contact_sensors(workcell)]
+        addresses = [int(model.sensor(name).adr[0]) for name in names]
+        first, last = addresses[0], addresses[-1] + 2
+        if addresses != list(range(first, last, 2)):
+            found = dict(zip(names, addresses, strict=True))
+            raise ValueError(f"contact sensors are not consecutive pairs: {found}")
+        anything, num_robots = names.index("object_any"), len(workcell.robots)
+        return cls(
+            found=slice(first, last, 2),
+            dist=slice(first + 1, last, 2),
+            touching=slice(0, anything),
+            anything=anything,
+            table=slice(anything + 1, anything + 1 + num_robots),
+            robots=slice(anything + 1 + num_robots, len(names)),
+        )
 
 
 class CatchWorld:
@@ -101,7 +136,7 @@ class CatchWorld:
             **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
         )
         speeds = [joint.velocity_limit for joint in workcell.joints]
-        self._drives = Drives(self.simulation, dynamics, nominal, speeds)
+        self._drives = JointActuators(self.simulation, dynamics, nominal, speeds)
         self._joints = _JointTensors.of(workcell, self.simulation.dtype, self.device)
         self._table = {
             name: torch.as_tensor(rows).to(self.device)
@@ -159,7 +194,7 @@ class CatchWorld:
         base_acceleration: Float[Tensor, "num_steps num_envs 3"] | None = None,
         drag: Float[Tensor, " num_envs"] | None = None,
         num_steps: int | None = None,
-    ) -> PhysicsLog:
+    ) -> StepExtremes:
         """Simulate one control step; the commands ramp linearly to the target (a first-order hold).
 
         Args:
@@ -198,11 +233,11 @@ class CatchWorld:
         mass = self.simulation.expand("body_mass")[:, self.objects.indices.body]
         force.copy_(mass[:, None] * total)
 
-    def quiet_log(self) -> PhysicsLog:
+    def quiet_log(self) -> StepExtremes:
         """The log of a control step in which nothing was touched."""
         return self._read_log().cleared(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
 
-    def privileged(self, log: PhysicsLog) -> Privileged:
+    def privileged(self, log: StepExtremes) -> Privileged:
         """What only the simulator knows, now; contacts since the last control step come from its log."""
         fields = self._fields
         return Privileged(
@@ -259,14 +294,14 @@ class CatchWorld:
         field = self.simulation.expand(name)[:, rows]
         field.copy_(select(mask, value.to(field.dtype).expand_as(field), field))
 
-    def _read_log(self) -> PhysicsLog:
+    def _read_log(self) -> StepExtremes:
         """Contacts and extremes of the present physics step."""
         fields = self._fields
         found = fields.sensordata[:, self._sensors.found] > 0
         depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
         torque_share = (fields.actuator_force.abs() / self._drives.effort_limit).float()
         sensors = self._sensors
-        return PhysicsLog(
+        return StepExtremes(
             is_touching=found[:, sensors.touching],
             is_robot_on_table=found[:, sensors.table].any(dim=-1),
             is_self_contact=found[:, sensors.robots].any(dim=-1),

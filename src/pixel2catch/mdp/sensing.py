@@ -1,4 +1,4 @@
-"""What stands between the true state and a `Measurement`: occlusion, noise, errors of the sight, latency.
+"""What stands between the true state and a `Measurement`: occlusion, noise, errors of the camera, latency.
 
 Training and evaluation in simulation only: on the robot the sensors themselves do this.
 """

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.drives import Drives
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion
@@ -110,7 +110,7 @@ def test_a_path_without_latency_is_a_physics_step_behind_nominal_joints():
 def rollout(simulation: Simulation, ramp: np.ndarray) -> torch.Tensor:
     """Joint positions after every physics step of a ramp, two steps to a target, in both copies."""
     speeds = [joint.velocity_limit for joint in JOINTS]
-    qpos, drives = simulation.bind("qpos"), Drives(simulation, IDENTIFIED, NOMINAL, speeds)
+    qpos, drives = simulation.bind("qpos"), JointActuators(simulation, IDENTIFIED, NOMINAL, speeds)
     qpos[:, :19] = torch.tensor(HOME).to(qpos)
     everywhere = torch.ones(2, dtype=torch.bool)
     drives.reset(everywhere, qpos[:, :19].clone(), parameters(2))

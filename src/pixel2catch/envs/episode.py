@@ -1,19 +1,57 @@
-"""What an episode has been so far, environment by environment, on the device."""
+"""What is drawn for an episode, and what becomes of it, environment by environment, on the device."""
 
 from dataclasses import dataclass, replace
+from functools import cache
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.envs.physics_log import PhysicsLog
+from pixel2catch.device_constants import constant
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.mdp.camera_errors import CameraErrors, is_camera_exact, sample_camera_errors
 from pixel2catch.mdp.columns import Columns, take
+from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.randomization import (
+    EpisodeParameters,
+    RandomizationCfg,
+    sample_delay,
+    sample_parameters,
+)
+from pixel2catch.mdp.shaking import Shake, sample_shake
 from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success
+from pixel2catch.mdp.throws import Throw, drawn, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.scene.scene import SceneCfg
 
 REST_STEPS = HOLD_STEPS // 2
 """Last control steps before a success in which robot and hold should have come to rest. Source: ours."""
+
+
+class StepExtremes(NamedTuple):
+    """Extremes over the physics steps of one control step."""
+
+    #: Which palms and fingers touched the object: each palm, then its fingers.
+    is_touching: Bool[Tensor, "num_envs num_parts"]
+    is_robot_on_table: Bool[Tensor, " num_envs"]  #: Whether a robot touched the table.
+    is_self_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched itself, or another one.
+    penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of the object with anything [m].
+    table_penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of a robot and the table [m].
+    joint_speed: Float[Tensor, " num_envs"]  #: Largest speed of an arm joint [rad/s].
+    torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque, as a share of its limit.
+    #: Mean torque of the hand's joints, as a share of their limits.
+    hand_torque_share: Float[Tensor, " num_envs"]
+
+    def cleared(self, mask: Bool[Tensor, " num_envs"]) -> "StepExtremes":
+        """The log without what happened in the masked environments."""
+        return select(mask, StepExtremes(*(torch.zeros_like(value) for value in self)), self)
+
+    def merged(self, other: "StepExtremes") -> "StepExtremes":
+        """Extremes of both: whether ever, and how much at most."""
+        return StepExtremes(*(torch.maximum(a, b) for a, b in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +124,7 @@ class EpisodeRecord:
         )
 
     def advanced(
-        self, transition: Transition, log: PhysicsLog, arms: Columns, palms: Columns
+        self, transition: Transition, log: StepExtremes, arms: Columns, palms: Columns
     ) -> "EpisodeRecord":
         """The records one control step later; `held_steps` and `steps` are those of the transition.
 
@@ -164,3 +202,126 @@ def failure(record: EpisodeRecord) -> Int[Tensor, " num_envs"]:
     lost = torch.where(record.contact_steps <= 3, 1, 2)
     reached = torch.where(record.is_dropped, lost, 3)
     return torch.where(record.is_tracked, reached, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """The present episode of each environment."""
+
+    parameters: EpisodeParameters  #: Object, dynamics, biases and latency.
+    throw: Throw  #: The throw, in the frame of the robot's base.
+    camera_errors: CameraErrors | None  #: None if nothing is ever wrong with the camera.
+    shake: Shake | None  #: How the table shakes; none if it stands still.
+    #: Control steps between a command and its effect; not always whole.
+    command_delay: Float[Tensor, " num_envs"]
+    #: Deceleration of the object by air over the square of its speed [1/m]; none without air.
+    drag: Float[Tensor, " num_envs"] | None
+    record: EpisodeRecord  #: What became of the episode so far.
+
+
+def draw_episode(
+    cfg: CatchEnvCfg,
+    action_bias: Float[Tensor, " num_joints"],
+    object_ids: Int[Tensor, " num_objects"],
+    num_envs: int,
+    generator: torch.Generator,
+) -> Episode:
+    """Draw an episode for every environment, on the generator's device.
+
+    Each is of one of the task's variants, or of none, by their shares.
+    """
+    episode = _draw(cfg, cfg, action_bias, object_ids, num_envs, generator)
+    if not cfg.variants:
+        return episode
+    chance = torch.rand(num_envs, generator=generator, device=generator.device)
+    for variant in cfg.variants:
+        other = _draw(variant.of(cfg), cfg, action_bias, object_ids, num_envs, generator)
+        episode = select((chance >= 0.0) & (chance < variant.share), other, episode)
+        chance = chance - variant.share
+    return episode
+
+
+def _draw(
+    cfg: CatchEnvCfg,
+    task: CatchEnvCfg,
+    action_bias: Float[Tensor, " num_joints"],
+    object_ids: Int[Tensor, " num_objects"],
+    num_envs: int,
+    generator: torch.Generator,
+) -> Episode:
+    """Draw from one set of ranges.
+
+    What not every task disturbs is drawn last, so that a seed throws the same with and without it.
+
+    Args:
+        cfg: The ranges.
+        task: The whole task, whose variants decide what an episode holds.
+        action_bias: Standard deviation of the error of each action that lasts an episode.
+        object_ids: What is thrown.
+        num_envs: Number of episodes.
+        generator: Where they are drawn from.
+    """
+    randomization = cfg.randomization
+    parameters = sample_parameters(randomization, cfg.sensing, action_bias, object_ids, num_envs, generator)
+    drag = None
+    if any(each.randomization.air_density for each in task.all_variants):
+        density = drawn(randomization.air_density, num_envs, generator)
+        by_object = constant(_drag_by_object(cfg.scene), generator.device)
+        drag = density * by_object[parameters.object_id] / parameters.mass_scale
+    throw = sample_throws(cfg.throws, num_envs, generator, drag)
+    is_exact = all(is_camera_exact(each.sensing) for each in task.all_variants)
+    camera_errors = None if is_exact else sample_camera_errors(cfg.sensing, throw, generator)
+    shake = sample_shake(cfg.shake, num_envs, generator)
+    return Episode(
+        parameters=parameters,
+        throw=throw if shake is None else shake.seen_from_base(throw),
+        camera_errors=camera_errors,
+        shake=shake,
+        command_delay=_command_delay(randomization, num_envs, generator),
+        drag=drag,
+        record=EpisodeRecord.start(parameters.object_id, throw.aim),
+    )
+
+
+def _command_delay(
+    cfg: RandomizationCfg, num_envs: int, generator: torch.Generator
+) -> Float[Tensor, " num_envs"]:
+    """Nothing is drawn where all episodes have the same, so that a seed goes on as without a delay."""
+    first, last = cfg.command_delay
+    if first == last:
+        return torch.full((num_envs,), float(first), device=generator.device)
+    return sample_delay(cfg.command_delay, cfg.command_delay_grid, num_envs, generator)
+
+
+@cache
+def _drag_by_object(scene: SceneCfg) -> tuple[float, ...]:
+    """Of every object at its own mass in air of 1 kg/m³ [1/m], in the order of the object table."""
+    thrown = [spec.scaled(scene.object_scale) for spec in OBJECTS.values()]
+    return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)
+
+
+def drawn_parameters(episode: Episode) -> Float[Tensor, "num_envs k"]:
+    """The draws that a value depends on, scaled to the order of 1, and the progress of the episode.
+
+    With them a value network does not have to guess what makes one episode harder than another, which is
+    noise in the advantages otherwise. Source: ours: 1.5 to 7 points of S.R. in training on wide ranges.
+    """
+    parameters, throw, record = episode.parameters, episode.throw, episode.record
+    columns = [
+        parameters.mass_scale,
+        parameters.restitution,
+        parameters.friction,
+        parameters.latency,
+        episode.command_delay,
+        record.steps / 90.0,
+        record.held_steps / 20.0,
+        (throw.hover_steps - record.steps).clamp(min=0) / 20.0,
+        torch.linalg.vector_norm(throw.ang_vel, dim=-1) / 10.0,
+    ]
+    if episode.drag is not None:
+        columns.append(10.0 * episode.drag)
+    tables = [parameters.stiffness_scale, parameters.damping_scale, parameters.action_bias, throw.aim]
+    if episode.camera_errors is not None:
+        columns += [10.0 * episode.camera_errors.drop_rate, episode.camera_errors.clock_error]
+        tables += [episode.camera_errors.box_bias]
+    return torch.cat((torch.stack(columns, dim=-1), *tables), dim=-1)

@@ -1,4 +1,4 @@
-"""What is wrong with the sight of an episode: the camera, the boxes, the images that are missing.
+"""What is wrong with the camera of an episode: its pose, its boxes, the images that are missing.
 
 Source: ours; with the defaults of `SensingCfg` nothing is. A calibrated camera differs from episode to
 episode as far as its calibration leaves it open.
@@ -17,7 +17,7 @@ from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
+class CameraErrors:
     """The draws of one episode in each environment."""
 
     camera: Projection  #: The true camera; a tracker assumes the one that it was drawn about.
@@ -49,8 +49,8 @@ class Sight:
         return torch.where(self.is_stamped, error, ASSUMED_AGE - latency)
 
 
-def is_sight_exact(cfg: SensingCfg) -> bool:
-    """Whether nothing can be wrong with the sight but the noise of training."""
+def is_camera_exact(cfg: SensingCfg) -> bool:
+    """Whether nothing can be wrong with the camera but the noise of training."""
     errors = (
         *(cfg.camera_offset, cfg.camera_turn, cfg.focal_error, cfg.box_bias, cfg.drop_rate),
         *(cfg.blackout_steps, cfg.clock_error, cfg.stamp_jitter, cfg.unstamped),
@@ -60,7 +60,7 @@ def is_sight_exact(cfg: SensingCfg) -> bool:
     return not any((*errors, *cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
 
 
-def sample_sight(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> Sight:
+def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> CameraErrors:
     """Draw what is wrong, on the generator's device."""
     is_uncertain = any((*cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
     num_envs = len(throw.pos)
@@ -79,7 +79,7 @@ def sample_sight(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> S
     latest = torch.clamp(flight_steps - blackout_steps, min=0.0)
     direction = torch.stack((torch.cos(bias_angle), torch.sin(bias_angle)), dim=-1)
     turn, offset = amount(cfg.camera_turn)[:, None] * turn, amount(cfg.camera_offset)[:, None] * offset
-    return Sight(
+    return CameraErrors(
         camera=camera.zoomed(zoom, spec).turned(turn).moved(offset),
         box_bias=amount(cfg.box_bias)[:, None] * direction,
         drop_rate=amount(cfg.drop_rate),
