@@ -119,12 +119,7 @@ class AgentSpec:
 def agents_of(
     workcell: WorkcellSpec, rewards_by_role: dict[str, tuple[RewardTerm, ...]] = REWARDS
 ) -> tuple[AgentSpec, ...]:
-    """One agent for each joint group of a work cell, in joint order.
-
-    Args:
-        workcell: The work cell.
-        rewards_by_role: Reward terms of arms and hands.
-    """
+    """One agent for each joint group of a work cell, in joint order."""
     return tuple(
         AgentSpec(name=group.name, parts=(_part_of(workcell, group, rewards_by_role[group.role]),))
         for group in workcell.groups

@@ -40,14 +40,7 @@ class JointActuators:
         nominal: JointDynamics,
         velocity_limits: Sequence[float],
     ) -> None:
-        """Take over the simulation's controls; `reset` begins.
-
-        Args:
-            simulation: What is driven.
-            dynamics: Of all joints.
-            nominal: What they are without an identification.
-            velocity_limits: Their largest speeds [rad/s].
-        """
+        """Take over the controls of a simulation; `nominal` are the joints without an identification."""
         self._simulation = simulation
         num_joints = len(dynamics.joints)
         self._qpos = simulation.bind("qpos")[:, :num_joints]
@@ -134,15 +127,7 @@ class Servos:
         efforts: Sequence[float],
         speeds: Sequence[float],
     ) -> "Servos":
-        """Copy the limits of all joints, and their friction, to a device.
-
-        Args:
-            device: Where to.
-            dtype: As what.
-            dynamics: Of all joints.
-            efforts: Their largest torques [N·m].
-            speeds: Their largest speeds [rad/s].
-        """
+        """Copy largest torques [N·m] and speeds [rad/s] of all joints, and their friction, to a device."""
         values = (efforts, speeds, dynamics.frictionloss)
         return cls(*(torch.tensor(each, dtype=dtype, device=device) for each in values))
 
@@ -183,13 +168,7 @@ class CommandPath:
     def __init__(
         self, dynamics: JointDynamics, dt: float, command: Float[Tensor, "num_envs num_joints"]
     ) -> None:
-        """Make the paths; `reset` begins.
-
-        Args:
-            dynamics: The joints.
-            dt: Physics time step [s].
-            command: Commands, of which number, type and device are taken.
-        """
+        """Make the paths for physics steps `dt` [s], for commands of this number, type and device."""
         share = _shares(0.5 + command_lag(dynamics, dt) / dt)
         self._share = torch.as_tensor(share).to(command)[:, None]
         self._history = command.expand(len(share), -1, -1).clone()
@@ -203,10 +182,9 @@ class CommandPath:
         self._state.copy_(select(mask, at_rest, self._state))
 
     def advance(self, command: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
-        """What the servos aim at in a physics step [rad]; the next step overwrites it.
+        """What the servos aim at in a physics step [rad], from the commands at its end [rad].
 
-        Args:
-            command: The commands at the end of the step [rad].
+        The next step overwrites it.
         """
         self._history.copy_(torch.cat((command[None], self._history[:-1])))
         delayed = (self._share * self._history).sum(dim=0)
@@ -217,10 +195,8 @@ class CommandPath:
 def _shares(age: Float[np.ndarray, " num_joints"]) -> Float[np.ndarray, "num_ages num_joints"]:
     """Share of each known command, newest first, in the mean over the step whose middle has an age.
 
-    That is the integral of their linear interpolation: a quadratic B-spline.
-
-    Args:
-        age: Physics steps between that middle and the newest command, at least 0.5.
+    That is the integral of their linear interpolation: a quadratic B-spline. The age counts from the newest
+    command, in physics steps, and is at least 0.5.
     """
     distance = np.abs(np.arange(int(np.ceil(age.max() + 0.5)) + 1)[:, None] - age)
     return np.where(distance < 0.5, 0.75 - distance**2, np.maximum(1.5 - distance, 0.0) ** 2 / 2)
@@ -231,12 +207,9 @@ def filtered(
     state: Float[Tensor, "num_copies num_joints 2"],
     command: Float[Tensor, "num_copies num_joints"],
 ) -> Float[Tensor, "num_copies num_joints 2"]:
-    """Position [rad] and speed [rad/s] of the joints' command filters after a step.
+    """Position [rad] and speed [rad/s] of the joints' command filters after a step with these commands [rad].
 
-    Args:
-        transition: Of every joint, or of every joint of every copy; see `filter_transition`.
-        state: Position and speed before the step.
-        command: What the filters follow in the step [rad].
+    Transitions are those of `filter_transition`, of every joint or of every joint of every copy.
     """
     goal = torch.nn.functional.pad(command[..., None], (0, 1))  # at rest on the command
     error = state - goal

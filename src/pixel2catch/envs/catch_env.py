@@ -96,13 +96,7 @@ class CatchEnv:
     ) -> None:
         """Build the environments; the first `reset` begins their episodes.
 
-        Args:
-            cfg: The task.
-            method: Which agents act and what they see.
-            num_envs: Number of environments.
-            device: "cpu" or a CUDA device.
-            seed: Seed of everything that is drawn here.
-            teacher: A method whose observations are wanted as well.
+        The observations of a `teacher` are made as well. The seed is that of everything that is drawn here.
         """
         self.workcell = find_workcell(cfg.scene.workcell)
         self.cfg = cfg = cfg.for_workcell(self.workcell)
@@ -145,13 +139,9 @@ class CatchEnv:
         return self._observe()
 
     def step(self, actions: dict[str, Float[Tensor, "num_envs _"]]) -> Step:
-        """Act for one control step.
+        """Act for one control step; what lies outside [-1, 1] is clipped.
 
-        Args:
-            actions: Action of each agent by name, in [-1, 1]; what lies outside is clipped.
-
-        Returns:
-            What happened. The next step overwrites its tensors, but for `observation` and `rewards`.
+        The next step overwrites the tensors of what is returned, but for `observation` and `rewards`.
         """
         action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
         step = self._advance(action.clamp(-1.0, 1.0))

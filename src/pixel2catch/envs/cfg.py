@@ -121,22 +121,14 @@ class CatchEnvCfg:
         return replace(self.with_sensing(camera=file), scene=replace(self.scene, camera=file.camera))
 
     def with_sensing(self, **changes: Any) -> "CatchEnvCfg":
-        """The task with other sensors in all episodes.
-
-        Args:
-            changes: Fields of `SensingCfg`.
-        """
+        """The task with other sensors in all episodes: fields of `SensingCfg`."""
         variants = tuple(
             replace(variant, sensing=replace(variant.sensing, **changes)) for variant in self.variants
         )
         return replace(self, sensing=replace(self.sensing, **changes), variants=variants)
 
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
-        """The task with the robot of a dynamics file and the camera of a camera file.
-
-        Args:
-            dynamics: The one; the nominal robot if absent.
-            camera: The other; the task keeps its camera if absent.
+        """The task with the robot of a dynamics file and the camera of a camera file, where they are given.
 
         Raises:
             InvalidValueError: If a file cannot be read, or the camera's images have another size.

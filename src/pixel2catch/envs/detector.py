@@ -22,9 +22,7 @@ class Detector(ABC):
     def look(self, truth: Privileged, episode: Episode) -> Detection:
         """What an image of this moment shows of the object, and whether it is found at all.
 
-        Args:
-            truth: What there is to see.
-            episode: The present episodes; one that has just begun has made no step.
+        An episode that has just begun has made no step.
         """
 
     @abstractmethod
@@ -36,13 +34,7 @@ class ProjectedDetector(Detector):
     """Projects surface points instead of taking images, and adds the errors of the sensors."""
 
     def __init__(self, cfg: SensingCfg, world: CatchWorld, generator: torch.Generator) -> None:
-        """Look into a world.
-
-        Args:
-            cfg: The errors.
-            world: What is looked at.
-            generator: Source of the errors that are drawn for every image.
-        """
+        """Look into a world; the errors of every image come from the generator."""
         self._cfg, self._world, self._generator = cfg, world, generator
 
     def look(self, truth: Privileged, episode: Episode) -> Detection:

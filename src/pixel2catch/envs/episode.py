@@ -128,11 +128,7 @@ class EpisodeRecord:
     ) -> "EpisodeRecord":
         """The records one control step later; `held_steps` and `steps` are those of the transition.
 
-        Args:
-            transition: The step.
-            log: What happened within it.
-            arms: Columns of the joints of arms.
-            palms: Columns of the palms among what may touch the object.
+        `arms` are columns of their joints, `palms` those of the palms among what may touch the object.
         """
         touched = log.is_touching.any(dim=-1)
         first = touched & ~self.is_hand_contact
@@ -171,10 +167,7 @@ class EpisodeRecord:
     ) -> Float[Tensor, " num_envs"]:
         """A mean over the last steps of a hold, one step later; a hold that fails has none.
 
-        Args:
-            mean: The sum so far over the number of these steps; that of a success stays.
-            value: What is added.
-            transition: The step.
+        It is the sum so far over the number of these steps; that of a success stays.
         """
         is_resting = transition.held_steps > HOLD_STEPS - REST_STEPS
         longer = torch.where(is_resting, mean + value / REST_STEPS, 0.0)
@@ -228,7 +221,8 @@ def draw_episode(
 ) -> Episode:
     """Draw an episode for every environment, on the generator's device.
 
-    Each is of one of the task's variants, or of none, by their shares.
+    Each is of one of the task's variants, or of none, by their shares. `action_bias` is the standard
+    deviation of the error of each action that lasts an episode, `object_ids` is what may be thrown.
     """
     episode = _draw(cfg, cfg, action_bias, object_ids, num_envs, generator)
     if not cfg.variants:
@@ -249,17 +243,9 @@ def _draw(
     num_envs: int,
     generator: torch.Generator,
 ) -> Episode:
-    """Draw from one set of ranges.
+    """Draw from one set of ranges; the variants of the whole task decide what an episode holds.
 
     What not every task disturbs is drawn last, so that a seed throws the same with and without it.
-
-    Args:
-        cfg: The ranges.
-        task: The whole task, whose variants decide what an episode holds.
-        action_bias: Standard deviation of the error of each action that lasts an episode.
-        object_ids: What is thrown.
-        num_envs: Number of episodes.
-        generator: Where they are drawn from.
     """
     randomization = cfg.randomization
     parameters = sample_parameters(randomization, cfg.sensing, action_bias, object_ids, num_envs, generator)

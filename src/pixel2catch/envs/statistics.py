@@ -87,9 +87,7 @@ class EpisodeStatistics:
     ) -> dict[str, float]:
         """Rates and means since the last call; NaN where nothing was counted. Waits for the device once.
 
-        Args:
-            total: Adds up the sums of all processes that count.
-            largest: Finds the largest of their maxima.
+        `total` adds up the sums of all processes that count, `largest` finds the largest of their maxima.
         """
         buffers = (self._by_object, self._by_landing, self._rewards, self._maxima)
         *sums, maxima = (buffer.flatten() for buffer in buffers)

@@ -105,14 +105,7 @@ class CatchWorld:
     def __init__(
         self, scene: SceneCfg, dynamics: JointDynamics | None, *, num_envs: int, device: str
     ) -> None:
-        """Build the model and its copies.
-
-        Args:
-            scene: What the model is made from.
-            dynamics: Of some joints or all; the others are nominal.
-            num_envs: Number of environments.
-            device: "cpu" or a CUDA device.
-        """
+        """Build the model and its copies; joints that are not among `dynamics` are nominal."""
         workcell = find_workcell(scene.workcell)
         nominal = JointDynamics.nominal(specs=workcell.joints)
         dynamics = dynamics.over(nominal) if dynamics else nominal
@@ -254,11 +247,7 @@ class CatchWorld:
     def surface_points(
         self, camera: CameraSpec = RGB_CAMERA
     ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
-        """Surface points of the object, world frame [m], and which of them robot and table do not hide.
-
-        Args:
-            camera: From where they are looked at.
-        """
+        """Surface points of the object, world frame [m], and which of them robot and table do not hide."""
         body = self.objects.indices.body
         rotation = _snapshot(self._fields.xmat[:, body]).view(-1, 3, 3)
         points = torch.baddbmm(

@@ -121,9 +121,6 @@ class RunFolder:
     def open(self, *, resume: bool) -> Iterator[None]:
         """Make the folder, or see that there is something to resume. Folders left empty go again at the end.
 
-        Args:
-            resume: Whether to go on with the run in the folder.
-
         Raises:
             CheckpointError: The folder holds a run already, holds none to resume or one with other inputs, or
                 cannot be made.

@@ -78,12 +78,8 @@ class Workers:
     def moments(self, mean: Tensor, variance: Tensor, count: int) -> tuple[Tensor, Tensor]:
         """Return mean and unbiased variance of the samples of all processes.
 
-        Source: law of total variance: the mean of the variances, and the variance of the means.
-
-        Args:
-            mean: Mean of this process's samples.
-            variance: Their unbiased variance.
-            count: Their number, the same in every process.
+        They follow from those of this process's samples, of which every process has the same number. Source:
+        law of total variance: the mean of the variances, and the variance of the means.
         """
         if self.size == 1:
             return mean, variance
@@ -146,9 +142,7 @@ class Workers:
     def diverge(self, seed: int, transitions: int) -> None:
         """Let exploration differ: the first process goes on as if it were alone, others seed torch anew.
 
-        Args:
-            seed: Seed of the training.
-            transitions: Its progress, so that a resumed training repeats nothing.
+        The progress of the training is part of their seed, so that a resumed training repeats nothing.
         """
         if not self.is_first:
             torch.manual_seed(self._seed(seed, transitions))
@@ -161,8 +155,7 @@ class Workers:
 def start_workers(device: str) -> Iterator[Workers]:
     """Join the processes that torchrun started; a process started by hand is alone.
 
-    Args:
-        device: "cpu" or "cuda"; a process that is alone may take any one CUDA device, such as "cuda:1".
+    The device is "cpu" or "cuda"; a process that is alone may take any one CUDA device, such as "cuda:1".
 
     Raises:
         DeviceUnavailableError: There is no such device, or none for this process.

@@ -242,17 +242,10 @@ class _Training:
 def check_rollout(
     mappo: Mappo, contract: PolicyContract, statistics: Mapping[str, float]
 ) -> dict[str, float]:
-    """Check what the environment gave since the last update, before the networks learn from it.
+    """Check what the environment gave since the last update; return each agent's mean reward a step.
 
-    A sum over a rollout is finite if and only if all of its terms are, as long as they are of sane size.
-
-    Args:
-        mappo: What remembers the rollout.
-        contract: Names and sizes of the observation terms.
-        statistics: Means since the last update; those of reward terms begin with `REWARD_TERM`.
-
-    Returns:
-        The mean reward a control step, by agent.
+    A sum over a rollout is finite if and only if all of its terms are, as long as they are of sane size. The
+    statistics are means since the last update; those of reward terms begin with `REWARD_TERM`.
 
     Raises:
         NonFiniteError: The message names the agent and the observation term, the reward term, or the

@@ -112,14 +112,8 @@ def tracked_position(
 ) -> Float[Tensor, "num_envs 3"]:
     """Where a depth camera's tracker takes the object to be, world frame [m].
 
-    The true camera sees the object's centre; the tracker's pixel is off by `shift`; what it reports is that
-    pixel at the true depth, seen by the camera that it assumes.
-
-    Args:
-        camera: The true camera.
-        assumed: The camera that the tracker knows.
-        object_pos: The object's centre, world frame [m].
-        shift: Error of the pixel [px].
+    The true camera sees the object's centre; the tracker's pixel is off by `shift` [px]; what it reports is
+    that pixel at the true depth, seen by the camera that it assumes.
     """
     pixels, depth = camera.pixels(object_pos[:, None])
     return back_project(assumed, pixels[:, 0] + shift, depth[:, 0])

@@ -131,13 +131,7 @@ def observe(
 ) -> Float[Tensor, "num_envs size"]:
     """An agent's observation: its terms on both frames of the history, oldest first, then what it remembers.
 
-    Args:
-        terms: Terms of a frame.
-        memory: Terms of the newest frame alone, which look back by themselves.
-        joints: The agent's columns in joint order.
-        palms: The palms that it serves.
-        columns: The columns of `PIXEL_FEATURES` that the method uses.
-        history: The last measurements.
+    The terms of the `memory` look back by themselves, from the newest frame.
     """
     frames = (
         Frame(before=history.oldest, now=history.before, joints=joints, palms=palms, pixel_columns=columns),

@@ -110,13 +110,8 @@ def sample_parameters(
 ) -> EpisodeParameters:
     """Draw the parameters of one episode per environment, on the generator's device.
 
-    Args:
-        cfg: The ranges; `gains` with an entry for each joint.
-        sensing: The ranges of the sensors.
-        action_bias: Standard deviation of the error of each action that lasts an episode.
-        object_ids: What is thrown.
-        num_envs: Number of episodes.
-        generator: Where they are drawn from.
+    The gains of `cfg` have an entry for each joint; `action_bias` is the standard deviation of the error of
+    each action that lasts an episode.
     """
     device, num_joints = generator.device, len(action_bias)
     offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * num_joints
@@ -156,11 +151,7 @@ def sample_delay(
 ) -> Float[Tensor, " num_envs"]:
     """Draw a delay for every episode, on the generator's device [control steps].
 
-    Args:
-        limits: First and last, both included.
-        grid: Difference of neighbouring delays, all of which are as likely; 0 draws any.
-        num_envs: Number of episodes.
-        generator: Where they are drawn from.
+    Delays from the first limit to the last, `grid` apart, are all as likely; a grid of 0 draws any.
     """
     if not grid:
         return uniform((limits,), num_envs, generator)[:, 0]

@@ -91,13 +91,10 @@ class Detection:
         return select(is_seen, self, later)
 
     def exposed_before(self, previous: "Detection", time: Float[Tensor, " num_envs"]) -> "Detection":
-        """What an image shows that was taken some time before this one, and after the previous one.
+        """What an image shows that was taken some time before this one, 0 to 1 [control steps].
 
-        An object's box moves almost linearly in a control step: in free flight the error is under 0.6 px.
-
-        Args:
-            previous: What the image a control step before this one shows.
-            time: From the exposure to this image, from 0 to 1 [control steps].
+        The previous one was taken a control step before this one. An object's box moves almost linearly
+        meanwhile: in free flight the error is under 0.6 px.
         """
         share = time[:, None]
         return replace(
@@ -114,13 +111,10 @@ def detect(
     least_visible: float,
     camera: Projection | None = None,
 ) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
-    """Box of the visible surface points, and whether enough of them are visible for a detection.
+    """Box of the visible surface points, world frame [m], and whether enough are visible for a detection.
 
-    Args:
-        points: Surface points of the object, world frame [m].
-        is_visible: Which of them nothing hides.
-        least_visible: Share that must be visible and in the image.
-        camera: The camera that looks; the nominal one if absent.
+    `is_visible` is where nothing hides them, `least_visible` the share that must be visible and in the image.
+    Without a camera the nominal one looks.
     """
     camera = camera or nominal_projection(RGB_CAMERA, points)
     pixels, depth = camera.pixels(points)

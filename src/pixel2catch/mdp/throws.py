@@ -65,11 +65,7 @@ def sample_throws(
 ) -> Throw:
     """Draw throws on the generator's device.
 
-    Args:
-        cfg: Their ranges.
-        num_envs: How many.
-        generator: Where they are drawn from.
-        drag: What the thrower makes up for: deceleration by air over the square of the speed [1/m].
+    The thrower makes up for `drag`: deceleration by air over the square of the speed [1/m].
     """
     device = generator.device
     ranges = (cfg.release_x, cfg.release_y, cfg.release_z, cfg.aim_x, cfg.aim_y, cfg.aim_z, cfg.peak_z)

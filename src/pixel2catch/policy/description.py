@@ -27,13 +27,7 @@ NO_REWARD = RewardTerm(function=rewards.elapsed_time, weight=0.0)
 def contract_of(
     method: Method, workcell: WorkcellSpec = UR5E_ALLEGRO, camera: CameraSpec = RGB_CAMERA
 ) -> PolicyContract:
-    """Return what a policy of this method expects and promises.
-
-    Args:
-        method: The method.
-        workcell: The robots.
-        camera: The camera that the policy is for.
-    """
+    """Return what a policy of this method, for these robots and this camera, expects and promises."""
     return PolicyContract(
         method=method.name,
         pixel_features=method.pixel_features,

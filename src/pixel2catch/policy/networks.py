@@ -17,11 +17,6 @@ INPUT_CLIP = 5.0
 def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> nn.Sequential:
     """Build a multi-layer perceptron with ELU between its layers and a linear output.
 
-    Args:
-        num_inputs: Length of the input vector.
-        num_outputs: Length of the output vector.
-        hidden: Sizes of the hidden layers.
-
     Source: paper, Sec. IV-E.
     """
     sizes = [num_inputs, *hidden]

@@ -80,11 +80,7 @@ class Simulation(ABC):
 
     @abstractmethod
     def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Make the bound fields current after writes to the state.
-
-        Args:
-            mask: The environments that were written; all if absent. Others stay as they are.
-        """
+        """Make the bound fields current after writes to the state of the masked environments, or of all."""
 
     @abstractmethod
     def ray(
@@ -95,10 +91,8 @@ class Simulation(ABC):
     ) -> Float[Tensor, "num_envs num_rays"]:
         """Distance to the nearest geom along each ray in units of the direction's length, -1 for a miss.
 
-        Args:
-            origin: Common origin of all rays, world frame [m].
-            directions: Ray directions, world frame.
-            groups: The geom groups that can be hit.
+        Rays begin at a common origin [m] and hit geoms of some groups; origin and directions are in the world
+        frame.
         """
 
     @abstractmethod
@@ -107,13 +101,9 @@ class Simulation(ABC):
     ) -> Callable[[Tensor], Result]:
         """A function that does what `function` does, at the least cost for the host.
 
-        Args:
-            function: Steps the simulation and works on tensors whose memory stays where it is.
-            generator: What it draws from.
-
-        Returns:
-            The function itself, or a recording of its work on the device: then its results are overwritten
-            by the next call.
+        The function steps the simulation, draws from the generator and works on tensors whose memory stays
+        where it is. Returned is itself, or a recording of its work on the device, whose next call overwrites
+        the results.
         """
 
     @abstractmethod
@@ -127,6 +117,8 @@ class Simulation(ABC):
 
 def make_simulation(model: mujoco.MjModel, num_envs: int, device: str) -> Simulation:
     """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N".
+
+    Nothing else asks which device it is.
 
     Raises:
         DeviceUnavailableError: If CUDA is asked for and absent.
