@@ -20,8 +20,7 @@ from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.robots.spec import JointGroup
 from pixel2catch.robots.workcell import WorkcellSpec
 
-ACTION_WEIGHT = -0.01
-"""Weight of the squared action of each agent. Source: paper, Eq. 3 and 4."""
+ACTION_WEIGHT = -0.01  #: Weight of the squared action of each agent. Source: paper, Eq. 3 and 4.
 
 ARM_REWARD = (
     RewardTerm(function=rewards.elapsed_time, weight=-0.01),

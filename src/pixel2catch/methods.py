@@ -73,8 +73,7 @@ def remembering(method: Method, memory: str) -> Method:
     return replace(method, name=f"{method.name}+{memory}", agents=agents, num_boxes=kept.num_boxes)
 
 
-ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")
-"""Source: paper, Eq. 1."""
+ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")  #: Source: paper, Eq. 1.
 
 
 def _seeing(agents: tuple[AgentSpec, ...], *observation: ObservationTerm) -> tuple[AgentSpec, ...]:
@@ -115,8 +114,7 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     return {method.name: method for method in methods}
 
 
-METHODS = methods_of(UR5E_ALLEGRO)
-"""The methods for the paper's robot."""
+METHODS = methods_of(UR5E_ALLEGRO)  #: The methods for the paper's robot.
 
 PROPOSED = METHODS["proposed"]
 

@@ -23,8 +23,7 @@ from pixel2catch.workcells import find_workcell
 COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera")
 """What of the sensors is not drawn for an episode."""
 
-COMMON_RANDOMIZATION = ("action_noise",)
-"""What of the randomization is not drawn for an episode, either."""
+COMMON_RANDOMIZATION = ("action_noise",)  #: What of the randomization is not drawn for an episode, either.
 
 
 @dataclass(frozen=True, kw_only=True)

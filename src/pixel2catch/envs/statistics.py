@@ -19,12 +19,10 @@ SHARES = (
     "is_self_contact",
 )
 SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum", "self_contact_steps")
-SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "peak_deceleration")
-"""What only a success has."""
+SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "peak_deceleration")  #: What only a success has.
 
 MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
-LANDING_BINS = (2, 4)
-"""Bins of the throws' aim along x and y."""
+LANDING_BINS = (2, 4)  #: Bins of the throws' aim along x and y.
 
 Row = list[float]
 

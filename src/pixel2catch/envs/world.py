@@ -28,8 +28,7 @@ from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, contact_
 from pixel2catch.sim.simulation import Simulation, make_simulation
 from pixel2catch.workcells import find_workcell
 
-OCCLUDER_GROUPS = (0, 3)
-"""Geom groups that can hide the object: table and floor, robot."""
+OCCLUDER_GROUPS = (0, 3)  #: Geom groups that can hide the object: table and floor, robot.
 
 NUM_SURFACE_POINTS = 64
 """Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""

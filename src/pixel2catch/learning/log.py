@@ -15,8 +15,7 @@ from pixel2catch.files import write_atomically
 from pixel2catch.learning.config import TrainCfg
 
 METRICS_FILE = "metrics.csv"
-Row = dict[str, int | float]
-"""Metrics of one update by name; `transitions` is the abscissa."""
+Row = dict[str, int | float]  #: Metrics of one update by name; `transitions` is the abscissa.
 
 
 class TrainingLog:

@@ -20,8 +20,7 @@ from pixel2catch.learning.gradient_step import Batch, GradientStep
 from pixel2catch.learning.networks import EPSILON, ActorCritic
 from pixel2catch.policy import Policy, PolicyContract
 
-HIGHEST_LEARNING_RATE = 1e-2
-"""Upper bound of the adaptive learning rate. Source: release (skrl)."""
+HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
 
 ADOPTED_SAMPLES = 1e7
 """Samples that the input statistics of a policy count for where a training goes on from it. Source: ours."""

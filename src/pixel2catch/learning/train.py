@@ -23,8 +23,7 @@ from pixel2catch.learning.log import Row, TrainingLog
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import Policy, PolicyContract
 
-REWARD_TERM = "reward_term/"
-"""How the names of reward terms begin in an environment's statistics."""
+REWARD_TERM = "reward_term/"  #: How the names of reward terms begin in an environment's statistics.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

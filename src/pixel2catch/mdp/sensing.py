@@ -17,8 +17,7 @@ from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.throws import Amount, Range
 from pixel2catch.scene.constants import RGB_CAMERA
 
-RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)
-"""The camera of the release, known exactly."""
+RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)  #: The camera of the release, known exactly.
 
 
 @dataclass(frozen=True, kw_only=True)

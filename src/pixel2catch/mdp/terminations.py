@@ -8,17 +8,10 @@ from torch import Tensor
 
 from pixel2catch.mdp.snapshot import Privileged, Transition
 
-REACH = 0.08
-"""Distance of palm and object under which the object counts as reached [m]. Source: release."""
-
-HOLD_STEPS = 20
-"""Consecutive control steps within `REACH` that make a success. Source: release."""
-
-DROP_HEIGHT = 0.45
-"""Height under which the object is lost [m]. Source: release."""
-
-DROP_X = 0.03
-"""World x under which the object has passed the robot [m]. Source: release."""
+REACH = 0.08  #: Distance of palm and object under which the object counts as reached [m]. Source: release.
+HOLD_STEPS = 20  #: Consecutive control steps within `REACH` that make a success. Source: release.
+DROP_HEIGHT = 0.45  #: Height under which the object is lost [m]. Source: release.
+DROP_X = 0.03  #: World x under which the object has passed the robot [m]. Source: release.
 
 
 @dataclass(frozen=True, kw_only=True)

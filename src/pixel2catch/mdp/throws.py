@@ -14,8 +14,7 @@ from pixel2catch.scene.constants import GRAVITY
 
 Range = tuple[float, float]
 
-Amount = float | Range
-"""A number, or the range from which every episode draws its own, uniformly."""
+Amount = float | Range  #: A number, or the range from which every episode draws its own, uniformly.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,8 +146,7 @@ def random_directions(num_envs: int, generator: torch.Generator) -> Float[Tensor
     return torch.nn.functional.normalize(normal, dim=-1)
 
 
-NUM_STEPS = 16
-"""Steps of the midpoint rule in a flight. Source: ours, a millimetre."""
+NUM_STEPS = 16  #: Steps of the midpoint rule in a flight. Source: ours, a millimetre.
 
 NUM_CORRECTIONS = 4
 """How often the aim is corrected; each leaves less than a third of the error before. Source: ours."""

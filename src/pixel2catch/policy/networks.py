@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-HIDDEN = (512, 256, 128)
-"""Sizes of the hidden layers of every network. Source: paper, Sec. IV-E."""
+HIDDEN = (512, 256, 128)  #: Sizes of the hidden layers of every network. Source: paper, Sec. IV-E.
 
 INPUT_CLIP = 5.0
 """Standardised inputs are clipped to ± this many standard deviations. Source: release (skrl)."""
