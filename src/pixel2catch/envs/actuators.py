@@ -28,9 +28,6 @@ class JointActuators:
     the training of the shipped policies. That is a step earlier than behind a path without latency. Their
     damping is MuJoCo's, which acts on the speed at the end of a step. Of identified joints half of it does:
     so they move as in the simulation that they were identified with, at any time step nearly alike.
-
-    Attributes:
-        effort_limit: Largest torque of each joint [N·m].
     """
 
     def __init__(
@@ -56,6 +53,7 @@ class JointActuators:
         if dynamics != nominal:
             self._path = CommandPath(dynamics, simulation.model.opt.timestep, self._command)
             self._implicit = 0.5
+        #: Largest torque of each joint [N·m].
         self.effort_limit: Float[Tensor, " num_joints"] = self._servos.effort_limit
 
     def reset(

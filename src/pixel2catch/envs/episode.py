@@ -1,6 +1,6 @@
 """What is drawn for an episode, and what becomes of it, environment by environment, on the device."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -93,35 +93,12 @@ class EpisodeRecord:
     @classmethod
     def start(cls, object_id: Int[Tensor, " num_envs"], aim: Float[Tensor, "num_envs 3"]) -> "EpisodeRecord":
         """Records of episodes that have just begun."""
-        none, no, zero = (
-            torch.zeros_like(object_id),
-            torch.zeros_like(object_id, dtype=torch.bool),
-            aim.new_zeros(len(aim)),
-        )
-        return cls(
-            object_id=object_id,
-            aim=aim,
-            steps=none,
-            held_steps=none,
-            is_tracked=no,
-            is_success=no,
-            is_palm_contact=no,
-            is_hand_contact=no,
-            is_dropped=no,
-            is_table_contact=no,
-            is_self_contact=no,
-            self_contact_steps=none,
-            contact_height=zero,
-            contact_steps=none,
-            penetration_sum=zero,
-            max_penetration=zero,
-            max_table_penetration=zero,
-            max_joint_speed=zero,
-            max_torque_share=zero,
-            hold_speed=zero,
-            hold_torque_share=zero,
-            peak_deceleration=zero,
-        )
+        kept = {"object_id": object_id, "aim": aim}
+        none, no = torch.zeros_like(object_id), torch.zeros_like(object_id, dtype=torch.bool)
+        zero = aim.new_zeros(len(aim))
+        counts = ("steps", "held_steps", "self_contact_steps", "contact_steps")
+        begun = {field.name: no if field.name.startswith("is_") else zero for field in fields(cls)}
+        return cls(**(begun | dict.fromkeys(counts, none) | kept))
 
     def advanced(
         self, transition: Transition, log: StepExtremes, arms: Columns, palms: Columns

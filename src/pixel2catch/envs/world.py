@@ -41,8 +41,7 @@ MASS_POWER = {
     "body_invweight0": -1,
     "dof_invweight0": -1,
 }
-"""How the object's model fields grow with its mass. All must follow it, or flights and contacts go
-wrong."""
+"""How the object's model fields grow with its mass. All must follow, or flights and contacts go wrong."""
 
 
 @dataclass(frozen=True)
@@ -123,13 +122,23 @@ class CatchWorld:
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
         self._sensors = ContactColumns.of(model, workcell)
         self.arms, self._hands = merged(workcell.of_role("arm")), merged(workcell.of_role("hand"))
-        self.palms = _palm_columns(workcell)
+        sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
+        starts = np.cumsum([0, *sizes[:-1]]).tolist()
+        #: Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers.
+        self.palms: Columns = tuple(slice(start, start + 1) for start in starts)
         self._fields = _Fields(
             **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
         )
         speeds = [joint.velocity_limit for joint in workcell.joints]
-        self._drives = JointActuators(self.simulation, dynamics, nominal, speeds)
-        self._joints = _JointTensors.of(workcell, self.simulation.dtype, self.device)
+        self._actuators = JointActuators(self.simulation, dynamics, nominal, speeds)
+        self._home, self._lower, self._upper = (
+            torch.tensor(
+                [getattr(joint, name) for joint in workcell.joints],
+                dtype=self.simulation.dtype,
+                device=self.device,
+            )
+            for name in ("home", "lower", "upper")
+        )
         self._table = {
             name: torch.as_tensor(rows).to(self.device)
             for name, rows in self.objects.fields.items()
@@ -150,12 +159,11 @@ class CatchWorld:
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
         """Put the masked robots at their start, with new dynamics, and let a new object hover."""
         self._set_object(mask, parameters)
-        joints = self._joints
-        joint_pos = torch.clamp(joints.home + parameters.joint_offset, joints.lower, joints.upper)
+        joint_pos = torch.clamp(self._home + parameters.joint_offset, self._lower, self._upper)
         fields = self._fields
         start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
         fields.qpos.copy_(select(mask, start, fields.qpos))
-        self._drives.reset(mask, joint_pos, parameters)
+        self._actuators.reset(mask, joint_pos, parameters)
         start = torch.nn.functional.pad(throw.hover_vel, (self._num_joints, 3)).to(joint_pos)
         fields.qvel.copy_(select(mask, start, fields.qvel))
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
@@ -196,12 +204,12 @@ class CatchWorld:
             num_steps: Physics steps, if not those of a control step.
         """
         num_steps = num_steps or self._decimation
-        increment = self._drives.increment(joint_pos_target, num_steps)
+        increment = self._actuators.increment(joint_pos_target, num_steps)
         log = None
         for i in range(num_steps):
             if base_acceleration is not None or drag is not None:
                 self._push_object(None if base_acceleration is None else -base_acceleration[i], drag)
-            self._drives.advance(increment)
+            self._actuators.advance(increment)
             self.simulation.step()
             log = self._read_log() if log is None else log.merged(self._read_log())
         assert log is not None
@@ -287,7 +295,7 @@ class CatchWorld:
         fields = self._fields
         found = fields.sensordata[:, self._sensors.found] > 0
         depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
-        torque_share = (fields.actuator_force.abs() / self._drives.effort_limit).float()
+        torque_share = (fields.actuator_force.abs() / self._actuators.effort_limit).float()
         sensors = self._sensors
         return StepExtremes(
             is_touching=found[:, sensors.touching],
@@ -299,30 +307,6 @@ class CatchWorld:
             torque_share=torque_share.amax(dim=-1),
             hand_torque_share=take(torque_share, self._hands).mean(dim=-1),
         )
-
-
-def _palm_columns(workcell: WorkcellSpec) -> Columns:
-    """Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers."""
-    sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
-    return tuple(slice(start, start + 1) for start in np.cumsum([0, *sizes[:-1]]).tolist())
-
-
-@dataclass(frozen=True, kw_only=True)
-class _JointTensors:
-    """Constants of the joints in joint order."""
-
-    home: Tensor
-    lower: Tensor
-    upper: Tensor
-
-    @classmethod
-    def of(cls, workcell: WorkcellSpec, dtype: torch.dtype, device: torch.device) -> "_JointTensors":
-        """Copy the constants to the device."""
-        columns = {
-            field.name: [getattr(joint, field.name) for joint in workcell.joints]
-            for field in dataclasses.fields(cls)
-        }
-        return cls(**{n: torch.tensor(values, dtype=dtype, device=device) for n, values in columns.items()})
 
 
 def _snapshot(live: Tensor) -> Tensor:

@@ -24,18 +24,14 @@ from pixel2catch.learning.config import TrainCfg
 
 @final
 class Workers:
-    """What a process knows of all; every process calls the same methods in the same order.
-
-    Attributes:
-        rank: Number of this process, from 0.
-        size: Number of processes; one that trains alone has nothing to combine.
-        device: Device of this process, "cpu" or "cuda:N".
-        is_agreed: Whether all processes know that the training has failed.
-    """
+    """What a process knows of all; every process calls the same methods in the same order."""
 
     def __init__(self, rank: int = 0, size: int = 1, device: str = "cpu") -> None:
         """Take a place, the only one if no other is named."""
-        self.rank, self.size, self.device, self.is_agreed = rank, size, device, False
+        self.rank = rank  #: Number of this process, from 0.
+        self.size = size  #: Number of processes; one that trains alone has nothing to combine.
+        self.device = device  #: Device of this process, "cpu" or "cuda:N".
+        self.is_agreed = False  #: Whether all processes know that the training has failed.
 
     @property
     def is_first(self) -> bool:

@@ -106,11 +106,7 @@ class Environment(Protocol):
 
 
 class EnvSchedule:
-    """Environments whose physics becomes finer in the course of a training.
-
-    Attributes:
-        env: The environments of the present rate.
-    """
+    """Environments whose physics becomes finer in the course of a training."""
 
     def __init__(
         self, cfg: TrainCfg, make_env: Callable[[TrainCfg], Environment], contract: PolicyContract
@@ -124,7 +120,7 @@ class EnvSchedule:
         """
         self._cfg, self._make_env, self._contract = cfg, make_env, contract
         self._rate = cfg.rate_at(0)
-        self.env = self._make()
+        self.env = self._make()  #: The environments of the present rate.
 
     def enter(self, transitions: int) -> bool:
         """Change to the rate that follows this many transitions; whether the environments are new."""

@@ -64,6 +64,7 @@ def train(
         DeviceUnavailableError: The machine does not have `cfg.device`.
         WorkerError: Another process failed; only in the first, which alone reports it.
         InvalidValueError: The environments cannot be split over the processes.
+        PolicyMismatchError: There is no policy to start from, or it does not fit, by the field that is named.
     """
     folder = RunFolder(out_dir, cfg.inputs)
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
@@ -80,7 +81,10 @@ def train(
             training = _Training(cfg, schedule, contract, folder, mappo, agents)
             if cfg.start and not resume:
                 with workers.sync_errors():
-                    mappo.adopt(_policy_to_start_from(cfg.start, contract))
+                    is_run = (cfg.start / "policy").is_dir()
+                    start = Policy.load(cfg.start / "policy" if is_run else cfg.start)
+                    start.contract.require(contract)
+                    mappo.adopt(start)
             if resume:
                 training.progress = load_checkpoint(folder.checkpoint, mappo, contract)
             workers.diverge(cfg.seed, training.progress.transitions)
@@ -99,17 +103,6 @@ def _require_teacher(cfg: TrainCfg, folder: RunFolder) -> None:
         raise CheckpointError(
             f"'{folder.path}' was begun with the teacher '{before}'; go on with --teacher {before}."
         )
-
-
-def _policy_to_start_from(folder: Path, contract: PolicyContract) -> Policy:
-    """Read a policy that a training goes on from.
-
-    Raises:
-        PolicyMismatchError: There is none, or it does not fit; the message names the field.
-    """
-    policy = Policy.load(folder / "policy" if (folder / "policy").is_dir() else folder)
-    policy.contract.require(contract)
-    return policy
 
 
 class _Training:

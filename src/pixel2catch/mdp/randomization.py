@@ -121,11 +121,13 @@ def sample_parameters(
         return torch.randn(num_envs, num_joints, generator=generator, device=device)
 
     object_id = object_ids[torch.randint(len(object_ids), (num_envs,), generator=generator, device=device)]
-    stiffness_scale, damping_scale = _sample_gains(cfg.gains, num_envs, generator)
+    stiffness_scale = uniform(cfg.gains.stiffness_scale, num_envs, generator)
+    damping_scale = uniform(cfg.gains.damping_scale, num_envs, generator)
+    is_relative = constant(cfg.gains.is_damping_relative, device, torch.bool)
     return EpisodeParameters(
         object_id=object_id,
         stiffness_scale=stiffness_scale,
-        damping_scale=damping_scale,
+        damping_scale=damping_scale * torch.where(is_relative, stiffness_scale, 1.0),
         action_bias=normal() * (cfg.action_bias * action_bias),
         joint_bias=normal() * sensing.joint_bias,
         joint_offset=uniform(offset, num_envs, generator),
@@ -134,16 +136,6 @@ def sample_parameters(
         friction=scalars[:, 2],
         latency=sample_delay(sensing.latency_steps, sensing.latency_grid, num_envs, generator),
     )
-
-
-def _sample_gains(
-    ranges: GainRanges, num_envs: int, generator: torch.Generator
-) -> tuple[Float[Tensor, "num_envs num_joints"], Float[Tensor, "num_envs num_joints"]]:
-    """Factors on stiffness and damping."""
-    stiffness = uniform(ranges.stiffness_scale, num_envs, generator)
-    damping = uniform(ranges.damping_scale, num_envs, generator)
-    is_relative = constant(ranges.is_damping_relative, generator.device, torch.bool)
-    return stiffness, damping * torch.where(is_relative, stiffness, 1.0)
 
 
 def sample_delay(

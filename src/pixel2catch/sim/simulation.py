@@ -29,14 +29,7 @@ MAX_GEOM_GROUPS = mujoco.mjNGROUP
 
 
 class Simulation(ABC):
-    """`num_envs` independent copies of one MuJoCo model on one device.
-
-    Attributes:
-        model: The model that every environment starts from.
-        num_envs: Number of environments.
-        device: Where bound and expanded tensors live.
-        dtype: Their floating-point type.
-    """
+    """`num_envs` independent copies of one MuJoCo model on one device."""
 
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype
@@ -48,10 +41,10 @@ class Simulation(ABC):
         """
         if num_envs < 1:
             raise InvalidValueError(f"num_envs is {num_envs}; it must be at least 1")
-        self.model = model
+        self.model = model  #: The model that every environment starts from.
         self.num_envs = num_envs
-        self.device = device
-        self.dtype = dtype
+        self.device = device  #: Where bound and expanded tensors live.
+        self.dtype = dtype  #: Their floating-point type.
 
     @abstractmethod
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:
