@@ -67,7 +67,7 @@ def world_path(scene: SceneCfg, dynamics: JointDynamics, targets: np.ndarray) ->
     everywhere = torch.ones(1, dtype=torch.bool)
     throw = sample_throws(ThrowCfg(), 1, torch.Generator().manual_seed(0))
     world.reset(everywhere, parameters(1), throw)
-    world.forward(everywhere)
+    world.simulation.forward(everywhere)
     path = []
     for target in targets:
         world.run(torch.tensor(target, dtype=torch.float32)[None])
@@ -157,12 +157,12 @@ def test_a_new_episode_does_not_feel_the_last_one():
     world = CatchWorld(scene, IDENTIFIED, num_envs=2, device="cpu")
     throw = sample_throws(ThrowCfg(), 2, torch.Generator().manual_seed(0))
     world.reset(torch.tensor((True, True)), parameters(2), throw)
-    world.forward(torch.tensor((True, True)))
+    world.simulation.forward(torch.tensor((True, True)))
     target = torch.tensor(HOME + INWARDS * 0.2).float().expand(2, -1)
     for _ in range(3):
         world.run(target)
     world.reset(torch.tensor((True, False)), parameters(2), throw)
-    world.forward(torch.tensor((True, False)))
+    world.simulation.forward(torch.tensor((True, False)))
     world.run(torch.stack((torch.tensor(HOME).float(), target[1])))
     moved = (world.joint_pos - torch.tensor(HOME)).abs()
     assert moved[0, :6].max() < 1e-5

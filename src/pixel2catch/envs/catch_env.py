@@ -133,7 +133,7 @@ class CatchEnv:
         """Begin a new episode in every environment."""
         assign(self._episode, self._draw_episode())
         self.world.reset(self._everywhere, self._episode.parameters, self._episode.throw)
-        self.world.forward(self._everywhere)
+        self.world.simulation.forward(self._everywhere)
         assign(self._commands, self._waiting_commands())
         assign(self._senses, self._first_senses())
         return self._observe()
@@ -153,7 +153,7 @@ class CatchEnv:
 
     def close(self) -> None:
         """Free the simulation."""
-        self.world.close()
+        self.world.simulation.close()
 
     def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
         """One control step on memory that stays where it is, so that a device can record and replay it."""
@@ -243,7 +243,7 @@ class CatchEnv:
         self.world.reset(ended, fresh.parameters, fresh.throw)
         is_released = self._episode.record.steps == self._episode.throw.hover_steps
         self.world.release(is_released, self._episode.throw)
-        self.world.forward(ended | is_released)
+        self.world.simulation.forward(ended | is_released)
 
     def _sense(self, begun: Bool[Tensor, " num_envs"], command: Command, log: StepExtremes) -> None:
         """Look and measure after a control step; nothing of an ended episode survives.

@@ -97,7 +97,8 @@ class ContactColumns(NamedTuple):
 class CatchWorld:
     """`num_envs` robots, each with an object that hovers, flies and lands.
 
-    Everything read from it is float32; the simulation keeps its own precision.
+    Everything read from it is float32; the simulation keeps its own precision, and is made current by its
+    `forward` after `reset` and `release`.
     """
 
     def __init__(
@@ -184,10 +185,6 @@ class CatchWorld:
         velocity.copy_(select(mask, start, velocity))
         self._fields.xfrc_applied[:, self.objects.indices.body, 2].masked_fill_(mask, 0.0)
 
-    def forward(self, mask: Bool[Tensor, " num_envs"]) -> None:
-        """Make everything that can be read current after `reset` or `release`."""
-        self.simulation.forward(mask)
-
     def run(
         self,
         joint_pos_target: Float[Tensor, "num_envs num_joints"],
@@ -265,10 +262,6 @@ class CatchWorld:
         directions = ray_directions(camera, points).to(self.simulation.dtype)
         hit = self.simulation.ray(camera_center(camera, directions), directions, OCCLUDER_GROUPS)
         return points, is_unoccluded(hit)
-
-    def close(self) -> None:
-        """Free the simulation."""
-        self.simulation.close()
 
     def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:
         """Shape, inertia and contact of the object."""

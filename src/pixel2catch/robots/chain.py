@@ -45,9 +45,9 @@ class Chain:
         self._products = torch.as_tensor(_product_maps(), dtype=dtype, device=device)
         self.side = torch.ones(4, dtype=dtype, device=device)
         _, start = self.pose(torch.tensor([home], dtype=dtype, device=device))
-        #: Orientation of the site at the start pose; of q and -q, which are one rotation, the one on its side is
-        #: returned. Its largest number is negative, as in the first policies. Differs: paper and release return
-        #: w >= 0; where w is 0 at the start, noise alone would flip all four numbers.
+        #: Orientation of the site at the start pose; of q and -q, which are one rotation, the one on its side
+        #: is returned. Its largest number is negative, as in the first policies. Differs: paper and release
+        #: return w >= 0; where w is 0 at the start, noise alone would flip all four numbers.
         self.side = -start[0] * start[0, start[0].abs().argmax()].sign()
 
     def link_poses(

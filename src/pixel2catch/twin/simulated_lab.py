@@ -190,7 +190,7 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
         generator = torch.Generator().manual_seed(seed)
         self.episode: Episode = draw_episode(self._task, self._action_bias, self._object_ids, 1, generator)
         self._world.reset(_YES, self.episode.parameters, self.episode.throw)
-        self._world.forward(_YES)
+        self._world.simulation.forward(_YES)
         release_pos = self.episode.throw.pos[0].double().numpy()
         phase = float(self._rng.uniform(0.0, 2.0 * pi))
         self._thrower = Thrower(bystanders=Bystanders(release_pos=release_pos, phase=phase))
@@ -244,7 +244,7 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
 
     def close(self) -> None:
         """Free the simulation."""
-        self._world.close()
+        self._world.simulation.close()
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""
@@ -264,7 +264,7 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
 
     def _release(self, log: StepExtremes) -> None:
         self._world.release(_YES, self.episode.throw)
-        self._world.forward(_YES)
+        self._world.simulation.forward(_YES)
         self._scorer = ThrowScorer(self.episode, self._world, self._world.privileged(log))
         self._thrower = replace(self._thrower, release=self.time)
         self.phase, self.num_throws = Phase.FLYING, self.num_throws + 1
