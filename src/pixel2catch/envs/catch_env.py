@@ -15,11 +15,10 @@ from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.columns import put
-from pixel2catch.mdp.delay import DelayLine
 from pixel2catch.mdp.masks import assign, clone, select
 from pixel2catch.mdp.observations import privileged_state
 from pixel2catch.mdp.randomization import by_joint
-from pixel2catch.mdp.sensing import Detection
+from pixel2catch.mdp.sensing import DelayLine, Detection
 from pixel2catch.mdp.snapshot import History, Measurement, Privileged, Transition
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
