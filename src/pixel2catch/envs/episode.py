@@ -81,8 +81,7 @@ class EpisodeRecord:
     #: Largest speed of an arm joint, over all physics steps [rad/s].
     max_joint_speed: Float[Tensor, " num_envs"]
     max_torque_share: Float[Tensor, " num_envs"]  #: Largest joint torque as a share of its limit.
-    #: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; of no meaning without
-    #: one.
+    #: Mean speed of the arm's joints in the last `REST_STEPS` of a success [rad/s]; meaningless without one.
     hold_speed: Float[Tensor, " num_envs"]
     #: Mean torque of the hand's joints then, as a share of their limits; likewise.
     hold_torque_share: Float[Tensor, " num_envs"]
