@@ -19,8 +19,8 @@ import torch
 from box_scores import Score, score, summary
 from rendered_throws import FilmCfg, PerceptionRunner, RenderedDetector
 
+from pixel2catch.envs.catch_env import Step
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.envs.step import Step
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, Trials, run_round
@@ -49,19 +49,19 @@ class Duel:
     def __init__(self, cfg: EvaluationCfg, film: FilmCfg, actor: Actor, method: Method) -> None:
         self._env, self._actor = cfg.make_env(method), actor
         perception = PerceptionRunner(BackgroundSubtraction(), film.scene.workcell)
-        self.eye = RenderedDetector(self._env.eye, self._env.world, film, perception)
-        self._env.eye = self.eye
+        self.detector = RenderedDetector(self._env.detector, self._env.world, film, perception)
+        self._env.detector = self.detector
 
     def throw(self, seed: int) -> Pair:
         """One throw both ways."""
         by_images = self._round(seed, through_images=True)
-        scores = score(self.eye.shots, self.eye.extractions)
+        scores = score(self.detector.shots, self.detector.extractions)
         by_geometry = self._round(seed, through_images=False)
         name = tuple(OBJECTS)[int(by_images.record.object_id[0])]
         return Pair(object_name=name, images=by_images, geometry=by_geometry, scores=scores)
 
     def close(self) -> None:
-        self.eye.close()
+        self.detector.close()
         self._env.close()
 
     def _round(self, seed: int, *, through_images: bool) -> Trials:
@@ -69,11 +69,11 @@ class Duel:
 
         def watch(_: Step, state: RoundState) -> None:
             if not (state.is_running & ~state.is_testing)[0]:
-                self.eye.close()
+                self.detector.close()
 
         self._env.seed(seed)
         if through_images:
-            self.eye.open()
+            self.detector.open()
         return run_round(self._env, self._actor, watch)
 
 

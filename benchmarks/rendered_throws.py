@@ -13,8 +13,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from pixel2catch.camera.boxes import box_of_mask
-from pixel2catch.envs.draws import Episode
-from pixel2catch.envs.eye import Eye
+from pixel2catch.envs.detector import Detector
+from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
@@ -198,7 +198,7 @@ class PerceptionRunner:
         return self._extractor.step(CameraFrame(image=shot.image, stamp=now, joint_pos=shot.joint_pos), now)
 
 
-class RenderedDetector(Eye):
+class RenderedDetector(Detector):
     """Films the one environment and delivers the boxes that the perception finds in the images.
 
     The detector that it replaces still looks: it draws what it always draws, so that throws and noise stay
@@ -211,7 +211,9 @@ class RenderedDetector(Eye):
         extractions: What was made of each.
     """
 
-    def __init__(self, other: Eye, world: CatchWorld, cfg: FilmCfg, perception: PerceptionRunner) -> None:
+    def __init__(
+        self, other: Detector, world: CatchWorld, cfg: FilmCfg, perception: PerceptionRunner
+    ) -> None:
         """Look into a world of one environment on the CPU.
 
         Args:
@@ -229,7 +231,7 @@ class RenderedDetector(Eye):
         self.extractions: list[Extraction] = []
 
     def look(self, truth: Privileged, episode: Episode) -> Detection:
-        """See `Eye.look`."""
+        """See `Detector.look`."""
         detection = self._other.look(truth, episode)
         steps = int(episode.record.steps[0])
         if steps == 0 and self.shots:
@@ -248,7 +250,7 @@ class RenderedDetector(Eye):
         return replace(detection, box=self.extractions[-1].box, is_seen=torch.tensor([is_found]))
 
     def disturbed(self, detection: Detection, episode: Episode) -> Detection:
-        """See `Eye.disturbed`: an image needs no noise but its own."""
+        """See `Detector.disturbed`: an image needs no noise but its own."""
         drawn = self._other.disturbed(detection, episode)
         if not self._is_open:
             return drawn

@@ -20,8 +20,7 @@ from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.robots.spec import JointGroup
 from pixel2catch.robots.workcell import WorkcellSpec
 
-ACTION_WEIGHT = -0.01
-"""Weight of the squared action of each agent. Source: paper, Eq. 3 and 4."""
+ACTION_WEIGHT = -0.01  #: Weight of the squared action of each agent. Source: paper, Eq. 3 and 4.
 
 ARM_REWARD = (
     RewardTerm(function=rewards.elapsed_time, weight=-0.01),
@@ -66,16 +65,12 @@ Source: ours. Larger weights, and paying for the motion of fingers, keep them fr
 class AgentSpec:
     """One learner: the joints it moves, what it sees, and what it is rewarded for."""
 
-    name: str
-    """Name in logs, files and the agents' dictionaries."""
+    name: str  #: Name in logs, files and the agents' dictionaries.
+    #: The body parts that it moves, in joint order; its reward is the sum of theirs.
     parts: tuple[BodyPart, ...]
-    """The body parts that it moves, in joint order; its reward is the sum of theirs."""
-    teammates: tuple[BodyPart, ...] = ()
-    """Body parts that others move, whose reward it gets as well."""
-    observation: tuple[ObservationTerm, ...] = PAPER_TERMS
-    """Terms of one observation frame."""
-    memory: tuple[ObservationTerm, ...] = ()
-    """Terms of what it remembers of the images."""
+    teammates: tuple[BodyPart, ...] = ()  #: Body parts that others move, whose reward it gets as well.
+    observation: tuple[ObservationTerm, ...] = PAPER_TERMS  #: Terms of one observation frame.
+    memory: tuple[ObservationTerm, ...] = ()  #: Terms of what it remembers of the images.
 
     @property
     def joints(self) -> Columns:
@@ -123,12 +118,7 @@ class AgentSpec:
 def agents_of(
     workcell: WorkcellSpec, rewards_by_role: dict[str, tuple[RewardTerm, ...]] = REWARDS
 ) -> tuple[AgentSpec, ...]:
-    """One agent for each joint group of a work cell, in joint order.
-
-    Args:
-        workcell: The work cell.
-        rewards_by_role: Reward terms of arms and hands.
-    """
+    """One agent for each joint group of a work cell, in joint order."""
     return tuple(
         AgentSpec(name=group.name, parts=(_part_of(workcell, group, rewards_by_role[group.role]),))
         for group in workcell.groups

@@ -29,14 +29,10 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 class Method:
     """Which agents learn, and which pixel features they see."""
 
-    name: str
-    """Name on the command line and in policy files."""
-    agents: tuple[AgentSpec, ...]
-    """The learners, in joint order."""
-    pixel_features: tuple[str, ...]
-    """Names out of `camera.boxes.PIXEL_FEATURES`."""
-    num_boxes: int = 1
-    """Measured boxes that it remembers."""
+    name: str  #: Name on the command line and in policy files.
+    agents: tuple[AgentSpec, ...]  #: The learners, in joint order.
+    pixel_features: tuple[str, ...]  #: Names out of `camera.boxes.PIXEL_FEATURES`.
+    num_boxes: int = 1  #: Measured boxes that it remembers.
 
     @property
     def knows_age(self) -> bool:
@@ -56,10 +52,8 @@ class Method:
 class Memory:
     """What agents remember of the images besides the paper's two frames."""
 
-    num_boxes: int
-    """Measured boxes."""
-    terms: tuple[ObservationTerm, ...]
-    """What is observed of them."""
+    num_boxes: int  #: Measured boxes.
+    terms: tuple[ObservationTerm, ...]  #: What is observed of them.
 
 
 MEMORIES: dict[str, Memory] = {
@@ -79,8 +73,7 @@ def remembering(method: Method, memory: str) -> Method:
     return replace(method, name=f"{method.name}+{memory}", agents=agents, num_boxes=kept.num_boxes)
 
 
-ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")
-"""Source: paper, Eq. 1."""
+ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")  #: Source: paper, Eq. 1.
 
 
 def _seeing(agents: tuple[AgentSpec, ...], *observation: ObservationTerm) -> tuple[AgentSpec, ...]:
@@ -121,8 +114,7 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     return {method.name: method for method in methods}
 
 
-METHODS = methods_of(UR5E_ALLEGRO)
-"""The methods for the paper's robot."""
+METHODS = methods_of(UR5E_ALLEGRO)  #: The methods for the paper's robot.
 
 PROPOSED = METHODS["proposed"]
 

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from pixel2catch.deployment.policy_pipeline import Controller
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.step import Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
 from pixel2catch.evaluation.loading import shipped_policies
 from pixel2catch.mdp.box_history import BoxHistory

@@ -6,9 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.draws import draw_episode
-from pixel2catch.envs.step import Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
+from pixel2catch.envs.episode import draw_episode
 from pixel2catch.mdp.randomization import RandomizationCfg, by_joint
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS

@@ -7,8 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.step import Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.observations import observe, pixel_columns
 from pixel2catch.mdp.sensing import SensingCfg, detect

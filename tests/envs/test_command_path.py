@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pixel2catch.envs.command_path import CommandPath, filtered
+from pixel2catch.envs.actuators import CommandPath, filtered
 from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
 
 DT = 1.0 / 240.0

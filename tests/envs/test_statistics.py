@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.episodes import FAILURES, EpisodeRecord, failure
-from pixel2catch.envs.physics_log import PhysicsLog
+from pixel2catch.envs.episode import FAILURES, EpisodeRecord, StepExtremes, failure
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.snapshot import Privileged, Transition
@@ -177,11 +176,13 @@ def step_of(before: Privileged, now: Privileged, held: int, number: int) -> Tran
     )
 
 
-def log_of(touching: bool, penetration: float = 0.0, torque: float = 0.0, itself: bool = False) -> PhysicsLog:
+def log_of(
+    touching: bool, penetration: float = 0.0, torque: float = 0.0, itself: bool = False
+) -> StepExtremes:
     touched = torch.zeros(1, 5, dtype=torch.bool)
     touched[0, 2] = touching
     depth, none = torch.tensor([penetration]), torch.zeros(1)
-    return PhysicsLog(touched, yes(0), yes(itself), depth, none, none, none, torch.tensor([torque]))
+    return StepExtremes(touched, yes(0), yes(itself), depth, none, none, none, torch.tensor([torque]))
 
 
 def test_a_record_of_three_steps_by_hand():

@@ -9,8 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.step import Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.randomization import RandomizationCfg

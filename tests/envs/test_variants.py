@@ -10,9 +10,8 @@ from torch import Tensor
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import COMMON_SENSING, CatchEnvCfg, TaskVariant
-from pixel2catch.envs.draws import Episode, draw_episode
+from pixel2catch.envs.episode import Episode, draw_episode, drawn_parameters
 from pixel2catch.envs.tasks import TASKS, find_task
-from pixel2catch.envs.told import drawn_parameters
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg, by_joint
@@ -69,7 +68,7 @@ def test_shares_are_met():
 def test_every_variant_keeps_its_own_ranges(number: int):
     """Throw, robot and sight of an episode are of one variant."""
     episode, cfg = draw(MIXED), MIXED.all_variants[number]
-    x, sight = episode.throw.pos[:, 0], episode.sight
+    x, sight = episode.throw.pos[:, 0], episode.camera_errors
     assert sight is not None
     is_own = (x >= cfg.throws.release_x[0]) & (x <= cfg.throws.release_x[1])
     assert is_own.any()
@@ -124,7 +123,7 @@ def test_a_variant_of_the_noise_of_actions_is_refused(name: str):
 def test_a_task_without_variants_draws_what_it_drew_for_published_results():
     """Seed 0 of the task of the paper."""
     episode = draw(PLAIN, 6)
-    assert (episode.sight, episode.shake, episode.drag) == (None, None, None)
+    assert (episode.camera_errors, episode.shake, episode.drag) == (None, None, None)
     assert not episode.command_delay.any()
     assert episode.parameters.object_id.tolist() == [2, 3, 2, 5, 5, 2]
     assert episode.parameters.latency.tolist() == [2.0, 1.0, 2.0, 1.0, 1.0, 1.0]

@@ -5,7 +5,7 @@ import pytest
 import torch
 from rich.console import Console
 
-from pixel2catch.envs.episodes import FAILURES, EpisodeRecord
+from pixel2catch.envs.episode import FAILURES, EpisodeRecord
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.metrics import metrics, wilson_interval
 from pixel2catch.evaluation.protocol import Trials

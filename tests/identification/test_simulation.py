@@ -6,7 +6,7 @@ import pytest
 import torch
 from recorded import JOINT_SPECS, ROBOTS
 
-from pixel2catch.envs.servo import FRICTION_SPEED, Servos
+from pixel2catch.envs.actuators import FRICTION_SPEED, Servos
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import (
@@ -141,7 +141,7 @@ def test_a_step_knows_what_arrives_before_and_after_a_jump():
 
 
 def test_dry_friction_is_that_of_training():
-    """The law is written for PyTorch in `envs/servo.py`, and for NumPy here."""
+    """The law is written for PyTorch in `envs/actuators.py`, and for NumPy here."""
     nominal, speeds = JointDynamics.nominal(), np.linspace(-1.0, 1.0, 19)[None]
     servos = Servos.on(
         torch.device("cpu"), torch.float64, nominal, np.ones(19).tolist(), np.ones(19).tolist()

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from pixel2catch.mdp.delay import DelayLine
-from pixel2catch.mdp.sensing import Detection
+from pixel2catch.mdp.sensing import DelayLine, Detection
 
 
 def detection(mark: float, num_envs: int = 1) -> Detection:

@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from pixel2catch.mdp.drag import flight_time, velocity_through_air
-from pixel2catch.mdp.throws import ThrowCfg, sample_throws
+from pixel2catch.mdp.throws import ThrowCfg, flight_time, sample_throws, velocity_through_air
 from pixel2catch.scene.constants import GRAVITY
 
 

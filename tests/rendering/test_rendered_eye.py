@@ -44,8 +44,8 @@ def env() -> Iterator[CatchEnv]:
         pytest.skip(str(error))
     task = CatchEnvCfg(sensing=SensingCfg(corner_noise=0.0, latency_steps=(0, 0)))
     env = CatchEnv(task, METHOD, num_envs=1)
-    eye = RenderedDetector(env.eye, env.world, FILM, PerceptionRunner(BackgroundSubtraction()))
-    env.eye = eye
+    eye = RenderedDetector(env.detector, env.world, FILM, PerceptionRunner(BackgroundSubtraction()))
+    env.detector = eye
     yield env
     eye.close()
     env.close()
@@ -53,8 +53,8 @@ def env() -> Iterator[CatchEnv]:
 
 def throw(env: CatchEnv, *, through_images: bool) -> list[Measurement]:
     """What is measured in the first steps of one throw."""
-    assert isinstance(env.eye, RenderedDetector)
-    env.eye.open() if through_images else env.eye.close()
+    assert isinstance(env.detector, RenderedDetector)
+    env.detector.open() if through_images else env.detector.close()
     env.seed(5)
     observation, measured = env.reset(), []
     for _ in range(NUM_STEPS):
@@ -74,20 +74,20 @@ def test_the_throw_and_the_noise_are_the_same_and_the_boxes_agree(env: CatchEnv)
 
 def test_the_eye_keeps_the_images_of_the_episode_and_what_was_found(env: CatchEnv):
     throw(env, through_images=True)
-    assert isinstance(env.eye, RenderedDetector)
-    assert len(env.eye.shots) == len(env.eye.extractions) == NUM_STEPS + 1
-    assert all(seen.verdict is Verdict.SEEN for seen in env.eye.extractions)
-    times = [shot.time for shot in env.eye.shots]
+    assert isinstance(env.detector, RenderedDetector)
+    assert len(env.detector.shots) == len(env.detector.extractions) == NUM_STEPS + 1
+    assert all(seen.verdict is Verdict.SEEN for seen in env.detector.extractions)
+    times = [shot.time for shot in env.detector.shots]
     assert torch.tensor(times).diff().tolist() == pytest.approx([CONTROL_DT] * NUM_STEPS, abs=1e-6)
     assert -20 * CONTROL_DT < times[0] <= -5 * CONTROL_DT
 
 
 def test_a_closed_eye_takes_no_images(env: CatchEnv):
     throw(env, through_images=True)
-    assert isinstance(env.eye, RenderedDetector)
-    before = len(env.eye.shots)
+    assert isinstance(env.detector, RenderedDetector)
+    before = len(env.detector.shots)
     throw(env, through_images=False)
-    assert len(env.eye.shots) == before
+    assert len(env.detector.shots) == before
 
 
 def test_throws_are_recorded_with_the_time_of_their_release():

@@ -12,7 +12,7 @@ def prepare(device: str) -> None:
     """
     import torch
 
-    from pixel2catch.sim.devices import require_cuda
+    from pixel2catch.sim.simulation import require_cuda
 
     if device.startswith("cuda"):
         require_cuda(device)

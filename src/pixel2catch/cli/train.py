@@ -98,7 +98,7 @@ class Train:
         import torch
 
         from pixel2catch.evaluation.loading import policy_folder
-        from pixel2catch.sim.devices import require_cuda
+        from pixel2catch.sim.simulation import require_cuda
 
         given = {name: value for name, value in vars(self.options).items() if value is not None}
         if self.method:

@@ -1,6 +1,6 @@
 """The catching environment: act, simulate, judge, reset, observe."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -8,28 +8,66 @@ from torch import Tensor
 
 from pixel2catch.agents import commands_of
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.envs.draws import Episode, draw_episode
-from pixel2catch.envs.episodes import EpisodeRecord
-from pixel2catch.envs.eye import Eye, ProjectingEye
-from pixel2catch.envs.physics_log import PhysicsLog
-from pixel2catch.envs.senses import Command, Senses
+from pixel2catch.envs.detector import Detector, ProjectedDetector
+from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_episode, drawn_parameters
 from pixel2catch.envs.statistics import EpisodeStatistics
-from pixel2catch.envs.step import Observation, Step
-from pixel2catch.envs.told import drawn_parameters
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.columns import put
-from pixel2catch.mdp.delay import DelayLine
 from pixel2catch.mdp.masks import assign, clone, select
 from pixel2catch.mdp.observations import privileged_state
 from pixel2catch.mdp.randomization import by_joint
-from pixel2catch.mdp.sensing import Detection
-from pixel2catch.mdp.snapshot import History, Measurement, Transition
+from pixel2catch.mdp.sensing import DelayLine, Detection
+from pixel2catch.mdp.snapshot import History, Measurement, Privileged, Transition
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.workcells import find_workcell
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """What the networks see."""
+
+    policy: dict[str, Float[Tensor, "num_envs _"]]  #: Observation of each agent, by name.
+    #: Input of every value network: all observations and what only the simulator knows.
+    state: Float[Tensor, "num_envs _"]
+    #: Observation of each agent of another method that is imitated; empty without one.
+    teacher: dict[str, Float[Tensor, "num_envs _"]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """What one control step returned; environments that ended have begun anew."""
+
+    observation: Observation  #: What the networks see next.
+    rewards: dict[str, Float[Tensor, " num_envs"]]  #: Reward of each agent, by name.
+    terminated: Bool[Tensor, " num_envs"]  #: Whether the episode ended, time-outs included (paper).
+    truncated: Bool[Tensor, " num_envs"]  #: Never: a time-out is a termination.
+    record: EpisodeRecord  #: The episodes up to this step, before any reset.
+    log: StepExtremes  #: What happened within this step, likewise.
+    measurement: Measurement  #: What the robot measured, of which `observation` was made.
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: The joint targets that were commanded [rad].
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """What was last commanded."""
+
+    action: Float[Tensor, "num_envs num_joints"]
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Senses:
+    """What was seen and measured up to now."""
+
+    image: Detection
+    detections: DelayLine[Detection]
+    history: History
+    before: Privileged
+    now: Privileged
 
 
 class CatchEnv:
@@ -42,7 +80,7 @@ class CatchEnv:
         action_sizes: Number of each agent's actions, by name.
         state_size: Length of the value networks' input.
         statistics: Sums over ended episodes.
-        eye: What looks at the object; on the CPU it may be replaced before a `reset`.
+        detector: What looks at the object; on the CPU it may be replaced before a `reset`.
     """
 
     def __init__(
@@ -57,13 +95,7 @@ class CatchEnv:
     ) -> None:
         """Build the environments; the first `reset` begins their episodes.
 
-        Args:
-            cfg: The task.
-            method: Which agents act and what they see.
-            num_envs: Number of environments.
-            device: "cpu" or a CUDA device.
-            seed: Seed of everything that is drawn here.
-            teacher: A method whose observations are wanted as well.
+        The observations of a `teacher` are made as well. The seed is that of everything that is drawn here.
         """
         self.workcell = find_workcell(cfg.scene.workcell)
         self.cfg = cfg = cfg.for_workcell(self.workcell)
@@ -81,7 +113,7 @@ class CatchEnv:
         self.statistics = EpisodeStatistics(
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
         )
-        self.eye: Eye = ProjectingEye(cfg.sensing, self.world, self._generator)
+        self.detector: Detector = ProjectedDetector(cfg.sensing, self.world, self._generator)
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
@@ -100,19 +132,15 @@ class CatchEnv:
         """Begin a new episode in every environment."""
         assign(self._episode, self._draw_episode())
         self.world.reset(self._everywhere, self._episode.parameters, self._episode.throw)
-        self.world.forward(self._everywhere)
+        self.world.simulation.forward(self._everywhere)
         assign(self._commands, self._waiting_commands())
         assign(self._senses, self._first_senses())
         return self._observe()
 
     def step(self, actions: dict[str, Float[Tensor, "num_envs _"]]) -> Step:
-        """Act for one control step.
+        """Act for one control step; what lies outside [-1, 1] is clipped.
 
-        Args:
-            actions: Action of each agent by name, in [-1, 1]; what lies outside is clipped.
-
-        Returns:
-            What happened. The next step overwrites its tensors, but for `observation` and `rewards`.
+        The next step overwrites the tensors of what is returned, but for `observation` and `rewards`.
         """
         action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
         step = self._advance(action.clamp(-1.0, 1.0))
@@ -124,7 +152,7 @@ class CatchEnv:
 
     def close(self) -> None:
         """Free the simulation."""
-        self.world.close()
+        self.world.simulation.close()
 
     def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
         """One control step on memory that stays where it is, so that a device can record and replay it."""
@@ -158,8 +186,8 @@ class CatchEnv:
         """What is seen and measured at the beginning of an episode."""
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
-        image = self.eye.look(now, self._episode)
-        detection = self.eye.disturbed(image, self._episode)
+        image = self.detector.look(now, self._episode)
+        detection = self.detector.disturbed(image, self._episode)
         started = Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
         measurement = self._measure(started, detection, self._first_boxes(detection), detection.object_pos)
         senses = Senses(
@@ -190,7 +218,7 @@ class CatchEnv:
         middles = torch.arange(scene.decimation, device=self.device)[:, None] + 0.5
         return shake.acceleration(CONTROL_DT * steps + scene.physics_dt * middles)
 
-    def _transition(self, command: Command, log: PhysicsLog) -> Transition:
+    def _transition(self, command: Command, log: StepExtremes) -> Transition:
         """What this control step changed."""
         now, record = self.world.privileged(log), self._episode.record
         return Transition(
@@ -214,18 +242,18 @@ class CatchEnv:
         self.world.reset(ended, fresh.parameters, fresh.throw)
         is_released = self._episode.record.steps == self._episode.throw.hover_steps
         self.world.release(is_released, self._episode.throw)
-        self.world.forward(ended | is_released)
+        self.world.simulation.forward(ended | is_released)
 
-    def _sense(self, begun: Bool[Tensor, " num_envs"], command: Command, log: PhysicsLog) -> None:
+    def _sense(self, begun: Bool[Tensor, " num_envs"], command: Command, log: StepExtremes) -> None:
         """Look and measure after a control step; nothing of an ended episode survives.
 
         Images are taken a fraction of a control step before it, and arrive after whole ones.
         """
         senses, latency = self._senses, self._episode.parameters.latency
         truth = self.world.privileged(log.cleared(begun))
-        image = self.eye.look(truth, self._episode)
+        image = self.detector.look(truth, self._episode)
         exposed = image.exposed_before(select(begun, image, senses.image), latency - latency.floor())
-        detected = self.eye.disturbed(exposed, self._episode)
+        detected = self.detector.disturbed(exposed, self._episode)
         detection = detected.held(begun | detected.is_seen, senses.detections.newest)
         first = DelayLine.filled(detection, self.cfg.longest_latency)
         detections = select(begun, first, senses.detections.pushed(detection))

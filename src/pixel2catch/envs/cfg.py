@@ -23,24 +23,17 @@ from pixel2catch.workcells import find_workcell
 COMMON_SENSING = ("corner_noise", "edge_noise", "box_scale", "least_visible", "joint_noise", "camera")
 """What of the sensors is not drawn for an episode."""
 
-COMMON_RANDOMIZATION = ("action_noise",)
-"""What of the randomization is not drawn for an episode, either."""
+COMMON_RANDOMIZATION = ("action_noise",)  #: What of the randomization is not drawn for an episode, either.
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskVariant:
-    """Other ranges that hold in a share of the episodes.
+    """Other ranges that hold in a share of the episodes."""
 
-    Attributes:
-        share: The share.
-        throws: Where from and where to.
-        randomization: What differs from episode to episode.
-        sensing: Noise and delay of the sensors; of these only what is drawn for an episode may differ.
-    """
-
-    share: float
-    throws: ThrowCfg
-    randomization: RandomizationCfg
+    share: float  #: The share.
+    throws: ThrowCfg  #: Where from and where to.
+    randomization: RandomizationCfg  #: What differs from episode to episode.
+    #: Noise and delay of the sensors; of these only what is drawn for an episode may differ.
     sensing: SensingCfg
 
     def of(self, task: "CatchEnvCfg") -> "CatchEnvCfg":
@@ -50,31 +43,22 @@ class TaskVariant:
 
 @dataclass(frozen=True, kw_only=True)
 class CatchEnvCfg:
-    """Everything that defines the task.
+    """Everything that defines the task."""
 
-    Attributes:
-        scene: What the model is made from.
-        dynamics: Dynamics of the joints; those that are not in it are nominal, and all if there is none.
-        objects: Names of the objects that are thrown.
-        throws: Where from and where to.
-        randomization: What differs from episode to episode.
-        sensing: The camera; noise and delay of camera and encoders.
-        shake: How the table shakes.
-        episode: When an episode ends.
-        variants: Ranges that differ in a share of the episodes each; in the rest the others hold.
-        is_value_told: Whether the value networks know what was drawn for an episode.
-    """
-
-    scene: SceneCfg = field(default_factory=SceneCfg)
+    scene: SceneCfg = field(default_factory=SceneCfg)  #: What the model is made from.
+    #: Dynamics of the joints; those that are not in it are nominal, and all if there is none.
     dynamics: JointDynamics | None = None
-    objects: tuple[str, ...] = SEEN
-    throws: ThrowCfg = field(default_factory=ThrowCfg)
+    objects: tuple[str, ...] = SEEN  #: Names of the objects that are thrown.
+    throws: ThrowCfg = field(default_factory=ThrowCfg)  #: Where from and where to.
+    #: What differs from episode to episode.
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
+    #: The camera; noise and delay of camera and encoders.
     sensing: SensingCfg = field(default_factory=SensingCfg)
-    shake: ShakeCfg = field(default_factory=ShakeCfg)
-    episode: EpisodeCfg = field(default_factory=EpisodeCfg)
+    shake: ShakeCfg = field(default_factory=ShakeCfg)  #: How the table shakes.
+    episode: EpisodeCfg = field(default_factory=EpisodeCfg)  #: When an episode ends.
+    #: Ranges that differ in a share of the episodes each; in the rest the others hold.
     variants: tuple[TaskVariant, ...] = ()
-    is_value_told: bool = False
+    is_value_told: bool = False  #: Whether the value networks know what was drawn for an episode.
 
     def __post_init__(self) -> None:
         """Refuse shares of more than everything, and variants in what is not drawn for an episode."""
@@ -136,22 +120,14 @@ class CatchEnvCfg:
         return replace(self.with_sensing(camera=file), scene=replace(self.scene, camera=file.camera))
 
     def with_sensing(self, **changes: Any) -> "CatchEnvCfg":
-        """The task with other sensors in all episodes.
-
-        Args:
-            changes: Fields of `SensingCfg`.
-        """
+        """The task with other sensors in all episodes: fields of `SensingCfg`."""
         variants = tuple(
             replace(variant, sensing=replace(variant.sensing, **changes)) for variant in self.variants
         )
         return replace(self, sensing=replace(self.sensing, **changes), variants=variants)
 
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
-        """The task with the robot of a dynamics file and the camera of a camera file.
-
-        Args:
-            dynamics: The one; the nominal robot if absent.
-            camera: The other; the task keeps its camera if absent.
+        """The task with the robot of a dynamics file and the camera of a camera file, where they are given.
 
         Raises:
             InvalidValueError: If a file cannot be read, or the camera's images have another size.

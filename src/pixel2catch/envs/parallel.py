@@ -18,8 +18,7 @@ from gymnasium.spaces import Box
 from numpy import ndarray
 from torch import Tensor
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.step import Observation, Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Observation, Step
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.methods import Method
 
@@ -45,14 +44,7 @@ class CatchParallelEnv:
     render_mode = None
 
     def __init__(self, cfg: CatchEnvCfg, method: Method, *, device: str = "cpu", seed: int = 0) -> None:
-        """Build the environment.
-
-        Args:
-            cfg: The task.
-            method: Which agents act and what they see.
-            device: "cpu" or a CUDA device.
-            seed: Seed of everything that is drawn until `reset` is given another.
-        """
+        """Build the environment; the seed holds until `reset` is given another."""
         self._cfg, self._method, self._device = cfg, method, device
         self._env = self._build(seed)
         self.possible_agents = [agent.name for agent in method.agents]
@@ -96,14 +88,10 @@ class CatchParallelEnv:
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Arrays, Values]:
-        """Begin an episode.
+        """Begin an episode: observation of each agent (size,) float32, and an empty info of each.
 
-        Args:
-            seed: Draw everything anew from this seed; go on with the present draws if absent.
-            options: Ignored, as the API allows.
-
-        Returns:
-            Observation of each agent (size,) float32, and an empty info of each.
+        Everything is drawn anew from a seed, and goes on without one. `options` are ignored, as the API
+        allows.
         """
         if seed is not None:
             self._env.close()
@@ -114,12 +102,9 @@ class CatchParallelEnv:
     def step(self, actions: Mapping[str, ndarray]) -> tuple[Arrays, Values, Values, Values, Values]:
         """Act for one control step; after the end of an episode nothing acts and nothing is returned.
 
-        Args:
-            actions: Action of each agent (num_joints,), in [-1, 1]; what lies outside is clipped.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos of each agent. The infos of the step
-            that ends an episode hold `is_tracked`, `is_success` and `episode_steps`.
+        Actions (num_joints,) are in [-1, 1]; what lies outside is clipped. Returned are observations,
+        rewards, terminations, truncations and infos of each agent. The infos of the step that ends an episode
+        hold `is_tracked`, `is_success` and `episode_steps`.
 
         Raises:
             InvalidValueError: If an action is missing or of another size.

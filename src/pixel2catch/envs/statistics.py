@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pixel2catch.envs.episodes import FAILURES, EpisodeRecord, failure
+from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.mdp.throws import Range
 
 SHARES = (
@@ -19,12 +19,10 @@ SHARES = (
     "is_self_contact",
 )
 SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum", "self_contact_steps")
-SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "peak_deceleration")
-"""What only a success has."""
+SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "peak_deceleration")  #: What only a success has.
 
 MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
-LANDING_BINS = (2, 4)
-"""Bins of the throws' aim along x and y."""
+LANDING_BINS = (2, 4)  #: Bins of the throws' aim along x and y.
 
 Row = list[float]
 
@@ -87,9 +85,7 @@ class EpisodeStatistics:
     ) -> dict[str, float]:
         """Rates and means since the last call; NaN where nothing was counted. Waits for the device once.
 
-        Args:
-            total: Adds up the sums of all processes that count.
-            largest: Finds the largest of their maxima.
+        `total` adds up the sums of all processes that count, `largest` finds the largest of their maxima.
         """
         buffers = (self._by_object, self._by_landing, self._rewards, self._maxima)
         *sums, maxima = (buffer.flatten() for buffer in buffers)

@@ -42,8 +42,7 @@ OUTSIDE_CAMERA = SensingCfg(
 20 ms: the sources of the stress suite's axes, without its highest levels. Perception that takes up to 85 ms
 looks at one image in 1 to 2.6. Source: rehearsals in step."""
 
-PRACTISED_THROWS = replace(ThrowCfg(), spin=14.0)
-"""Throws of training, with spin."""
+PRACTISED_THROWS = replace(ThrowCfg(), spin=14.0)  #: Throws of training, with spin.
 
 HUMAN_THROWS = ThrowCfg(
     release_x=(1.9, 3.1),
@@ -56,8 +55,7 @@ HUMAN_THROWS = ThrowCfg(
 )
 """Throws of people: nearer, farther, wider, higher and lower, with the scatter of the stress suite."""
 
-AIR = RandomizationCfg(air_density=(0.0, 1.5))
-"""The robot of the paper's task, in air."""
+AIR = RandomizationCfg(air_density=(0.0, 1.5))  #: The robot of the paper's task, in air.
 
 WIDE = replace(
     CatchEnvCfg(),

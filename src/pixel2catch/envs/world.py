@@ -2,15 +2,17 @@
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import mujoco
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.camera.pinhole import camera_center, is_unoccluded, ray_directions
-from pixel2catch.envs.drives import Drives
-from pixel2catch.envs.physics_log import ContactColumns, PhysicsLog
+from pixel2catch.envs.actuators import JointActuators
+from pixel2catch.envs.episode import StepExtremes
 from pixel2catch.mdp.columns import Columns, merged, take
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
@@ -22,13 +24,11 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.cfg import contact_solref
 from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA, CameraSpec
 from pixel2catch.scene.objects import OBJECTS, surface_points
-from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, object_table
-from pixel2catch.sim.devices import make_simulation
-from pixel2catch.sim.simulation import Simulation
+from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, contact_sensors, object_table
+from pixel2catch.sim.simulation import Simulation, make_simulation
 from pixel2catch.workcells import find_workcell
 
-OCCLUDER_GROUPS = (0, 3)
-"""Geom groups that can hide the object: table and floor, robot."""
+OCCLUDER_GROUPS = (0, 3)  #: Geom groups that can hide the object: table and floor, robot.
 
 NUM_SURFACE_POINTS = 64
 """Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""
@@ -41,8 +41,7 @@ MASS_POWER = {
     "body_invweight0": -1,
     "dof_invweight0": -1,
 }
-"""How the object's model fields grow with its mass. All must follow it, or flights and contacts go
-wrong."""
+"""How the object's model fields grow with its mass. All must follow, or flights and contacts go wrong."""
 
 
 @dataclass(frozen=True)
@@ -61,23 +60,51 @@ class _Fields:
     xmat: Tensor
 
 
+class ContactColumns(NamedTuple):
+    """Columns of `sensordata` with the numbers of contacts and the least distances."""
+
+    found: slice  #: Numbers of contacts, a column a sensor.
+    dist: slice  #: Least distances, likewise.
+    touching: slice  #: Sensors of palms and fingers with the object, among those columns.
+    anything: int  #: The sensor of the object with anything.
+    table: slice  #: Sensors of the robots with the table.
+    robots: slice  #: Sensors of the robots with themselves and each other.
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, workcell: WorkcellSpec) -> "ContactColumns":
+        """Find the columns; the sensors follow each other, two numbers each.
+
+        Raises:
+            ValueError: If the model's sensors are laid out otherwise.
+        """
+        names = [*contact_sensors(workcell)]
+        addresses = [int(model.sensor(name).adr[0]) for name in names]
+        first, last = addresses[0], addresses[-1] + 2
+        if addresses != list(range(first, last, 2)):
+            found = dict(zip(names, addresses, strict=True))
+            raise ValueError(f"contact sensors are not consecutive pairs: {found}")
+        anything, num_robots = names.index("object_any"), len(workcell.robots)
+        return cls(
+            found=slice(first, last, 2),
+            dist=slice(first + 1, last, 2),
+            touching=slice(0, anything),
+            anything=anything,
+            table=slice(anything + 1, anything + 1 + num_robots),
+            robots=slice(anything + 1 + num_robots, len(names)),
+        )
+
+
 class CatchWorld:
     """`num_envs` robots, each with an object that hovers, flies and lands.
 
-    Everything read from it is float32; the simulation keeps its own precision.
+    Everything read from it is float32; the simulation keeps its own precision, and is made current by its
+    `forward` after `reset` and `release`.
     """
 
     def __init__(
         self, scene: SceneCfg, dynamics: JointDynamics | None, *, num_envs: int, device: str
     ) -> None:
-        """Build the model and its copies.
-
-        Args:
-            scene: What the model is made from.
-            dynamics: Of some joints or all; the others are nominal.
-            num_envs: Number of environments.
-            device: "cpu" or a CUDA device.
-        """
+        """Build the model and its copies; joints that are not among `dynamics` are nominal."""
         workcell = find_workcell(scene.workcell)
         nominal = JointDynamics.nominal(specs=workcell.joints)
         dynamics = dynamics.over(nominal) if dynamics else nominal
@@ -96,13 +123,23 @@ class CatchWorld:
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
         self._sensors = ContactColumns.of(model, workcell)
         self.arms, self._hands = merged(workcell.of_role("arm")), merged(workcell.of_role("hand"))
-        self.palms = _palm_columns(workcell)
+        sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
+        starts = np.cumsum([0, *sizes[:-1]]).tolist()
+        #: Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers.
+        self.palms: Columns = tuple(slice(start, start + 1) for start in starts)
         self._fields = _Fields(
             **{field.name: self.simulation.bind(field.name) for field in dataclasses.fields(_Fields)}
         )
         speeds = [joint.velocity_limit for joint in workcell.joints]
-        self._drives = Drives(self.simulation, dynamics, nominal, speeds)
-        self._joints = _JointTensors.of(workcell, self.simulation.dtype, self.device)
+        self._actuators = JointActuators(self.simulation, dynamics, nominal, speeds)
+        self._home, self._lower, self._upper = (
+            torch.tensor(
+                [getattr(joint, name) for joint in workcell.joints],
+                dtype=self.simulation.dtype,
+                device=self.device,
+            )
+            for name in ("home", "lower", "upper")
+        )
         self._table = {
             name: torch.as_tensor(rows).to(self.device)
             for name, rows in self.objects.fields.items()
@@ -123,12 +160,11 @@ class CatchWorld:
     def reset(self, mask: Bool[Tensor, " num_envs"], parameters: EpisodeParameters, throw: Throw) -> None:
         """Put the masked robots at their start, with new dynamics, and let a new object hover."""
         self._set_object(mask, parameters)
-        joints = self._joints
-        joint_pos = torch.clamp(joints.home + parameters.joint_offset, joints.lower, joints.upper)
+        joint_pos = torch.clamp(self._home + parameters.joint_offset, self._lower, self._upper)
         fields = self._fields
         start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
         fields.qpos.copy_(select(mask, start, fields.qpos))
-        self._drives.reset(mask, joint_pos, parameters)
+        self._actuators.reset(mask, joint_pos, parameters)
         start = torch.nn.functional.pad(throw.hover_vel, (self._num_joints, 3)).to(joint_pos)
         fields.qvel.copy_(select(mask, start, fields.qvel))
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
@@ -149,17 +185,13 @@ class CatchWorld:
         velocity.copy_(select(mask, start, velocity))
         self._fields.xfrc_applied[:, self.objects.indices.body, 2].masked_fill_(mask, 0.0)
 
-    def forward(self, mask: Bool[Tensor, " num_envs"]) -> None:
-        """Make everything that can be read current after `reset` or `release`."""
-        self.simulation.forward(mask)
-
     def run(
         self,
         joint_pos_target: Float[Tensor, "num_envs num_joints"],
         base_acceleration: Float[Tensor, "num_steps num_envs 3"] | None = None,
         drag: Float[Tensor, " num_envs"] | None = None,
         num_steps: int | None = None,
-    ) -> PhysicsLog:
+    ) -> StepExtremes:
         """Simulate one control step; the commands ramp linearly to the target (a first-order hold).
 
         Args:
@@ -169,12 +201,12 @@ class CatchWorld:
             num_steps: Physics steps, if not those of a control step.
         """
         num_steps = num_steps or self._decimation
-        increment = self._drives.increment(joint_pos_target, num_steps)
+        increment = self._actuators.increment(joint_pos_target, num_steps)
         log = None
         for i in range(num_steps):
             if base_acceleration is not None or drag is not None:
                 self._push_object(None if base_acceleration is None else -base_acceleration[i], drag)
-            self._drives.advance(increment)
+            self._actuators.advance(increment)
             self.simulation.step()
             log = self._read_log() if log is None else log.merged(self._read_log())
         assert log is not None
@@ -198,11 +230,11 @@ class CatchWorld:
         mass = self.simulation.expand("body_mass")[:, self.objects.indices.body]
         force.copy_(mass[:, None] * total)
 
-    def quiet_log(self) -> PhysicsLog:
+    def quiet_log(self) -> StepExtremes:
         """The log of a control step in which nothing was touched."""
         return self._read_log().cleared(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
 
-    def privileged(self, log: PhysicsLog) -> Privileged:
+    def privileged(self, log: StepExtremes) -> Privileged:
         """What only the simulator knows, now; contacts since the last control step come from its log."""
         fields = self._fields
         return Privileged(
@@ -219,11 +251,7 @@ class CatchWorld:
     def surface_points(
         self, camera: CameraSpec = RGB_CAMERA
     ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
-        """Surface points of the object, world frame [m], and which of them robot and table do not hide.
-
-        Args:
-            camera: From where they are looked at.
-        """
+        """Surface points of the object, world frame [m], and which of them robot and table do not hide."""
         body = self.objects.indices.body
         rotation = _snapshot(self._fields.xmat[:, body]).view(-1, 3, 3)
         points = torch.baddbmm(
@@ -234,10 +262,6 @@ class CatchWorld:
         directions = ray_directions(camera, points).to(self.simulation.dtype)
         hit = self.simulation.ray(camera_center(camera, directions), directions, OCCLUDER_GROUPS)
         return points, is_unoccluded(hit)
-
-    def close(self) -> None:
-        """Free the simulation."""
-        self.simulation.close()
 
     def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:
         """Shape, inertia and contact of the object."""
@@ -259,14 +283,14 @@ class CatchWorld:
         field = self.simulation.expand(name)[:, rows]
         field.copy_(select(mask, value.to(field.dtype).expand_as(field), field))
 
-    def _read_log(self) -> PhysicsLog:
+    def _read_log(self) -> StepExtremes:
         """Contacts and extremes of the present physics step."""
         fields = self._fields
         found = fields.sensordata[:, self._sensors.found] > 0
         depth = -torch.clamp(fields.sensordata[:, self._sensors.dist], max=0.0).float()
-        torque_share = (fields.actuator_force.abs() / self._drives.effort_limit).float()
+        torque_share = (fields.actuator_force.abs() / self._actuators.effort_limit).float()
         sensors = self._sensors
-        return PhysicsLog(
+        return StepExtremes(
             is_touching=found[:, sensors.touching],
             is_robot_on_table=found[:, sensors.table].any(dim=-1),
             is_self_contact=found[:, sensors.robots].any(dim=-1),
@@ -276,30 +300,6 @@ class CatchWorld:
             torque_share=torque_share.amax(dim=-1),
             hand_torque_share=take(torque_share, self._hands).mean(dim=-1),
         )
-
-
-def _palm_columns(workcell: WorkcellSpec) -> Columns:
-    """Columns of the palms in `Privileged.is_touching`, where each is followed by its fingers."""
-    sizes = [1 + len(palm.spec.fingers) for palm in workcell.palms]
-    return tuple(slice(start, start + 1) for start in np.cumsum([0, *sizes[:-1]]).tolist())
-
-
-@dataclass(frozen=True, kw_only=True)
-class _JointTensors:
-    """Constants of the joints in joint order."""
-
-    home: Tensor
-    lower: Tensor
-    upper: Tensor
-
-    @classmethod
-    def of(cls, workcell: WorkcellSpec, dtype: torch.dtype, device: torch.device) -> "_JointTensors":
-        """Copy the constants to the device."""
-        columns = {
-            field.name: [getattr(joint, field.name) for joint in workcell.joints]
-            for field in dataclasses.fields(cls)
-        }
-        return cls(**{n: torch.tensor(values, dtype=dtype, device=device) for n, values in columns.items()})
 
 
 def _snapshot(live: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from scipy.stats import binomtest
 from torch import Tensor
 
-from pixel2catch.envs.episodes import FAILURES, EpisodeRecord, failure
+from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate

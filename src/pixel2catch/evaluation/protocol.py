@@ -19,9 +19,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.episodes import EpisodeRecord
-from pixel2catch.envs.step import Step
+from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
+from pixel2catch.envs.episode import EpisodeRecord
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.actions import JointCommand
 from pixel2catch.mdp.columns import put, take

@@ -89,7 +89,7 @@ def largest_step(joint: JointSpec) -> float:
     """Largest change from a target to the next [rad]: at rest, it makes the servo move at its speed limit.
 
     A servo whose damping dominates moves at stiffness / damping times the distance of its target, see
-    `envs/servo.py`.
+    `envs/actuators.py`.
     """
     return SPEED_MARGIN * joint.velocity_limit * joint.damping / joint.stiffness
 

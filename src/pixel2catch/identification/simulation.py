@@ -16,8 +16,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from pixel2catch.envs.command_path import filtered
-from pixel2catch.envs.servo import EFFORT_MARGIN, FRICTION_SPEED
+from pixel2catch.envs.actuators import EFFORT_MARGIN, FRICTION_SPEED, filtered
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of
 from pixel2catch.identification.recording import Recording, held
@@ -84,12 +83,12 @@ def step_commands(
 
 
 def friction_torque(frictionloss: np.ndarray, joint_vel: np.ndarray) -> np.ndarray:
-    """Torque of dry friction [N·m] at some speeds [rad/s]: that of `envs/servo.py`, of NumPy arrays."""
+    """Torque of dry friction [N·m] at some speeds [rad/s]: that of `envs/actuators.py`, of NumPy arrays."""
     return -frictionloss * np.tanh(joint_vel / FRICTION_SPEED)
 
 
 class Servos:
-    """The servos of all copies: those of `envs/servo.py` in the limit of short time steps.
+    """The servos of all copies: those of `envs/actuators.py` in the limit of short time steps.
 
     MuJoCo's implicit damping acts on the speed at the end of a step, as if the armature were larger by
     damping · dt / 2, which for the arm is as much as the armature itself. So half of it is implicit here,

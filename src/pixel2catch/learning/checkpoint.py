@@ -27,10 +27,8 @@ FORMAT_VERSION = 2
 class Progress:
     """How far a training is."""
 
-    transitions: int = 0
-    """Transitions learnt from."""
-    seconds: float = 0.0
-    """Wall-clock time spent, over all sessions [s]."""
+    transitions: int = 0  #: Transitions learnt from.
+    seconds: float = 0.0  #: Wall-clock time spent, over all sessions [s].
 
 
 def save_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract, progress: Progress) -> None:
@@ -99,13 +97,10 @@ class RunFolder:
     `config.json` resolved configuration · `dynamics.json`, `camera.json` copies of what it was given ·
     `sessions.json` versions, revision, hardware of every start · `metrics.csv` and TensorBoard events ·
     `checkpoint.pt` to resume · `policy/` to use · `summary.json` how it ended.
-
-    Attributes:
-        path: The folder.
-        inputs: Files that the run depends on, by the option that names them; some may be absent.
     """
 
-    path: Path
+    path: Path  #: The folder.
+    #: Files that the run depends on, by the option that names them; some may be absent.
     inputs: Mapping[str, Path | None] = dataclasses.field(default_factory=dict)
 
     @property
@@ -125,9 +120,6 @@ class RunFolder:
     @contextlib.contextmanager
     def open(self, *, resume: bool) -> Iterator[None]:
         """Make the folder, or see that there is something to resume. Folders left empty go again at the end.
-
-        Args:
-            resume: Whether to go on with the run in the folder.
 
         Raises:
             CheckpointError: The folder holds a run already, holds none to resume or one with other inputs, or

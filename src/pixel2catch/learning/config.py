@@ -8,8 +8,7 @@ from typing import Any, Literal
 from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
 from pixel2catch.files import decoded
 
-CONFIG_FILE = "config.json"
-"""The resolved configuration in the folder of a run."""
+CONFIG_FILE = "config.json"  #: The resolved configuration in the folder of a run.
 
 
 def _released_latency() -> tuple[float, float]:

@@ -24,18 +24,14 @@ from pixel2catch.learning.config import TrainCfg
 
 @final
 class Workers:
-    """What a process knows of all; every process calls the same methods in the same order.
-
-    Attributes:
-        rank: Number of this process, from 0.
-        size: Number of processes; one that trains alone has nothing to combine.
-        device: Device of this process, "cpu" or "cuda:N".
-        is_agreed: Whether all processes know that the training has failed.
-    """
+    """What a process knows of all; every process calls the same methods in the same order."""
 
     def __init__(self, rank: int = 0, size: int = 1, device: str = "cpu") -> None:
         """Take a place, the only one if no other is named."""
-        self.rank, self.size, self.device, self.is_agreed = rank, size, device, False
+        self.rank = rank  #: Number of this process, from 0.
+        self.size = size  #: Number of processes; one that trains alone has nothing to combine.
+        self.device = device  #: Device of this process, "cpu" or "cuda:N".
+        self.is_agreed = False  #: Whether all processes know that the training has failed.
 
     @property
     def is_first(self) -> bool:
@@ -78,12 +74,8 @@ class Workers:
     def moments(self, mean: Tensor, variance: Tensor, count: int) -> tuple[Tensor, Tensor]:
         """Return mean and unbiased variance of the samples of all processes.
 
-        Source: law of total variance: the mean of the variances, and the variance of the means.
-
-        Args:
-            mean: Mean of this process's samples.
-            variance: Their unbiased variance.
-            count: Their number, the same in every process.
+        They follow from those of this process's samples, of which every process has the same number. Source:
+        law of total variance: the mean of the variances, and the variance of the means.
         """
         if self.size == 1:
             return mean, variance
@@ -146,9 +138,7 @@ class Workers:
     def diverge(self, seed: int, transitions: int) -> None:
         """Let exploration differ: the first process goes on as if it were alone, others seed torch anew.
 
-        Args:
-            seed: Seed of the training.
-            transitions: Its progress, so that a resumed training repeats nothing.
+        The progress of the training is part of their seed, so that a resumed training repeats nothing.
         """
         if not self.is_first:
             torch.manual_seed(self._seed(seed, transitions))
@@ -161,8 +151,7 @@ class Workers:
 def start_workers(device: str) -> Iterator[Workers]:
     """Join the processes that torchrun started; a process started by hand is alone.
 
-    Args:
-        device: "cpu" or "cuda"; a process that is alone may take any one CUDA device, such as "cuda:1".
+    The device is "cpu" or "cuda"; a process that is alone may take any one CUDA device, such as "cuda:1".
 
     Raises:
         DeviceUnavailableError: There is no such device, or none for this process.

@@ -63,9 +63,8 @@ class Statistics(Protocol):
     def pop(self, total: Callable[[Tensor], Tensor], largest: Callable[[Tensor], Tensor]) -> dict[str, float]:
         """Return the statistics since the last call; the keys are always the same.
 
-        Args:
-            total: Adds up the same sums of all processes; called once.
-            largest: Finds the largest of the same maxima of all processes; called once at the most.
+        `total` adds up the same sums of all processes and is called once; `largest` finds the largest of the
+        same maxima and is called once at the most.
         """
         ...
 
@@ -107,28 +106,21 @@ class Environment(Protocol):
 
 
 class EnvSchedule:
-    """Environments whose physics becomes finer in the course of a training.
-
-    Attributes:
-        env: The environments of the present rate.
-    """
+    """Environments whose physics becomes finer in the course of a training."""
 
     def __init__(
         self, cfg: TrainCfg, make_env: Callable[[TrainCfg], Environment], contract: PolicyContract
     ) -> None:
-        """Make the environments of the first rate.
+        """Make the environments of the first rate, for this process's share of the configuration.
 
-        Args:
-            cfg: This process's share of the configuration.
-            make_env: Makes environments; `physics_hz` of its configuration has one rate.
-            contract: What the environments must fit.
+        The `physics_hz` that `make_env` is given has one rate.
 
         Raises:
-            PolicyMismatchError: They do not fit; the message names the field.
+            PolicyMismatchError: They do not fit the contract; the message names the field.
         """
         self._cfg, self._make_env, self._contract = cfg, make_env, contract
         self._rate = cfg.rate_at(0)
-        self.env = self._make()
+        self.env = self._make()  #: The environments of the present rate.
 
     def enter(self, transitions: int) -> bool:
         """Change to the rate that follows this many transitions; whether the environments are new."""

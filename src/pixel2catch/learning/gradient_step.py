@@ -30,14 +30,11 @@ class Batch(NamedTuple):
     values: Tensor
     returns: Tensor
     advantages: Tensor
-    advice: Tensor
-    """Actions of a teacher, (..., 0) without one."""
-    is_first: Tensor
-    """Whether an episode begins with the observation."""
+    advice: Tensor  #: Actions of a teacher, (..., 0) without one.
+    is_first: Tensor  #: Whether an episode begins with the observation.
+    #: That of the policy's GRU at the start of the rollout, (1, num, size); (..., 0) without one.
     policy_hidden_state: Tensor
-    """That of the policy's GRU at the start of the rollout, (1, num, size); (..., 0) without one."""
-    value_hidden_state: Tensor
-    """That of the value network's, likewise."""
+    value_hidden_state: Tensor  #: That of the value network's, likewise.
 
     def each(self, function: Callable[[Tensor], Tensor]) -> "Batch":
         """Return the batch of what a function makes of every tensor."""
@@ -45,24 +42,21 @@ class Batch(NamedTuple):
 
 
 class GradientStep:
-    """Takes gradient steps for one agent.
-
-    Attributes:
-        optimizer: Adam, with its learning rate in a tensor, so that a captured step sees it change.
-        totals: Sums of policy loss, value loss and KL divergence over the steps since they were put to zero;
-            of all processes together, like the gradients.
-        teacher_weight: How far the policy follows a teacher instead of its rewards, to be changed in place.
-    """
+    """Takes gradient steps for one agent."""
 
     def __init__(self, cfg: TrainCfg, networks: ActorCritic, workers: Workers) -> None:
         """Prepare for the parameters of one agent's networks."""
         self._cfg, self._networks, self._workers = cfg, networks, workers
         self._is_cuda = cfg.device.startswith("cuda")
         rate = torch.tensor(cfg.learning_rate, device=cfg.device)
+        #: Adam, with its learning rate in a tensor, so that a captured step sees it change.
         self.optimizer = torch.optim.Adam(
             networks.parameters(), lr=rate, fused=True, capturable=self._is_cuda
         )
+        #: Sums of policy loss, value loss and KL divergence over the steps since they were put to zero; of
+        #: all processes together, like the gradients.
         self.totals = torch.zeros(3, device=cfg.device)
+        #: How far the policy follows a teacher instead of its rewards, to be changed in place.
         self.teacher_weight = torch.zeros((), device=cfg.device)
         self._policy_weight = torch.ones((), device=cfg.device)
         self.close()

@@ -15,22 +15,14 @@ from pixel2catch.files import write_atomically
 from pixel2catch.learning.config import TrainCfg
 
 METRICS_FILE = "metrics.csv"
-Row = dict[str, int | float]
-"""Metrics of one update by name; `transitions` is the abscissa."""
+Row = dict[str, int | float]  #: Metrics of one update by name; `transitions` is the abscissa.
 
 
 class TrainingLog:
     """A bar or lines, CSV and TensorBoard; a full disk is reported and does not end the training."""
 
     def __init__(self, cfg: TrainCfg, folder: Path, transitions: int, *, is_silent: bool) -> None:
-        """Begin to show and open the files.
-
-        Args:
-            cfg: The configuration of the training.
-            folder: Where the files are.
-            transitions: Transitions that are behind already.
-            is_silent: Whether to show and write nothing, since another process does.
-        """
+        """Begin to show and write, after some transitions; if silent, neither, since another process does."""
         self._console = Console(highlight=False, soft_wrap=True, quiet=is_silent)
         self._total, self._report_seconds, self._next_report = cfg.transitions, cfg.report_seconds, 0.0
         self._bar = Progress(
@@ -110,12 +102,7 @@ class CsvLog:
     """
 
     def __init__(self, path: Path, transitions: int = 0) -> None:
-        """Open the file.
-
-        Args:
-            path: The file. Rows that it holds are kept up to `transitions`: what came later is repeated.
-            transitions: Progress from which the training goes on.
-        """
+        """Open the file. Rows that it holds are kept up to `transitions`: what came later is repeated."""
         self._path = path
         self._rows = [row for row in _read_rows(path) if float(row["transitions"]) <= transitions]
         self._columns: list[str] = []

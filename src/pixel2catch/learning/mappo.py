@@ -20,8 +20,7 @@ from pixel2catch.learning.gradient_step import Batch, GradientStep
 from pixel2catch.learning.networks import EPSILON, ActorCritic
 from pixel2catch.policy import Policy, PolicyContract
 
-HIGHEST_LEARNING_RATE = 1e-2
-"""Upper bound of the adaptive learning rate. Source: release (skrl)."""
+HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
 
 ADOPTED_SAMPLES = 1e7
 """Samples that the input statistics of a policy count for where a training goes on from it. Source: ours."""
@@ -48,11 +47,7 @@ class Mappo:
     ) -> None:
         """Build untrained networks; the global torch generator decides on their weights.
 
-        Args:
-            cfg: The configuration of this process.
-            env: The environments of this process.
-            contract: What the policies that it learns expect and promise.
-            workers: All processes, whose updates are one; this one alone if absent.
+        Configuration and environments are those of this process; updates are one with those of all `workers`.
 
         Raises:
             PolicyMismatchError: The teacher moves other joints.
@@ -163,11 +158,7 @@ class Mappo:
         self._num_steps = 0
 
     def update(self, progress: float) -> dict[str, float]:
-        """Learn from a full rollout and return the metrics.
-
-        Args:
-            progress: Share of the training that is over, 0 to 1.
-        """
+        """Learn from a full rollout after a share of the training, 0 to 1, and return the metrics."""
         cfg, share = self.cfg, self.cfg.teacher_share
         begun = progress * cfg.transitions / cfg.start_transitions if cfg.start else 2.0
         self._rest_policies(begun < 1.0)
@@ -304,14 +295,8 @@ def discounted_returns(
 ) -> Tensor:
     """Return value plus generalised advantage of every step, (rollout_steps, num_envs).
 
+    Values are those of the states before each step, the last ones (num_envs,) of those after the last step.
     Source: Schulman et al. 2016.
-
-    Args:
-        cfg: Discount and lambda.
-        rewards: Reward of every step, in order.
-        is_done: Whether the episode ended with it.
-        values: Values of the states before it.
-        last_values: Values of the states after the last, (num_envs,).
     """
     returns, advantage = torch.empty_like(values), torch.zeros_like(last_values)
     for t in reversed(range(len(rewards))):
@@ -324,10 +309,8 @@ def discounted_returns(
 def mini_batches(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Batch]:
     """Yield random mini-batches which together hold every transition once; drawn on the device.
 
-    Args:
-        rollout: All transitions, (rollout_steps, num_envs, ...).
-        num: Number of mini-batches.
-        is_whole: Whether the steps of an environment stay together and in order.
+    The rollout is (rollout_steps, num_envs, ...); `is_whole` keeps the steps of an environment together and
+    in order.
     """
     drawn = rollout if is_whole else rollout.each(partial(torch.flatten, end_dim=1))
     dim = 1 if is_whole else 0

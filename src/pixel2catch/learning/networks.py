@@ -10,8 +10,7 @@ from pixel2catch.learning.distributed import Workers
 from pixel2catch.policy import build_mlp
 from pixel2catch.policy.networks import INPUT_CLIP, recall
 
-EPSILON = 1e-8
-"""Added to a standard deviation before dividing by it. Source: release (skrl)."""
+EPSILON = 1e-8  #: Added to a standard deviation before dividing by it. Source: release (skrl).
 
 
 class Standardizer(nn.Module):

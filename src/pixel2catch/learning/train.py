@@ -23,24 +23,19 @@ from pixel2catch.learning.log import Row, TrainingLog
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import Policy, PolicyContract
 
-REWARD_TERM = "reward_term/"
-"""How the names of reward terms begin in an environment's statistics."""
+REWARD_TERM = "reward_term/"  #: How the names of reward terms begin in an environment's statistics.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrainResult:
     """How a training ended."""
 
+    #: Interrupted is by Ctrl-C or a termination signal; failed is only in the file.
     status: Literal["failed", "interrupted", "finished"]
-    """Interrupted is by Ctrl-C or a termination signal; failed is only in the file."""
-    transitions: int
-    """Transitions learnt from."""
-    seconds: float
-    """Wall-clock time over all sessions [s]."""
-    policy: Path
-    """Folder of the policy."""
-    metrics: Row
-    """The last row of metrics."""
+    transitions: int  #: Transitions learnt from.
+    seconds: float  #: Wall-clock time over all sessions [s].
+    policy: Path  #: Folder of the policy.
+    metrics: Row  #: The last row of metrics.
 
 
 def train(
@@ -69,6 +64,7 @@ def train(
         DeviceUnavailableError: The machine does not have `cfg.device`.
         WorkerError: Another process failed; only in the first, which alone reports it.
         InvalidValueError: The environments cannot be split over the processes.
+        PolicyMismatchError: There is no policy to start from, or it does not fit, by the field that is named.
     """
     folder = RunFolder(out_dir, cfg.inputs)
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
@@ -85,7 +81,10 @@ def train(
             training = _Training(cfg, schedule, contract, folder, mappo, agents)
             if cfg.start and not resume:
                 with workers.sync_errors():
-                    mappo.adopt(_policy_to_start_from(cfg.start, contract))
+                    is_run = (cfg.start / "policy").is_dir()
+                    start = Policy.load(cfg.start / "policy" if is_run else cfg.start)
+                    start.contract.require(contract)
+                    mappo.adopt(start)
             if resume:
                 training.progress = load_checkpoint(folder.checkpoint, mappo, contract)
             workers.diverge(cfg.seed, training.progress.transitions)
@@ -104,17 +103,6 @@ def _require_teacher(cfg: TrainCfg, folder: RunFolder) -> None:
         raise CheckpointError(
             f"'{folder.path}' was begun with the teacher '{before}'; go on with --teacher {before}."
         )
-
-
-def _policy_to_start_from(folder: Path, contract: PolicyContract) -> Policy:
-    """Read a policy that a training goes on from.
-
-    Raises:
-        PolicyMismatchError: There is none, or it does not fit; the message names the field.
-    """
-    policy = Policy.load(folder / "policy" if (folder / "policy").is_dir() else folder)
-    policy.contract.require(contract)
-    return policy
 
 
 class _Training:
@@ -246,17 +234,10 @@ class _Training:
 def check_rollout(
     mappo: Mappo, contract: PolicyContract, statistics: Mapping[str, float]
 ) -> dict[str, float]:
-    """Check what the environment gave since the last update, before the networks learn from it.
+    """Check what the environment gave since the last update; return each agent's mean reward a step.
 
-    A sum over a rollout is finite if and only if all of its terms are, as long as they are of sane size.
-
-    Args:
-        mappo: What remembers the rollout.
-        contract: Names and sizes of the observation terms.
-        statistics: Means since the last update; those of reward terms begin with `REWARD_TERM`.
-
-    Returns:
-        The mean reward a control step, by agent.
+    A sum over a rollout is finite if and only if all of its terms are, as long as they are of sane size. The
+    statistics are means since the last update; those of reward terms begin with `REWARD_TERM`.
 
     Raises:
         NonFiniteError: The message names the agent and the observation term, the reward term, or the

@@ -15,21 +15,13 @@ from pixel2catch.scene.constants import CONTROL_DT, JointSpec
 
 @dataclass(frozen=True, kw_only=True)
 class JointCommand:
-    """How an action becomes a target: `anchor * position + offset + scale * action`, within the limits.
+    """How an action becomes a target: `anchor * position + offset + scale * action`, within the limits."""
 
-    Attributes:
-        anchor: 1 if the action is relative to the measured position, 0 if it is absolute.
-        offset: Target at action 0 of an absolute joint [rad].
-        scale: Target change by action 1 [rad].
-        lower: Lowest target [rad].
-        upper: Highest target [rad].
-    """
-
-    anchor: float
-    offset: float
-    scale: float
-    lower: float
-    upper: float
+    anchor: float  #: 1 if the action is relative to the measured position, 0 if it is absolute.
+    offset: float  #: Target at action 0 of an absolute joint [rad].
+    scale: float  #: Target change by action 1 [rad].
+    lower: float  #: Lowest target [rad].
+    upper: float  #: Highest target [rad].
 
 
 def relative_command(joint: JointSpec) -> JointCommand:
@@ -53,13 +45,9 @@ def absolute_command(joint: JointSpec) -> JointCommand:
 
 @dataclass(frozen=True)
 class ActionMap:
-    """The commands of all joints as rows of a tensor, ready for many environments at once.
+    """The commands of all joints as rows of a tensor, ready for many environments at once."""
 
-    Attributes:
-        table: anchor, offset, scale, lower and upper, one row each.
-    """
-
-    table: Float[Tensor, "5 num_joints"]
+    table: Float[Tensor, "5 num_joints"]  #: anchor, offset, scale, lower and upper, one row each.
 
     @classmethod
     def of(cls, commands: tuple[JointCommand, ...], device: torch.device) -> "ActionMap":

@@ -13,14 +13,10 @@ from pixel2catch.scene.constants import CONTROL_DT
 
 @dataclass(frozen=True, kw_only=True)
 class BoxHistory:
-    """Measured boxes, the newest first; an image in which nothing was found adds none.
+    """Measured boxes, the newest first; an image in which nothing was found adds none."""
 
-    Attributes:
-        box: xmin, ymin, xmax, ymax [px].
-        age: Time since the exposure of each image, by its stamp [control steps].
-    """
-
-    box: Float[Tensor, "num_envs num_boxes 4"]
+    box: Float[Tensor, "num_envs num_boxes 4"]  #: xmin, ymin, xmax, ymax [px].
+    #: Time since the exposure of each image, by its stamp [control steps].
     age: Float[Tensor, "num_envs num_boxes"]
 
     @classmethod
@@ -29,10 +25,7 @@ class BoxHistory:
     ) -> "BoxHistory":
         """The history of an object that has been where it is for long: one box, once in every control step.
 
-        Args:
-            box: The box [px].
-            age: Its age [control steps].
-            num_boxes: Boxes to remember.
+        `box` is in pixels, `age` in control steps.
         """
         steps = torch.arange(num_boxes, device=age.device, dtype=age.dtype)
         return cls(box=box[:, None].expand(-1, num_boxes, -1).clone(), age=age[:, None] + steps)
@@ -62,13 +55,7 @@ class BoxHistory:
         age: Float[Tensor, " num_envs"],
         is_new: Bool[Tensor, " num_envs"],
     ) -> "BoxHistory":
-        """The history a control step later.
-
-        Args:
-            box: The box that was delivered [px].
-            age: Its age [control steps].
-            is_new: Whether it was not delivered before.
-        """
+        """The history a control step later; the delivered box [px], of this age, may be an old one."""
         older = BoxHistory(box=self.box, age=self.age + 1.0)
         newest = BoxHistory(
             box=torch.cat((box[:, None], older.box[:, :-1]), dim=1),

@@ -15,8 +15,7 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-FORMAT_VERSION = 1
-"""Version of the files. Raised when an older one can no longer be read."""
+FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,21 +19,13 @@ from pixel2catch.scene.constants import RGB_CAMERA
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One control step as an agent sees it.
+    """One control step as an agent sees it."""
 
-    Attributes:
-        before: The measurement one control step earlier.
-        now: The measurement.
-        joints: The agent's columns in joint order.
-        palms: The palms that it serves.
-        pixel_columns: The columns of `PIXEL_FEATURES` that the method uses.
-    """
-
-    before: Measurement
-    now: Measurement
-    joints: Columns
-    palms: Columns
-    pixel_columns: tuple[int, ...]
+    before: Measurement  #: The measurement one control step earlier.
+    now: Measurement  #: The measurement.
+    joints: Columns  #: The agent's columns in joint order.
+    palms: Columns  #: The palms that it serves.
+    pixel_columns: tuple[int, ...]  #: The columns of `PIXEL_FEATURES` that the method uses.
 
 
 ObservationTerm = Callable[[Frame], Float[Tensor, "num_envs k"]]
@@ -139,13 +131,7 @@ def observe(
 ) -> Float[Tensor, "num_envs size"]:
     """An agent's observation: its terms on both frames of the history, oldest first, then what it remembers.
 
-    Args:
-        terms: Terms of a frame.
-        memory: Terms of the newest frame alone, which look back by themselves.
-        joints: The agent's columns in joint order.
-        palms: The palms that it serves.
-        columns: The columns of `PIXEL_FEATURES` that the method uses.
-        history: The last measurements.
+    The terms of the `memory` look back by themselves, from the newest frame.
     """
     frames = (
         Frame(before=history.oldest, now=history.before, joints=joints, palms=palms, pixel_columns=columns),

@@ -19,18 +19,14 @@ from pixel2catch.robots.workcell import WorkcellSpec
 
 @dataclass(frozen=True, kw_only=True)
 class GainRanges:
-    """Ranges of the factors on the gains of every joint, in joint order.
+    """Ranges of the factors on the gains of every joint, in joint order."""
 
-    Attributes:
-        stiffness_scale: Factor on a joint's stiffness; one range is every joint's, none those of the robot's
-            joint groups (Source: paper, Table I).
-        damping_scale: Factor on its damping, drawn apart; likewise.
-        is_damping_relative: Whether the damping is multiplied by the factor on the stiffness as well, where
-            their ratio is better known than either; none is nowhere.
-    """
-
+    #: Factor on a joint's stiffness; one range is every joint's, none those of the robot's joint groups
+    #: (Source: paper, Table I).
     stiffness_scale: tuple[Range, ...] = ()
-    damping_scale: tuple[Range, ...] = ()
+    damping_scale: tuple[Range, ...] = ()  #: Factor on its damping, drawn apart; likewise.
+    #: Whether the damping is multiplied by the factor on the stiffness as well, where their ratio is better
+    #: known than either; none is nowhere.
     is_damping_relative: tuple[bool, ...] = ()
 
     def of(self, workcell: WorkcellSpec) -> "GainRanges":
@@ -69,62 +65,39 @@ def _for_each(values: tuple[Entry, ...], default: tuple[Entry, ...], name: str) 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomizationCfg:
-    """Ranges of uniform draws and standard deviations of Gaussian ones.
+    """Ranges of uniform draws and standard deviations of Gaussian ones."""
 
-    Attributes:
-        gains: Factors on stiffness and damping of each joint.
-        action_noise: Factor on the noise of the actions of each joint group.
-        action_bias: Factor on their errors that last an episode.
-        initial_joint_noise: Largest deviation of each joint from its start position [rad].
-        mass_scale: Factor on the object's mass and inertia.
-        restitution: Restitution of contacts with the object.
-        friction: Sliding friction of contacts with the object (release).
-        command_delay: Control steps between a command and its effect, first and last of the draw per episode
-            (ours; the paper's training has none).
-        command_delay_grid: Difference of neighbouring delays that are drawn [control steps]; 0 draws any.
-        air_density: Density of the air that slows the object [kg/m³]; 0 is none, as in the paper's training,
-            1.2 is real.
-    """
-
-    gains: GainRanges = field(default_factory=GainRanges)
-    action_noise: float = 1.0
-    action_bias: float = 1.0
-    initial_joint_noise: float = 0.125
-    mass_scale: Range = (0.5, 1.5)
-    restitution: Range = (0.0, 0.5)
-    friction: Range = (0.5, 1.5)
+    gains: GainRanges = field(default_factory=GainRanges)  #: Factors on stiffness and damping of each joint.
+    action_noise: float = 1.0  #: Factor on the noise of the actions of each joint group.
+    action_bias: float = 1.0  #: Factor on their errors that last an episode.
+    initial_joint_noise: float = 0.125  #: Largest deviation of each joint from its start position [rad].
+    mass_scale: Range = (0.5, 1.5)  #: Factor on the object's mass and inertia.
+    restitution: Range = (0.0, 0.5)  #: Restitution of contacts with the object.
+    friction: Range = (0.5, 1.5)  #: Sliding friction of contacts with the object (release).
+    #: Control steps between a command and its effect, first and last of the draw per episode (ours; the
+    #: paper's training has none).
     command_delay: Range = (0, 0)
+    #: Difference of neighbouring delays that are drawn [control steps]; 0 draws any.
     command_delay_grid: float = 1.0
+    #: Density of the air that slows the object [kg/m³]; 0 is none, as in the paper's training, 1.2 is real.
     air_density: Amount = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeParameters:
-    """The draws of one episode in each environment.
+    """The draws of one episode in each environment."""
 
-    Attributes:
-        object_id: Row of the object in the table of objects.
-        stiffness_scale: Factor on each joint's stiffness.
-        damping_scale: Factor on each joint's damping.
-        action_bias: Error of each action.
-        joint_bias: Error of each encoder [rad].
-        joint_offset: Deviation of each joint from its start position [rad].
-        mass_scale: Factor on the object's mass.
-        restitution: Restitution of contacts with the object.
-        friction: Sliding friction of contacts with the object.
-        latency: Control steps between image and delivered box; not always whole.
-    """
-
-    object_id: Int[Tensor, " num_envs"]
-    stiffness_scale: Float[Tensor, "num_envs num_joints"]
-    damping_scale: Float[Tensor, "num_envs num_joints"]
-    action_bias: Float[Tensor, "num_envs num_joints"]
-    joint_bias: Float[Tensor, "num_envs num_joints"]
+    object_id: Int[Tensor, " num_envs"]  #: Row of the object in the table of objects.
+    stiffness_scale: Float[Tensor, "num_envs num_joints"]  #: Factor on each joint's stiffness.
+    damping_scale: Float[Tensor, "num_envs num_joints"]  #: Factor on each joint's damping.
+    action_bias: Float[Tensor, "num_envs num_joints"]  #: Error of each action.
+    joint_bias: Float[Tensor, "num_envs num_joints"]  #: Error of each encoder [rad].
+    #: Deviation of each joint from its start position [rad].
     joint_offset: Float[Tensor, "num_envs num_joints"]
-    mass_scale: Float[Tensor, " num_envs"]
-    restitution: Float[Tensor, " num_envs"]
-    friction: Float[Tensor, " num_envs"]
-    latency: Float[Tensor, " num_envs"]
+    mass_scale: Float[Tensor, " num_envs"]  #: Factor on the object's mass.
+    restitution: Float[Tensor, " num_envs"]  #: Restitution of contacts with the object.
+    friction: Float[Tensor, " num_envs"]  #: Sliding friction of contacts with the object.
+    latency: Float[Tensor, " num_envs"]  #: Control steps between image and delivered box; not always whole.
 
 
 def sample_parameters(
@@ -137,13 +110,8 @@ def sample_parameters(
 ) -> EpisodeParameters:
     """Draw the parameters of one episode per environment, on the generator's device.
 
-    Args:
-        cfg: The ranges; `gains` with an entry for each joint.
-        sensing: The ranges of the sensors.
-        action_bias: Standard deviation of the error of each action that lasts an episode.
-        object_ids: What is thrown.
-        num_envs: Number of episodes.
-        generator: Where they are drawn from.
+    The gains of `cfg` have an entry for each joint; `action_bias` is the standard deviation of the error of
+    each action that lasts an episode.
     """
     device, num_joints = generator.device, len(action_bias)
     offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * num_joints
@@ -153,11 +121,13 @@ def sample_parameters(
         return torch.randn(num_envs, num_joints, generator=generator, device=device)
 
     object_id = object_ids[torch.randint(len(object_ids), (num_envs,), generator=generator, device=device)]
-    stiffness_scale, damping_scale = _sample_gains(cfg.gains, num_envs, generator)
+    stiffness_scale = uniform(cfg.gains.stiffness_scale, num_envs, generator)
+    damping_scale = uniform(cfg.gains.damping_scale, num_envs, generator)
+    is_relative = constant(cfg.gains.is_damping_relative, device, torch.bool)
     return EpisodeParameters(
         object_id=object_id,
         stiffness_scale=stiffness_scale,
-        damping_scale=damping_scale,
+        damping_scale=damping_scale * torch.where(is_relative, stiffness_scale, 1.0),
         action_bias=normal() * (cfg.action_bias * action_bias),
         joint_bias=normal() * sensing.joint_bias,
         joint_offset=uniform(offset, num_envs, generator),
@@ -168,26 +138,12 @@ def sample_parameters(
     )
 
 
-def _sample_gains(
-    ranges: GainRanges, num_envs: int, generator: torch.Generator
-) -> tuple[Float[Tensor, "num_envs num_joints"], Float[Tensor, "num_envs num_joints"]]:
-    """Factors on stiffness and damping."""
-    stiffness = uniform(ranges.stiffness_scale, num_envs, generator)
-    damping = uniform(ranges.damping_scale, num_envs, generator)
-    is_relative = constant(ranges.is_damping_relative, generator.device, torch.bool)
-    return stiffness, damping * torch.where(is_relative, stiffness, 1.0)
-
-
 def sample_delay(
     limits: Range, grid: float, num_envs: int, generator: torch.Generator
 ) -> Float[Tensor, " num_envs"]:
     """Draw a delay for every episode, on the generator's device [control steps].
 
-    Args:
-        limits: First and last, both included.
-        grid: Difference of neighbouring delays, all of which are as likely; 0 draws any.
-        num_envs: Number of episodes.
-        generator: Where they are drawn from.
+    Delays from the first limit to the last, `grid` apart, are all as likely; a grid of 0 draws any.
     """
     if not grid:
         return uniform((limits,), num_envs, generator)[:, 0]

@@ -19,15 +19,10 @@ SETTLE_STEPS = 6
 
 @dataclass(frozen=True, kw_only=True)
 class RewardTerm:
-    """A weighted term of the reward of a body part.
+    """A weighted term of the reward of a body part."""
 
-    Attributes:
-        function: (transition, part) -> (num_envs,).
-        weight: Factor, with the sign.
-    """
-
-    function: Callable[..., Float[Tensor, " num_envs"]]
-    weight: float
+    function: Callable[..., Float[Tensor, " num_envs"]]  #: (transition, part) -> (num_envs,).
+    weight: float  #: Factor, with the sign.
 
     @property
     def name(self) -> str:
@@ -37,23 +32,14 @@ class RewardTerm:
 
 @dataclass(frozen=True, kw_only=True)
 class BodyPart:
-    """A joint group with the palms that it serves, and the reward that belongs to it.
+    """A joint group with the palms that it serves, and the reward that belongs to it."""
 
-    Attributes:
-        name: Name of the group.
-        joints: Its columns in joint order.
-        palms: The palms of its robot.
-        fingertips: The tips of their fingers.
-        touching: Its palms and fingers in `Privileged.is_touching`.
-        reward: Weighted reward terms.
-    """
-
-    name: str
-    joints: slice
-    palms: slice
-    fingertips: slice
-    touching: slice
-    reward: tuple[RewardTerm, ...] = ()
+    name: str  #: Name of the group.
+    joints: slice  #: Its columns in joint order.
+    palms: slice  #: The palms of its robot.
+    fingertips: slice  #: The tips of their fingers.
+    touching: slice  #: Its palms and fingers in `Privileged.is_touching`.
+    reward: tuple[RewardTerm, ...] = ()  #: Weighted reward terms.
 
     def reward_terms(self, transition: Transition) -> Float[Tensor, "num_envs k"]:
         """Weighted values of its reward terms, one column each; their sum is the reward."""

@@ -1,9 +1,10 @@
-"""What stands between the true state and a `Measurement`: occlusion, noise, errors of the sight, latency.
+"""What stands between the true state and a `Measurement`: occlusion, noise, errors of the camera, latency.
 
 Training and evaluation in simulation only: on the robot the sensors themselves do this.
 """
 
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -17,63 +18,46 @@ from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.throws import Amount, Range
 from pixel2catch.scene.constants import RGB_CAMERA
 
-RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)
-"""The camera of the release, known exactly."""
+RELEASE_CAMERA = CameraFile(camera=RGB_CAMERA)  #: The camera of the release, known exactly.
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensingCfg:
-    """Noise and delay of the sensors.
+    """Noise and delay of the sensors."""
 
-    Attributes:
-        corner_noise: Largest error of each edge of the box, uniform [px] (Source: paper).
-        latency_steps: Control steps between image and delivered box, first and last of the draw per episode
-            (Source: release).
-        latency_grid: Difference of neighbouring latencies that are drawn [control steps] (Source: release,
-            whole steps); 0 draws any, as there are outside a simulation.
-        joint_noise: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation
-            noise).
-        joint_bias: Standard deviation of their error in an episode [rad] (Source: release).
-        least_visible: Share of the object's surface points that must be visible for a detection (Source:
-            ours, see `benchmarks/box_error.py`).
-        camera: The camera, as a pinhole, and how well it is known: the true camera of an episode is drawn
-            within that. The default is the release's, known exactly.
-        camera_offset: Distance of the true camera from that one, in a random direction [m]. This and what
-            follows is nothing in the paper's training (Source: ours; values with their sources are in
-            `envs.tasks` and `evaluation.stress.suite`).
-        camera_turn: Angle between the two, about a random axis [rad].
-        focal_error: Relative error of the focal length, of random sign.
-        box_bias: Shift of every box of an episode in a random direction [px].
-        box_scale: Factor on the size of every box about its centre.
-        edge_noise: Largest error of each edge on top of `corner_noise` [px].
-        drop_rate: Share of the images in which the object is not found.
-        blackout_steps: Control steps of each flight, at a random time, without any image.
-        image_period: Control steps from one image that is looked at to the next, at least 1: perception that
-            takes 60 ms looks at every second.
-        clock_error: How far the stamps of all images of an episode are off, early or late [s].
-        stamp_jitter: Standard deviation of the error of each stamp [s].
-        unstamped: Share of the episodes whose images have no stamps: their age is then taken for
-            `ASSUMED_AGE`.
-    """
-
-    corner_noise: float = 5.0
+    corner_noise: float = 5.0  #: Largest error of each edge of the box, uniform [px] (Source: paper).
+    #: Control steps between image and delivered box, first and last of the draw per episode (Source:
+    #: release).
     latency_steps: Range = (1, 2)
+    #: Difference of neighbouring latencies that are drawn [control steps] (Source: release, whole steps); 0
+    #: draws any, as there are outside a simulation.
     latency_grid: float = 1.0
+    #: Standard deviation of the encoders' noise [rad] (Source: paper, Table I, observation noise).
     joint_noise: float = 0.005
-    joint_bias: float = 0.001
+    joint_bias: float = 0.001  #: Standard deviation of their error in an episode [rad] (Source: release).
+    #: Share of the object's surface points that must be visible for a detection (Source: ours, see
+    #: `benchmarks/box_error.py`).
     least_visible: float = 0.05
+    #: The camera, as a pinhole, and how well it is known: the true camera of an episode is drawn within that.
+    #: The default is the release's, known exactly.
     camera: CameraFile = RELEASE_CAMERA
+    #: Distance of the true camera from that one, in a random direction [m]. This and what follows is nothing
+    #: in the paper's training (Source: ours; values with their sources are in `envs.tasks` and
+    #: `evaluation.stress.suite`).
     camera_offset: Amount = 0.0
-    camera_turn: Amount = 0.0
-    focal_error: Amount = 0.0
-    box_bias: Amount = 0.0
-    box_scale: float = 1.0
-    edge_noise: float = 0.0
-    drop_rate: Amount = 0.0
-    blackout_steps: Amount = 0
+    camera_turn: Amount = 0.0  #: Angle between the two, about a random axis [rad].
+    focal_error: Amount = 0.0  #: Relative error of the focal length, of random sign.
+    box_bias: Amount = 0.0  #: Shift of every box of an episode in a random direction [px].
+    box_scale: float = 1.0  #: Factor on the size of every box about its centre.
+    edge_noise: float = 0.0  #: Largest error of each edge on top of `corner_noise` [px].
+    drop_rate: Amount = 0.0  #: Share of the images in which the object is not found.
+    blackout_steps: Amount = 0  #: Control steps of each flight, at a random time, without any image.
+    #: Control steps from one image that is looked at to the next, at least 1: perception that takes 60 ms
+    #: looks at every second.
     image_period: Amount = 1.0
-    clock_error: Amount = 0.0
-    stamp_jitter: Amount = 0.0
+    clock_error: Amount = 0.0  #: How far the stamps of all images of an episode are off, early or late [s].
+    stamp_jitter: Amount = 0.0  #: Standard deviation of the error of each stamp [s].
+    #: Share of the episodes whose images have no stamps: their age is then taken for `ASSUMED_AGE`.
     unstamped: float = 0.0
 
     def __post_init__(self) -> None:
@@ -92,22 +76,14 @@ ASSUMED_AGE = 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class Detection:
-    """What is known of the object from one image.
+    """What is known of the object from one image."""
 
-    Attributes:
-        box: Its bounding box [px].
-        object_pos: Its position by a tracker, world frame [m].
-        is_seen: Whether it was found in that image; if not, box and position are of the last one in which it
-            was.
-        stale: Control steps since that one.
-        age_error: What its stamp makes its age appear larger [control steps].
-    """
-
-    box: Float[Tensor, "num_envs 4"]
-    object_pos: Float[Tensor, "num_envs 3"]
+    box: Float[Tensor, "num_envs 4"]  #: Its bounding box [px].
+    object_pos: Float[Tensor, "num_envs 3"]  #: Its position by a tracker, world frame [m].
+    #: Whether it was found in that image; if not, box and position are of the last one in which it was.
     is_seen: Bool[Tensor, " num_envs"]
-    stale: Float[Tensor, " num_envs"]
-    age_error: Float[Tensor, " num_envs"]
+    stale: Float[Tensor, " num_envs"]  #: Control steps since that one.
+    age_error: Float[Tensor, " num_envs"]  #: What its stamp makes its age appear larger [control steps].
 
     def held(self, is_seen: Bool[Tensor, " num_envs"], previous: "Detection") -> "Detection":
         """This detection where the object is seen, else the previous one, a control step older."""
@@ -115,13 +91,10 @@ class Detection:
         return select(is_seen, self, later)
 
     def exposed_before(self, previous: "Detection", time: Float[Tensor, " num_envs"]) -> "Detection":
-        """What an image shows that was taken some time before this one, and after the previous one.
+        """What an image shows that was taken some time before this one, 0 to 1 [control steps].
 
-        An object's box moves almost linearly in a control step: in free flight the error is under 0.6 px.
-
-        Args:
-            previous: What the image a control step before this one shows.
-            time: From the exposure to this image, from 0 to 1 [control steps].
+        The previous one was taken a control step before this one. An object's box moves almost linearly
+        meanwhile: in free flight the error is under 0.6 px.
         """
         share = time[:, None]
         return replace(
@@ -138,16 +111,50 @@ def detect(
     least_visible: float,
     camera: Projection | None = None,
 ) -> tuple[Float[Tensor, "num_envs 4"], Bool[Tensor, " num_envs"]]:
-    """Box of the visible surface points, and whether enough of them are visible for a detection.
+    """Box of the visible surface points, world frame [m], and whether enough are visible for a detection.
 
-    Args:
-        points: Surface points of the object, world frame [m].
-        is_visible: Which of them nothing hides.
-        least_visible: Share that must be visible and in the image.
-        camera: The camera that looks; the nominal one if absent.
+    `is_visible` is where nothing hides them, `least_visible` the share that must be visible and in the image.
+    Without a camera the nominal one looks.
     """
     camera = camera or nominal_projection(RGB_CAMERA, points)
     pixels, depth = camera.pixels(points)
     in_view = is_in_view(RGB_CAMERA, pixels, depth)
     is_seen = (is_visible & in_view).to(points.dtype).mean(dim=-1) >= least_visible
     return box_of_points(pixels, is_visible, RGB_CAMERA), is_seen
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class DelayLine(Generic[T]):
+    """Values on their way, tensors or dataclasses of tensors: the newest and its predecessors."""
+
+    ages: tuple[T, ...]  #: Values by age in control steps, newest first.
+
+    def delivered(self, delay: Float[Tensor, " num_envs"]) -> T:
+        """The value that is `delay` control steps old, or the next newer one where there is none."""
+        result = self.ages[0]
+        for age, value in enumerate(self.ages[1:], start=1):
+            result = select(delay >= age, value, result)
+        return result
+
+    def interpolated(self: "DelayLine[Tensor]", delay: Float[Tensor, " num_envs"]) -> Tensor:
+        """Values (num_envs, k) that are `delay` control steps old, linear between those that were sent."""
+        ages = torch.stack(self.ages, dim=1)
+        distance = delay[:, None] - torch.arange(len(self.ages), device=delay.device)
+        return (torch.clamp(1.0 - distance.abs(), min=0.0)[..., None] * ages).sum(dim=1)
+
+    def pushed(self, value: T) -> "DelayLine[T]":
+        """The line one control step later."""
+        return DelayLine((value, *self.ages[:-1]))
+
+    @classmethod
+    def filled(cls, value: T, longest: int) -> "DelayLine[T]":
+        """A line for delays of up to `longest`, in which every age is the same: how an episode begins."""
+        return cls((value,) * (longest + 1))
+
+    @property
+    def newest(self) -> T:
+        """The value that was sent last."""
+        return self.ages[0]

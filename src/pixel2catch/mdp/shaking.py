@@ -19,30 +19,19 @@ from pixel2catch.scene.constants import CONTROL_DT
 
 @dataclass(frozen=True, kw_only=True)
 class ShakeCfg:
-    """How the table shakes.
+    """How the table shakes."""
 
-    Attributes:
-        amplitude: Largest displacement [m]; 0 is a table that stands still, as in training.
-        frequency: Frequency [Hz].
-    """
-
-    amplitude: float = 0.0
-    frequency: float = 0.0
+    amplitude: float = 0.0  #: Largest displacement [m]; 0 is a table that stands still, as in training.
+    frequency: float = 0.0  #: Frequency [Hz].
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shake:
-    """How the base moves in one episode of each environment; times are those of the episode [s].
+    """How the base moves in one episode of each environment; times are those of the episode [s]."""
 
-    Attributes:
-        sine: A d cos(phase) [m].
-        cosine: A d sin(phase) [m].
-        rate: 2 pi f [rad/s].
-    """
-
-    sine: Float[Tensor, "num_envs 3"]
-    cosine: Float[Tensor, "num_envs 3"]
-    rate: Float[Tensor, " num_envs"]
+    sine: Float[Tensor, "num_envs 3"]  #: A d cos(phase) [m].
+    cosine: Float[Tensor, "num_envs 3"]  #: A d sin(phase) [m].
+    rate: Float[Tensor, " num_envs"]  #: 2 pi f [rad/s].
 
     def displacement(self, time: Float[Tensor, "*times num_envs"]) -> Float[Tensor, "*times num_envs 3"]:
         """From where the base stands without shaking [m]."""

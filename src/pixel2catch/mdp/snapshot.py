@@ -16,28 +16,20 @@ from pixel2catch.robots.geometry import WorkcellGeometry
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """What the robot knows at one control step, in simulation and in the laboratory.
+    """What the robot knows at one control step, in simulation and in the laboratory."""
 
-    Attributes:
-        boxes: The last measured bounding boxes of the object, as many as the method remembers.
-        object_pos: Position of the object's centre by a tracker, as old as the box, world frame [m]. Only
-            methods that others are compared with read it.
-        initial_object_pos: The first such position of the episode [m].
-        joint_pos: Joint encoders [rad].
-        joint_pos_target: Joint targets commanded at this step [rad].
-        palm_pos: Positions of the palms by forward kinematics of `joint_pos`, world frame [m].
-        palm_quat: Their orientations likewise, (w, x, y, z), with the sign of `robots.chain`.
-        action: Last actions of all agents in joint order, in [-1, 1].
-    """
-
-    boxes: BoxHistory
+    boxes: BoxHistory  #: The last measured bounding boxes of the object, as many as the method remembers.
+    #: Position of the object's centre by a tracker, as old as the box, world frame [m]. Only methods that
+    #: others are compared with read it.
     object_pos: Float[Tensor, "num_envs 3"]
-    initial_object_pos: Float[Tensor, "num_envs 3"]
-    joint_pos: Float[Tensor, "num_envs num_joints"]
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]
+    initial_object_pos: Float[Tensor, "num_envs 3"]  #: The first such position of the episode [m].
+    joint_pos: Float[Tensor, "num_envs num_joints"]  #: Joint encoders [rad].
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: Joint targets commanded at this step [rad].
+    #: Positions of the palms by forward kinematics of `joint_pos`, world frame [m].
     palm_pos: Float[Tensor, "num_envs num_palms 3"]
+    #: Their orientations likewise, (w, x, y, z), with the sign of `robots.chain`.
     palm_quat: Float[Tensor, "num_envs num_palms 4"]
-    action: Float[Tensor, "num_envs num_joints"]
+    action: Float[Tensor, "num_envs num_joints"]  #: Last actions of all agents in joint order, in [-1, 1].
 
     @property
     def box(self) -> Float[Tensor, "num_envs 4"]:
@@ -55,48 +47,31 @@ class History(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Privileged:
-    """What only the simulator knows at one control step (world frame).
+    """What only the simulator knows at one control step (world frame)."""
 
-    Attributes:
-        palm_pos: True positions of the palms [m].
-        fingertip_pos: True positions of the fingertips, palm by palm [m].
-        object_pos: Position of the object's centre [m].
-        object_lin_vel: Its velocity [m/s].
-        is_touching: Which palms and fingers touched the object since the step before: each palm, then its
-            fingers.
-        is_robot_on_table: Whether a robot touched the table since the step before.
-        is_self_contact: Whether a robot touched itself, or another one, since the step before.
-        joint_vel: Joint speeds [rad/s].
-    """
-
-    palm_pos: Float[Tensor, "num_envs num_palms 3"]
+    palm_pos: Float[Tensor, "num_envs num_palms 3"]  #: True positions of the palms [m].
+    #: True positions of the fingertips, palm by palm [m].
     fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]
-    object_pos: Float[Tensor, "num_envs 3"]
-    object_lin_vel: Float[Tensor, "num_envs 3"]
+    object_pos: Float[Tensor, "num_envs 3"]  #: Position of the object's centre [m].
+    object_lin_vel: Float[Tensor, "num_envs 3"]  #: Its velocity [m/s].
+    #: Which palms and fingers touched the object since the step before: each palm, then its fingers.
     is_touching: Bool[Tensor, "num_envs num_parts"]
-    is_robot_on_table: Bool[Tensor, " num_envs"]
+    is_robot_on_table: Bool[Tensor, " num_envs"]  #: Whether a robot touched the table since the step before.
+    #: Whether a robot touched itself, or another one, since the step before.
     is_self_contact: Bool[Tensor, " num_envs"]
-    joint_vel: Float[Tensor, "num_envs num_joints"]
+    joint_vel: Float[Tensor, "num_envs num_joints"]  #: Joint speeds [rad/s].
 
 
 @dataclass(frozen=True, kw_only=True)
 class Transition:
-    """What one control step changed: the input of every reward and ending.
+    """What one control step changed: the input of every reward and ending."""
 
-    Attributes:
-        before: The state that the actions were chosen in.
-        now: The state that they led to.
-        action: The actions in joint order, in [-1, 1].
-        joint_pos_target: The joint targets that they commanded [rad].
-        held_steps: Consecutive control steps, this one included, with the object in the palm's reach.
-        episode_steps: Control steps since the start of the episode, this one included.
-        geometry: Where palms and arms are for given joint positions.
-    """
-
-    before: Privileged
-    now: Privileged
-    action: Float[Tensor, "num_envs num_joints"]
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]
+    before: Privileged  #: The state that the actions were chosen in.
+    now: Privileged  #: The state that they led to.
+    action: Float[Tensor, "num_envs num_joints"]  #: The actions in joint order, in [-1, 1].
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: The joint targets that they commanded [rad].
+    #: Consecutive control steps, this one included, with the object in the palm's reach.
     held_steps: Int[Tensor, " num_envs"]
+    #: Control steps since the start of the episode, this one included.
     episode_steps: Int[Tensor, " num_envs"]
-    geometry: WorkcellGeometry
+    geometry: WorkcellGeometry  #: Where palms and arms are for given joint positions.

@@ -8,29 +8,18 @@ from torch import Tensor
 
 from pixel2catch.mdp.snapshot import Privileged, Transition
 
-REACH = 0.08
-"""Distance of palm and object under which the object counts as reached [m]. Source: release."""
-
-HOLD_STEPS = 20
-"""Consecutive control steps within `REACH` that make a success. Source: release."""
-
-DROP_HEIGHT = 0.45
-"""Height under which the object is lost [m]. Source: release."""
-
-DROP_X = 0.03
-"""World x under which the object has passed the robot [m]. Source: release."""
+REACH = 0.08  #: Distance of palm and object under which the object counts as reached [m]. Source: release.
+HOLD_STEPS = 20  #: Consecutive control steps within `REACH` that make a success. Source: release.
+DROP_HEIGHT = 0.45  #: Height under which the object is lost [m]. Source: release.
+DROP_X = 0.03  #: World x under which the object has passed the robot [m]. Source: release.
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeCfg:
-    """When an episode ends besides the loss of the object.
+    """When an episode ends besides the loss of the object."""
 
-    Attributes:
-        max_steps: Control steps after which it ends: 3.0 s (Source: release).
-        ends_on_success: Whether a success ends it (Source: paper; evaluation goes on to test the hold).
-    """
-
-    max_steps: int = 90
+    max_steps: int = 90  #: Control steps after which it ends: 3.0 s (Source: release).
+    #: Whether a success ends it (Source: paper; evaluation goes on to test the hold).
     ends_on_success: bool = True
 
 

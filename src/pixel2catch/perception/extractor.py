@@ -1,4 +1,4 @@
-"""Images to pixel features, once in every control step: what training got from `envs.eye`, from a camera.
+"""Images to pixel features, once in every control step: as `envs.detector` gives training, of a camera.
 
 An image goes through the segmenter to a mask, its largest region to a box, and a plausible box to features.
 Box and features are computed by the functions of training, `camera.boxes`. How long each stage takes is kept.

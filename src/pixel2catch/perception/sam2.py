@@ -33,8 +33,8 @@ from pixel2catch.perception.segmenter import (
     Segmenter,
     check_image,
 )
-from pixel2catch.sim.devices import require_cuda
 from pixel2catch.sim.graphs import GraphedFunction
+from pixel2catch.sim.simulation import require_cuda
 
 MODEL_ID = "facebook/sam2.1-hiera-tiny"
 """Public name of the smallest checkpoint. Source: ours: users report 25 images a second on a desktop GPU."""

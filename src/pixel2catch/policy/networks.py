@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-HIDDEN = (512, 256, 128)
-"""Sizes of the hidden layers of every network. Source: paper, Sec. IV-E."""
+HIDDEN = (512, 256, 128)  #: Sizes of the hidden layers of every network. Source: paper, Sec. IV-E.
 
 INPUT_CLIP = 5.0
 """Standardised inputs are clipped to ± this many standard deviations. Source: release (skrl)."""
@@ -16,11 +15,6 @@ INPUT_CLIP = 5.0
 
 def build_mlp(num_inputs: int, num_outputs: int, hidden: Sequence[int] = HIDDEN) -> nn.Sequential:
     """Build a multi-layer perceptron with ELU between its layers and a linear output.
-
-    Args:
-        num_inputs: Length of the input vector.
-        num_outputs: Length of the output vector.
-        hidden: Sizes of the hidden layers.
 
     Source: paper, Sec. IV-E.
     """

@@ -29,13 +29,7 @@ class Policy(nn.Module):
     """
 
     def __init__(self, contract: PolicyContract, hidden: Sequence[int] = HIDDEN, recurrent: int = 0) -> None:
-        """Build untrained networks that fit the contract.
-
-        Args:
-            contract: What the policy expects and promises.
-            hidden: Sizes of the hidden layers.
-            recurrent: Size of a GRU before them; 0 for none.
-        """
+        """Build untrained networks that fit the contract; `recurrent` is the size of a GRU, 0 for none."""
         super().__init__()
         self.contract = contract
         self.hidden, self.recurrent = tuple(hidden), recurrent
@@ -52,10 +46,9 @@ class Policy(nn.Module):
         return cast(AgentNetwork, self.agents[agent])
 
     def reset(self, is_ended: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Forget what was seen: where an episode ended, or everywhere. Needed by recurrent policies.
+        """Forget what was seen: where the next observation is the first of an episode, or everywhere.
 
-        Args:
-            is_ended: Where the next observation is the first of an episode; everywhere if absent.
+        Recurrent policies need it.
         """
         if is_ended is None:
             self._hidden_states.clear()
@@ -70,8 +63,7 @@ class Policy(nn.Module):
     ) -> dict[str, Float[Tensor, "num_envs _"]]:
         """Return the mean action of every agent, clipped to [-1, 1]; a GRU goes on from the last call.
 
-        Args:
-            observations: The observation vectors by agent, in the order of the contract.
+        The observation vectors are in the order of the contract.
         """
         actions = {}
         for name in self.agents:

@@ -18,15 +18,7 @@ from pixel2catch.errors import InvalidValueError
 
 
 class Chain:
-    """The hinges between the world and a site, from the first to the last.
-
-    Attributes:
-        joints: Their names.
-        matrices: K, C and S of each joint, with the fixed parts of the way in them.
-        side: Orientation of the site at the start pose; of q and -q, which are one rotation, the one on its
-            side is returned. Its largest number is negative, as in the first policies. Differs: paper and
-            release return w >= 0; where w is 0 at the start, noise alone would flip all four numbers.
-    """
+    """The hinges between the world and a site, from the first to the last."""
 
     def __init__(
         self,
@@ -48,10 +40,14 @@ class Chain:
                 f"{len(self.joints)} joints move the site '{site}', {', '.join(self.joints)}; "
                 f"there are {len(home)} start positions"
             )
+        #: K, C and S of each joint, with the fixed parts of the way in them.
         self.matrices = torch.as_tensor(matrices, dtype=dtype, device=device)
         self._products = torch.as_tensor(_product_maps(), dtype=dtype, device=device)
         self.side = torch.ones(4, dtype=dtype, device=device)
         _, start = self.pose(torch.tensor([home], dtype=dtype, device=device))
+        #: Orientation of the site at the start pose; of q and -q, which are one rotation, the one on its side
+        #: is returned. Its largest number is negative, as in the first policies. Differs: paper and release
+        #: return w >= 0; where w is 0 at the start, noise alone would flip all four numbers.
         self.side = -start[0] * start[0, start[0].abs().argmax()].sign()
 
     def link_poses(

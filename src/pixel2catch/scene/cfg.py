@@ -69,18 +69,11 @@ Value = TypeVar("Value", float, ndarray, Tensor)
 
 
 def contact_solref(restitution: Value, physics_dt: float) -> tuple[Value, Value]:
-    """Stiffness and damping of a contact, as the two negative numbers of a direct `solref`.
+    """Stiffness and damping of a contact, as the two negative numbers (-k, -b) of a direct `solref`.
 
-    A step changes the normal velocity v at depth p by dt (b |v| + k p). With b = (1 + e - PUSH_OUT / 2) / dt
-    and k = PUSH_OUT / dt², and depths spread evenly over the way of one step, the mean velocity after the
-    impact is e |v|.
-
-    Args:
-        restitution: e, speed after over speed before the impact; a number, or an array or tensor of them.
-        physics_dt: Length of the step, dt [s].
-
-    Returns:
-        (-k, -b), each like `restitution`.
+    A step of length dt changes the normal velocity v at depth p by dt (b |v| + k p). With k = PUSH_OUT / dt²
+    and b = (1 + e - PUSH_OUT / 2) / dt, and depths spread evenly over the way of one step, the mean velocity
+    after the impact is e |v|: e, the restitution, is a number, or an array or tensor of them.
     """
     stiffness = PUSH_OUT / physics_dt**2 + 0.0 * restitution
     damping = (1.0 - 0.5 * PUSH_OUT + restitution) / physics_dt

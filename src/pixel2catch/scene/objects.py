@@ -134,8 +134,7 @@ OBJECT_GROUPS: dict[str, tuple[str, ...]] = {"seen": SEEN, "unseen": UNSEEN, "re
 def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
     """Resolve names of objects and groups to names of objects, in the given order and without repeats.
 
-    Args:
-        names: "seen", "unseen", "real", the name of an object, several of them, or a comma-separated string.
+    Names are "seen", "unseen", "real" or an object's, several of them, or a comma-separated string.
 
     Raises:
         UnknownNameError: If a name is neither an object nor a group.

@@ -24,13 +24,7 @@ class BatchSimulation(Simulation):
     """
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, num_threads: int = 0) -> None:
-        """Create the environments at the model's defaults.
-
-        Args:
-            model: The MuJoCo model.
-            num_envs: Number of environments.
-            num_threads: Threads to use, 0 for all processors.
-        """
+        """Create the environments at the model's defaults; 0 threads are those of all processors."""
         super().__init__(model, num_envs, torch.device("cpu"), torch.float64)
         num_threads = num_threads or len(os.sched_getaffinity(0))
         self._batch = Batch(model, num_envs, min(num_threads, num_envs), persistent=True)

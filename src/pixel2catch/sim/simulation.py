@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError, UnknownNameError
 
 Result = TypeVar("Result")
 
@@ -29,14 +29,7 @@ MAX_GEOM_GROUPS = mujoco.mjNGROUP
 
 
 class Simulation(ABC):
-    """`num_envs` independent copies of one MuJoCo model on one device.
-
-    Attributes:
-        model: The model that every environment starts from.
-        num_envs: Number of environments.
-        device: Where bound and expanded tensors live.
-        dtype: Their floating-point type.
-    """
+    """`num_envs` independent copies of one MuJoCo model on one device."""
 
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype
@@ -48,10 +41,10 @@ class Simulation(ABC):
         """
         if num_envs < 1:
             raise InvalidValueError(f"num_envs is {num_envs}; it must be at least 1")
-        self.model = model
+        self.model = model  #: The model that every environment starts from.
         self.num_envs = num_envs
-        self.device = device
-        self.dtype = dtype
+        self.device = device  #: Where bound and expanded tensors live.
+        self.dtype = dtype  #: Their floating-point type.
 
     @abstractmethod
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:
@@ -80,11 +73,7 @@ class Simulation(ABC):
 
     @abstractmethod
     def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Make the bound fields current after writes to the state.
-
-        Args:
-            mask: The environments that were written; all if absent. Others stay as they are.
-        """
+        """Make the bound fields current after writes to the state of the masked environments, or of all."""
 
     @abstractmethod
     def ray(
@@ -95,10 +84,8 @@ class Simulation(ABC):
     ) -> Float[Tensor, "num_envs num_rays"]:
         """Distance to the nearest geom along each ray in units of the direction's length, -1 for a miss.
 
-        Args:
-            origin: Common origin of all rays, world frame [m].
-            directions: Ray directions, world frame.
-            groups: The geom groups that can be hit.
+        Rays begin at a common origin [m] and hit geoms of some groups; origin and directions are in the world
+        frame.
         """
 
     @abstractmethod
@@ -107,13 +94,9 @@ class Simulation(ABC):
     ) -> Callable[[Tensor], Result]:
         """A function that does what `function` does, at the least cost for the host.
 
-        Args:
-            function: Steps the simulation and works on tensors whose memory stays where it is.
-            generator: What it draws from.
-
-        Returns:
-            The function itself, or a recording of its work on the device: then its results are overwritten
-            by the next call.
+        The function steps the simulation, draws from the generator and works on tensors whose memory stays
+        where it is. Returned is itself, or a recording of its work on the device, whose next call overwrites
+        the results.
         """
 
     @abstractmethod
@@ -123,3 +106,40 @@ class Simulation(ABC):
     @abstractmethod
     def close(self) -> None:
         """Free what the back end holds."""
+
+
+def make_simulation(model: mujoco.MjModel, num_envs: int, device: str) -> Simulation:
+    """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N".
+
+    Nothing else asks which device it is.
+
+    Raises:
+        DeviceUnavailableError: If CUDA is asked for and absent.
+        UnknownNameError: If the device is of another type.
+    """
+    kind = device.split(":")[0]
+    if kind == "cpu":
+        from pixel2catch.sim.batch import BatchSimulation
+
+        return BatchSimulation(model, num_envs)
+    if kind == "cuda":
+        require_cuda(device)
+        from pixel2catch.sim.warp import WarpSimulation
+
+        return WarpSimulation(model, num_envs, device)
+    raise UnknownNameError("device", device, ("cpu", "cuda", "cuda:0", "cuda:1"))
+
+
+def require_cuda(device: str) -> None:
+    """Raise if PyTorch does not see the CUDA device.
+
+    Raises:
+        DeviceUnavailableError: With what is there and what to do.
+    """
+    count = torch.cuda.device_count()
+    index = torch.device(device).index or 0
+    if index >= count:
+        raise DeviceUnavailableError(
+            f"device '{device}' was asked for, but PyTorch {torch.__version__} sees {count} CUDA devices; "
+            "use --device cpu, or install a CUDA build of PyTorch and a driver that it supports"
+        )

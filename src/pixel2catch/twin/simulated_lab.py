@@ -12,9 +12,7 @@ from jaxtyping import Float
 
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.envs.draws import Episode, draw_episode
-from pixel2catch.envs.episodes import EpisodeRecord
-from pixel2catch.envs.physics_log import PhysicsLog
+from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.protocol import TRIAL_STEPS
@@ -62,7 +60,7 @@ class ThrowScorer:
         self.record: EpisodeRecord = replace(episode.record, steps=episode.throw.hover_steps)
         self.is_over = False  #: Whether it is decided: caught, dropped, or out of time.
 
-    def follow(self, now: Privileged, log: PhysicsLog) -> None:
+    def follow(self, now: Privileged, log: StepExtremes) -> None:
         """Count a control step by the state at its end, and by what happened in it."""
         if self.is_over:
             return
@@ -121,7 +119,7 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
         self._object_ids = torch.tensor([names.index(name) for name in task.objects])
         qpos, qvel = (self._world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
         self._qpos, self._qvel = qpos, qvel
-        self._log: PhysicsLog | None = None
+        self._log: StepExtremes | None = None
         self._steps, self._is_thrown, self._scorer = 0, False, None
         self.num_throws = 0
         self.max_joint_speed = 0.0  #: Largest speed of an arm joint so far [rad/s].
@@ -185,7 +183,7 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
         generator = torch.Generator().manual_seed(seed)
         self.episode: Episode = draw_episode(self._task, self._action_bias, self._object_ids, 1, generator)
         self._world.reset(_YES, self.episode.parameters, self.episode.throw)
-        self._world.forward(_YES)
+        self._world.simulation.forward(_YES)
         release_pos = self.episode.throw.pos[0].double().numpy()
         phase = float(self._rng.uniform(0.0, 2.0 * pi))
         self._thrower = Thrower(bystanders=Bystanders(release_pos=release_pos, phase=phase))
@@ -239,13 +237,13 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
 
     def close(self) -> None:
         """Free the simulation."""
-        self._world.close()
+        self._world.simulation.close()
 
     def __exit__(self, *exception: object) -> None:
         """Close it."""
         self.close()
 
-    def _end_control_step(self, log: PhysicsLog) -> None:
+    def _end_control_step(self, log: StepExtremes) -> None:
         """Score, and go on with the throw."""
         self.max_joint_speed = max(self.max_joint_speed, float(log.joint_speed))
         if self._scorer is not None:
@@ -257,9 +255,9 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
         elif self._is_thrown:
             self._release(log)
 
-    def _release(self, log: PhysicsLog) -> None:
+    def _release(self, log: StepExtremes) -> None:
         self._world.release(_YES, self.episode.throw)
-        self._world.forward(_YES)
+        self._world.simulation.forward(_YES)
         self._scorer = ThrowScorer(self.episode, self._world, self._world.privileged(log))
         self._thrower = replace(self._thrower, release=self.time)
         self.phase, self.num_throws = Phase.FLYING, self.num_throws + 1

@@ -7,8 +7,14 @@ import torch
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.mdp.camera_errors import (
+    CameraErrors,
+    is_camera_exact,
+    sample_camera_errors,
+    scaled_box,
+    tracked_position,
+)
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
-from pixel2catch.mdp.sight import Sight, is_sight_exact, sample_sight, scaled_box, tracked_position
 from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
@@ -22,15 +28,15 @@ MEASURED = replace(
 )
 
 
-def draw(cfg: SensingCfg, num_envs: int = NUM_ENVS) -> tuple[Sight, Throw]:
+def draw(cfg: SensingCfg, num_envs: int = NUM_ENVS) -> tuple[CameraErrors, Throw]:
     generator = torch.Generator().manual_seed(0)
     throw = sample_throws(ThrowCfg(), num_envs, generator)
-    return sample_sight(cfg, throw, generator), throw
+    return sample_camera_errors(cfg, throw, generator), throw
 
 
 def test_a_sight_is_exact_where_nothing_is_wrong():
-    assert is_sight_exact(SensingCfg())
-    assert is_sight_exact(SensingCfg(camera=ELSEWHERE, corner_noise=9.0, edge_noise=2.0, box_scale=1.2))
+    assert is_camera_exact(SensingCfg())
+    assert is_camera_exact(SensingCfg(camera=ELSEWHERE, corner_noise=9.0, edge_noise=2.0, box_scale=1.2))
 
 
 @pytest.mark.parametrize(
@@ -45,7 +51,7 @@ def test_a_sight_is_exact_where_nothing_is_wrong():
     ids=lambda changes: next(iter(changes)),
 )
 def test_a_sight_with_any_error_is_not_exact(changes):
-    assert not is_sight_exact(SensingCfg(**changes))
+    assert not is_camera_exact(SensingCfg(**changes))
 
 
 def test_without_errors_the_sight_is_that_of_the_camera():

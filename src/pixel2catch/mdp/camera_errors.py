@@ -1,4 +1,4 @@
-"""What is wrong with the sight of an episode: the camera, the boxes, the images that are missing.
+"""What is wrong with the camera of an episode: its pose, its boxes, the images that are missing.
 
 Source: ours; with the defaults of `SensingCfg` nothing is. A calibrated camera differs from episode to
 episode as far as its calibration leaves it open.
@@ -17,30 +17,19 @@ from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
-    """The draws of one episode in each environment.
+class CameraErrors:
+    """The draws of one episode in each environment."""
 
-    Attributes:
-        camera: The true camera; a tracker assumes the one that it was drawn about.
-        box_bias: Shift of every box, along u and v [px].
-        drop_rate: Share of the images in which the object is not found.
-        blackout_start: Control step of the episode at which the images fail.
-        blackout_steps: Control steps for which they do.
-        image_period: Control steps from one image that is looked at to the next.
-        clock_error: What the stamps make every box appear older [control steps].
-        stamp_jitter: Standard deviation of such an error of each image [control steps].
-        is_stamped: Whether images have stamps.
-    """
-
-    camera: Projection
-    box_bias: Float[Tensor, "num_envs 2"]
-    drop_rate: Float[Tensor, " num_envs"]
-    blackout_start: Int[Tensor, " num_envs"]
-    blackout_steps: Int[Tensor, " num_envs"]
-    image_period: Float[Tensor, " num_envs"]
-    clock_error: Float[Tensor, " num_envs"]
+    camera: Projection  #: The true camera; a tracker assumes the one that it was drawn about.
+    box_bias: Float[Tensor, "num_envs 2"]  #: Shift of every box, along u and v [px].
+    drop_rate: Float[Tensor, " num_envs"]  #: Share of the images in which the object is not found.
+    blackout_start: Int[Tensor, " num_envs"]  #: Control step of the episode at which the images fail.
+    blackout_steps: Int[Tensor, " num_envs"]  #: Control steps for which they do.
+    image_period: Float[Tensor, " num_envs"]  #: Control steps from one image that is looked at to the next.
+    clock_error: Float[Tensor, " num_envs"]  #: What the stamps make every box appear older [control steps].
+    #: Standard deviation of such an error of each image [control steps].
     stamp_jitter: Float[Tensor, " num_envs"]
-    is_stamped: Bool[Tensor, " num_envs"]
+    is_stamped: Bool[Tensor, " num_envs"]  #: Whether images have stamps.
 
     def is_dark(self, steps: Int[Tensor, " num_envs"]) -> Bool[Tensor, " num_envs"]:
         """Whether there is no image after so many control steps of the episode."""
@@ -60,8 +49,8 @@ class Sight:
         return torch.where(self.is_stamped, error, ASSUMED_AGE - latency)
 
 
-def is_sight_exact(cfg: SensingCfg) -> bool:
-    """Whether nothing can be wrong with the sight but the noise of training."""
+def is_camera_exact(cfg: SensingCfg) -> bool:
+    """Whether nothing can be wrong with the camera but the noise of training."""
     errors = (
         *(cfg.camera_offset, cfg.camera_turn, cfg.focal_error, cfg.box_bias, cfg.drop_rate),
         *(cfg.blackout_steps, cfg.clock_error, cfg.stamp_jitter, cfg.unstamped),
@@ -71,7 +60,7 @@ def is_sight_exact(cfg: SensingCfg) -> bool:
     return not any((*errors, *cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
 
 
-def sample_sight(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> Sight:
+def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> CameraErrors:
     """Draw what is wrong, on the generator's device."""
     is_uncertain = any((*cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
     num_envs = len(throw.pos)
@@ -90,7 +79,7 @@ def sample_sight(cfg: SensingCfg, throw: Throw, generator: torch.Generator) -> S
     latest = torch.clamp(flight_steps - blackout_steps, min=0.0)
     direction = torch.stack((torch.cos(bias_angle), torch.sin(bias_angle)), dim=-1)
     turn, offset = amount(cfg.camera_turn)[:, None] * turn, amount(cfg.camera_offset)[:, None] * offset
-    return Sight(
+    return CameraErrors(
         camera=camera.zoomed(zoom, spec).turned(turn).moved(offset),
         box_bias=amount(cfg.box_bias)[:, None] * direction,
         drop_rate=amount(cfg.drop_rate),
@@ -123,14 +112,8 @@ def tracked_position(
 ) -> Float[Tensor, "num_envs 3"]:
     """Where a depth camera's tracker takes the object to be, world frame [m].
 
-    The true camera sees the object's centre; the tracker's pixel is off by `shift`; what it reports is that
-    pixel at the true depth, seen by the camera that it assumes.
-
-    Args:
-        camera: The true camera.
-        assumed: The camera that the tracker knows.
-        object_pos: The object's centre, world frame [m].
-        shift: Error of the pixel [px].
+    The true camera sees the object's centre; the tracker's pixel is off by `shift` [px]; what it reports is
+    that pixel at the true depth, seen by the camera that it assumes.
     """
     pixels, depth = camera.pixels(object_pos[:, None])
     return back_project(assumed, pixels[:, 0] + shift, depth[:, 0])

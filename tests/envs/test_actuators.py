@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.drives import Drives
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion
@@ -67,7 +67,7 @@ def world_path(scene: SceneCfg, dynamics: JointDynamics, targets: np.ndarray) ->
     everywhere = torch.ones(1, dtype=torch.bool)
     throw = sample_throws(ThrowCfg(), 1, torch.Generator().manual_seed(0))
     world.reset(everywhere, parameters(1), throw)
-    world.forward(everywhere)
+    world.simulation.forward(everywhere)
     path = []
     for target in targets:
         world.run(torch.tensor(target, dtype=torch.float32)[None])
@@ -110,7 +110,7 @@ def test_a_path_without_latency_is_a_physics_step_behind_nominal_joints():
 def rollout(simulation: Simulation, ramp: np.ndarray) -> torch.Tensor:
     """Joint positions after every physics step of a ramp, two steps to a target, in both copies."""
     speeds = [joint.velocity_limit for joint in JOINTS]
-    qpos, drives = simulation.bind("qpos"), Drives(simulation, IDENTIFIED, NOMINAL, speeds)
+    qpos, drives = simulation.bind("qpos"), JointActuators(simulation, IDENTIFIED, NOMINAL, speeds)
     qpos[:, :19] = torch.tensor(HOME).to(qpos)
     everywhere = torch.ones(2, dtype=torch.bool)
     drives.reset(everywhere, qpos[:, :19].clone(), parameters(2))
@@ -157,12 +157,12 @@ def test_a_new_episode_does_not_feel_the_last_one():
     world = CatchWorld(scene, IDENTIFIED, num_envs=2, device="cpu")
     throw = sample_throws(ThrowCfg(), 2, torch.Generator().manual_seed(0))
     world.reset(torch.tensor((True, True)), parameters(2), throw)
-    world.forward(torch.tensor((True, True)))
+    world.simulation.forward(torch.tensor((True, True)))
     target = torch.tensor(HOME + INWARDS * 0.2).float().expand(2, -1)
     for _ in range(3):
         world.run(target)
     world.reset(torch.tensor((True, False)), parameters(2), throw)
-    world.forward(torch.tensor((True, False)))
+    world.simulation.forward(torch.tensor((True, False)))
     world.run(torch.stack((torch.tensor(HOME).float(), target[1])))
     moved = (world.joint_pos - torch.tensor(HOME)).abs()
     assert moved[0, :6].max() < 1e-5

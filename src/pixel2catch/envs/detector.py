@@ -7,24 +7,22 @@ import torch
 
 from pixel2catch.camera.boxes import perturb_box
 from pixel2catch.camera.pinhole import Projection, nominal_projection
-from pixel2catch.envs.draws import Episode
+from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
+from pixel2catch.mdp.camera_errors import scaled_box, tracked_position
 from pixel2catch.mdp.sensing import Detection, SensingCfg, detect
-from pixel2catch.mdp.sight import scaled_box, tracked_position
 from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 
-class Eye(ABC):
+class Detector(ABC):
     """Looks at the object of every environment, once in every control step."""
 
     @abstractmethod
     def look(self, truth: Privileged, episode: Episode) -> Detection:
         """What an image of this moment shows of the object, and whether it is found at all.
 
-        Args:
-            truth: What there is to see.
-            episode: The present episodes; one that has just begun has made no step.
+        An episode that has just begun has made no step.
         """
 
     @abstractmethod
@@ -32,21 +30,15 @@ class Eye(ABC):
         """What the sensors make of it."""
 
 
-class ProjectingEye(Eye):
+class ProjectedDetector(Detector):
     """Projects surface points instead of taking images, and adds the errors of the sensors."""
 
     def __init__(self, cfg: SensingCfg, world: CatchWorld, generator: torch.Generator) -> None:
-        """Look into a world.
-
-        Args:
-            cfg: The errors.
-            world: What is looked at.
-            generator: Source of the errors that are drawn for every image.
-        """
+        """Look into a world; the errors of every image come from the generator."""
         self._cfg, self._world, self._generator = cfg, world, generator
 
     def look(self, truth: Privileged, episode: Episode) -> Detection:
-        """See `Eye.look`.
+        """See `Detector.look`.
 
         Rays to hidden points start where the camera was calibrated: the rest changes little of what it hides.
         """
@@ -61,23 +53,23 @@ class ProjectingEye(Eye):
         )
 
     def disturbed(self, detection: Detection, episode: Episode) -> Detection:
-        """Noise, and what is wrong with the sight of the episode."""
-        cfg, sight, box = self._cfg, episode.sight, detection.box
+        """Noise, and the camera errors of the episode."""
+        cfg, wrong, box = self._cfg, episode.camera_errors, detection.box
         noise = 2.0 * torch.rand(box.shape, generator=self._generator, device=box.device) - 1.0
         error = (cfg.corner_noise + cfg.edge_noise) * noise
         shift = 0.5 * cfg.edge_noise * (noise[:, :2] + noise[:, 2:])
         is_seen, age_error = detection.is_seen, detection.age_error
-        if sight is not None:
-            error = error + sight.box_bias.repeat(1, 2)
-            shift = shift + sight.box_bias
+        if wrong is not None:
+            error = error + wrong.box_bias.repeat(1, 2)
+            shift = shift + wrong.box_bias
             chance = torch.rand(len(box), generator=self._generator, device=box.device)
             steps = episode.record.steps
             is_seen = (
-                is_seen & (chance >= sight.drop_rate) & ~sight.is_dark(steps) & sight.is_looked_at(steps)
+                is_seen & (chance >= wrong.drop_rate) & ~wrong.is_dark(steps) & wrong.is_looked_at(steps)
             )
-            age_error = sight.age_error(episode.parameters.latency, self._generator)
+            age_error = wrong.age_error(episode.parameters.latency, self._generator)
         object_pos = detection.object_pos
-        if sight is not None or episode.shake is not None or cfg.edge_noise:
+        if wrong is not None or episode.shake is not None or cfg.edge_noise:
             camera = self._camera(episode)
             object_pos = tracked_position(camera, cfg.camera.camera, object_pos, shift)
         return replace(
@@ -91,7 +83,7 @@ class ProjectingEye(Eye):
     def _camera(self, episode: Episode) -> Projection:
         """The true camera, in the frame of the robot's base."""
         nominal = nominal_projection(self._cfg.camera.camera, episode.throw.pos)
-        camera = nominal if episode.sight is None else episode.sight.camera
+        camera = nominal if episode.camera_errors is None else episode.camera_errors.camera
         if episode.shake is None:
             return camera
         return camera.moved(-episode.shake.displacement(CONTROL_DT * episode.record.steps))

@@ -1,0 +1,214 @@
+"""The actuators of all joints: command path, speed and effort limits, dry friction and gains."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.randomization import EpisodeParameters
+from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
+from pixel2catch.scene.constants import SPEED_MARGIN
+from pixel2catch.sim.simulation import Simulation
+
+EFFORT_MARGIN = 0.999
+"""Share of a joint's effort limit that a servo asks for; at the limit itself MuJoCo clamps."""
+
+FRICTION_SPEED = 0.1
+"""Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""
+
+
+class JointActuators:
+    """Command path, limits, friction and gains of every joint in every environment.
+
+    Nominal joints have no command path: in a physics step their servos aim at the command of its end, as in
+    the training of the shipped policies. That is a step earlier than behind a path without latency. Their
+    damping is MuJoCo's, which acts on the speed at the end of a step. Of identified joints half of it does:
+    so they move as in the simulation that they were identified with, at any time step nearly alike.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        dynamics: JointDynamics,
+        nominal: JointDynamics,
+        velocity_limits: Sequence[float],
+    ) -> None:
+        """Take over the controls of a simulation; `nominal` are the joints without an identification."""
+        self._simulation = simulation
+        num_joints = len(dynamics.joints)
+        self._qpos = simulation.bind("qpos")[:, :num_joints]
+        self._qvel = simulation.bind("qvel")[:, :num_joints]
+        self._ctrl = simulation.bind("ctrl")
+        self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
+        efforts = simulation.model.actuator_forcerange[:, 1].tolist()
+        self._servos = Servos.on(simulation.device, simulation.dtype, dynamics, efforts, velocity_limits)
+        self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
+        self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
+        self._command = torch.zeros_like(self._ctrl)
+        self._path, self._implicit = None, 1.0
+        if dynamics != nominal:
+            self._path = CommandPath(dynamics, simulation.model.opt.timestep, self._command)
+            self._implicit = 0.5
+        #: Largest torque of each joint [N·m].
+        self.effort_limit: Float[Tensor, " num_joints"] = self._servos.effort_limit
+
+    def reset(
+        self,
+        mask: Bool[Tensor, " num_envs"],
+        joint_pos: Float[Tensor, "num_envs num_joints"],
+        parameters: EpisodeParameters,
+    ) -> None:
+        """Begin in the masked environments, with new gains, at joint positions [rad] that are the command."""
+        self._command.copy_(select(mask, joint_pos, self._command))
+        if self._path is not None:
+            self._path.reset(mask, joint_pos)
+        stiffness = self._stiffness * parameters.stiffness_scale
+        damping = self._damping * parameters.damping_scale
+        gainprm = self._simulation.expand("actuator_gainprm")
+        biasprm = self._simulation.expand("actuator_biasprm")
+        for target, value in (
+            (gainprm[..., 0], stiffness),
+            (biasprm[..., 1], -stiffness),
+            (biasprm[..., 2], -self._implicit * damping),
+        ):
+            target.copy_(select(mask, value.to(target), target))
+
+    def increment(
+        self, joint_pos_target: Float[Tensor, "num_envs num_joints"], num_steps: int
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """How far the command moves in each of `num_steps` physics steps to the target [rad]."""
+        return (joint_pos_target.to(self._command) - self._command) / num_steps
+
+    def advance(self, increment: Float[Tensor, "num_envs num_joints"]) -> None:
+        """Move the command, and set what drives the joints in the next physics step."""
+        self._command.add_(increment)
+        aim = self._command if self._path is None else self._path.advance(self._command)
+        state = ServoState(
+            joint_pos=self._qpos,
+            joint_vel=self._qvel,
+            stiffness=self._simulation.expand("actuator_gainprm")[..., 0],
+            damping=-self._simulation.expand("actuator_biasprm")[..., 2] / self._implicit,
+        )
+        explicit = (1.0 - self._implicit) * state.damping / state.stiffness
+        self._ctrl.copy_(self._servos.limited(aim, state) - explicit * self._qvel)
+        self._friction.copy_(self._servos.friction(self._qvel))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoState:
+    """Joints and present gains of the servos, one row per environment."""
+
+    joint_pos: Float[Tensor, "num_envs num_joints"]  #: Joint positions [rad].
+    joint_vel: Float[Tensor, "num_envs num_joints"]  #: Joint speeds [rad/s].
+    stiffness: Float[Tensor, "num_envs num_joints"]  #: Gain on the position error [N·m/rad].
+    damping: Float[Tensor, "num_envs num_joints"]  #: Gain on the speed [N·m·s/rad].
+
+
+@dataclass(frozen=True)
+class Servos:
+    """Limits and friction of all joints, in joint order."""
+
+    effort_limit: Float[Tensor, " num_joints"]  #: Largest torque [N·m].
+    velocity_limit: Float[Tensor, " num_joints"]  #: Largest speed [rad/s].
+    frictionloss: Float[Tensor, " num_joints"]  #: Dry friction [N·m].
+
+    @classmethod
+    def on(
+        cls,
+        device: torch.device,
+        dtype: torch.dtype,
+        dynamics: JointDynamics,
+        efforts: Sequence[float],
+        speeds: Sequence[float],
+    ) -> "Servos":
+        """Copy largest torques [N·m] and speeds [rad/s] of all joints, and their friction, to a device."""
+        values = (efforts, speeds, dynamics.frictionloss)
+        return cls(*(torch.tensor(each, dtype=dtype, device=device) for each in values))
+
+    def limited(
+        self, command: Float[Tensor, "num_envs num_joints"], state: ServoState
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """The position command nearest to `command` that keeps the joint's speed and effort limits.
+
+        A servo whose damping d dominates moves at k / d times the distance of its command, so that distance
+        bounds the speed (the release relies on its simulator's speed limit, which MuJoCo does not have). The
+        torque is bounded here and not by MuJoCo's `forcerange`: while a force is clamped, MuJoCo treats its
+        damping explicitly, which is unstable at these gains and steps.
+        """
+        lead = SPEED_MARGIN * self.velocity_limit * state.damping / state.stiffness
+        command = torch.clamp(command, state.joint_pos - lead, state.joint_pos + lead)
+        balance = state.joint_pos + state.damping * state.joint_vel / state.stiffness
+        reach = EFFORT_MARGIN * self.effort_limit / state.stiffness
+        return torch.clamp(command, balance - reach, balance + reach)
+
+    def friction(
+        self, joint_vel: Float[Tensor, "num_envs num_joints"]
+    ) -> Float[Tensor, "num_envs num_joints"]:
+        """Torque of dry friction [N·m], as a smooth function of the speed.
+
+        Differs: MuJoCo's own `frictionloss` is a constraint, which doubles the time of a physics step here,
+        for torques that move a servo's rest position by less than 0.004 rad.
+        """
+        return -self.frictionloss * torch.tanh(joint_vel / FRICTION_SPEED)
+
+
+class CommandPath:
+    """The paths of all joints in all environments, on memory that stays where it is.
+
+    Commands are known at the ends of physics steps and are linear in between, as a ramp is. What arrives in a
+    step is their mean over a step of the past, as in the simulation of recordings: exact at any latency.
+    """
+
+    def __init__(
+        self, dynamics: JointDynamics, dt: float, command: Float[Tensor, "num_envs num_joints"]
+    ) -> None:
+        """Make the paths for physics steps `dt` [s], for commands of this number, type and device."""
+        share = _shares(0.5 + command_lag(dynamics, dt) / dt)
+        self._share = torch.as_tensor(share).to(command)[:, None]
+        self._history = command.expand(len(share), -1, -1).clone()
+        self._transition = torch.as_tensor(filter_transition(dynamics, dt)).to(command)
+        self._state = torch.stack((command, torch.zeros_like(command)), dim=-1)
+
+    def reset(self, mask: Bool[Tensor, " num_envs"], joint_pos: Float[Tensor, "num_envs num_joints"]) -> None:
+        """Let the masked environments have had their joints' positions for a command up to now [rad]."""
+        self._history.copy_(torch.where(mask[:, None], joint_pos, self._history))
+        at_rest = torch.stack((joint_pos, torch.zeros_like(joint_pos)), dim=-1)
+        self._state.copy_(select(mask, at_rest, self._state))
+
+    def advance(self, command: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
+        """What the servos aim at in a physics step [rad], from the commands at its end [rad].
+
+        The next step overwrites it.
+        """
+        self._history.copy_(torch.cat((command[None], self._history[:-1])))
+        delayed = (self._share * self._history).sum(dim=0)
+        self._state.copy_(filtered(self._transition, self._state, delayed))
+        return self._state[..., 0]
+
+
+def _shares(age: Float[np.ndarray, " num_joints"]) -> Float[np.ndarray, "num_ages num_joints"]:
+    """Share of each known command, newest first, in the mean over the step whose middle has an age.
+
+    That is the integral of their linear interpolation: a quadratic B-spline. The age counts from the newest
+    command, in physics steps, and is at least 0.5.
+    """
+    distance = np.abs(np.arange(int(np.ceil(age.max() + 0.5)) + 1)[:, None] - age)
+    return np.where(distance < 0.5, 0.75 - distance**2, np.maximum(1.5 - distance, 0.0) ** 2 / 2)
+
+
+def filtered(
+    transition: Float[Tensor, "*copies num_joints 2 2"],
+    state: Float[Tensor, "num_copies num_joints 2"],
+    command: Float[Tensor, "num_copies num_joints"],
+) -> Float[Tensor, "num_copies num_joints 2"]:
+    """Position [rad] and speed [rad/s] of the joints' command filters after a step with these commands [rad].
+
+    Transitions are those of `filter_transition`, of every joint or of every joint of every copy.
+    """
+    goal = torch.nn.functional.pad(command[..., None], (0, 1))  # at rest on the command
+    error = state - goal
+    return goal + transition[..., 0] * error[..., :1] + transition[..., 1] * error[..., 1:]
