@@ -17,13 +17,13 @@ import numpy as np
 
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock, Topic, make_transport
-from pixel2catch.scene.constants import JOINTS
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 IMAGES = Topic(name="/benchmark/image", type=messages.IMAGE)
 STATES = Topic(name="/benchmark/joint_states", type=messages.JOINT_STATE)
 COMMANDS = Topic(name="/benchmark/command", type=messages.FLOAT_ARRAY)
 SETTLE = 1.0
-NAMES = [joint.name for joint in JOINTS]
+NAMES = UR5E_ALLEGRO.joint_names
 
 
 def lab(seconds: float, results) -> None:

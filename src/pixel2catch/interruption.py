@@ -1,7 +1,9 @@
-"""Ctrl-C and termination by a scheduler: asked for once, work ends in order; asked for twice, at once."""
+"""When work ends early: by Ctrl-C or a scheduler (once: in order; twice: at once), or with its parent."""
 
+import os
 import signal
 import threading
+from multiprocessing import parent_process
 from types import FrameType
 from typing import Any
 
@@ -30,3 +32,15 @@ class StopRequest:
     def _request(self, number: int, frame: FrameType | None) -> None:
         self.is_set = True
         self.__exit__()
+
+
+def end_with_parent() -> None:
+    """Let a child process end when its parent has gone, however that went."""
+    threading.Thread(target=_wait_for_end_of_parent, daemon=True).start()
+
+
+def _wait_for_end_of_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

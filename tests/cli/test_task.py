@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from paper_robot import ARM_JOINTS, HAND_JOINTS
 from pixel2catch.cli.main import main
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.scene.constants import ARM_JOINTS, HAND_JOINTS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 SIZE = (

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from servo_rows import HOME
 
-from pixel2catch.scene.constants import CONTROL_DT, JOINTS
+from paper_robot import JOINTS
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.watchdogs import ServoInputs
 

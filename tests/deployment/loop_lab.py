@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from paper_robot import JOINTS
 from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline
 from pixel2catch.deployment.recorder import Connection
 from pixel2catch.evaluation.loading import load_policy
@@ -21,7 +22,6 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import ServoEnd, ServoStatus, link
 from pixel2catch.workcells import find_workcell

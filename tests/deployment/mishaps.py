@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixel2catch.scene.constants import JOINTS
+from paper_robot import JOINTS
 from pixel2catch.servo.watchdogs import Fault, ServoInputs
 
 ELBOW = np.arange(len(JOINTS)) == 2

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from paper_robot import JOINTS
 from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
@@ -18,7 +19,7 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.scene.constants import JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

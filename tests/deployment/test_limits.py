@@ -6,9 +6,9 @@ from math import pi
 import numpy as np
 import pytest
 
+from paper_robot import JOINTS
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO

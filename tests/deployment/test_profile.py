@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
+from paper_robot import JOINTS
 from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import decode
 from pixel2catch.ros2.profile import PROFILES, Profile
-from pixel2catch.scene.constants import JOINTS
 
 NAMES = [joint.name for joint in JOINTS]
 SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))

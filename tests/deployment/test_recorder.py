@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
 from pixel2catch.deployment import recorder
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.errors import DeploymentError
@@ -18,7 +19,6 @@ from pixel2catch.identification.importers import Names, read_rosbag
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Topic
-from pixel2catch.scene.constants import ARM_JOINTS, HAND_JOINTS, JOINTS
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 IMAGE = Topic(name="/image", type=messages.IMAGE)

@@ -11,6 +11,7 @@ import pytest
 from loop_lab import BOX, HOME, PROFILE, RED, picture, remembering
 from wire_lab import WireLab
 
+from paper_robot import JOINTS
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, Images
@@ -22,7 +23,7 @@ from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.scene.constants import JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import link
 from pixel2catch.servo.process import ServoSetup

@@ -7,7 +7,8 @@ import pytest
 from mishaps import MISHAPS, all_at_once
 from servo_rows import HOME, LIMITS, Lab, given
 
-from pixel2catch.scene.constants import CONTROL_DT, JOINTS
+from paper_robot import JOINTS
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.core import Clamp, Mode
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
 from pixel2catch.servo.watchdogs import Fault, flag_names

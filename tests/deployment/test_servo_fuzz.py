@@ -12,7 +12,7 @@ from laws import Laws
 from mishaps import MISHAPS, one
 from servo_rows import LIMITS, Lab
 
-from pixel2catch.scene.constants import JOINTS
+from paper_robot import JOINTS
 from pixel2catch.servo.core import Clamp, Mode, ServoCore, ServoState
 from pixel2catch.servo.watchdogs import Fault
 

@@ -10,7 +10,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from pixel2catch.scene.constants import JOINTS
+from paper_robot import JOINTS
 from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link
 
 NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))

@@ -10,10 +10,10 @@ import torch
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from paper_robot import ARM_JOINTS, JOINTS
 from pixel2catch.robots.allegro import PALM
 from pixel2catch.robots.geometry import WorkcellGeometry, first_chain
 from pixel2catch.robots.workcell import TableSpec
-from pixel2catch.scene.constants import ARM_JOINTS, JOINTS
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO

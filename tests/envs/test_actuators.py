@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from paper_robot import JOINTS
 from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.world import CatchWorld
@@ -17,7 +18,7 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.methods import METHODS
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.scene.constants import CONTROL_DT, JOINTS
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.simulation import Simulation

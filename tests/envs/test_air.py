@@ -6,12 +6,13 @@ from dataclasses import replace
 import pytest
 import torch
 
+from paper_robot import JOINTS
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.episode import draw_episode
 from pixel2catch.mdp.randomization import RandomizationCfg, by_joint
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
-from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, JOINTS
+from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO

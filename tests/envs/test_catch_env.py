@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from paper_robot import JOINTS
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.observations import observe, pixel_columns
@@ -15,7 +16,6 @@ from pixel2catch.mdp.snapshot import History
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.scene.objects import OBJECTS
 
 PROPOSED = METHODS["proposed"]

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 
+from paper_robot import JOINTS
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
@@ -19,7 +20,7 @@ from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import TABLE
-from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, JOINTS, RGB_CAMERA
+from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg
 
 PROPOSED = METHODS["proposed"]

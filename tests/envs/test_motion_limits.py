@@ -7,12 +7,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from paper_robot import JOINTS
 from pixel2catch.envs.actuators import EFFORT_MARGIN, FRICTION_SPEED, SPEED_MARGIN, Servos, ServoState
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
 from pixel2catch.robots.joint_dynamics import JointDynamics
-from pixel2catch.scene.constants import JOINTS
 
 SPEED_LIMIT = 2.79253
 EFFORTS = [joint.effort_limit for joint in JOINTS]

@@ -1,10 +1,11 @@
 import numpy as np
 import torch
 
+from paper_robot import ARM_JOINTS
 from pixel2catch.evaluation.comparison.figures import arm_points, sample_paths
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.robots.geometry import first_chain
-from pixel2catch.scene.constants import ARM_JOINTS, GRAVITY
+from pixel2catch.scene.constants import GRAVITY
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO, UR5E_POS
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from recorded import ARM, ROBOTS, assert_same, short
 
+from paper_robot import JOINTS
 from pixel2catch.errors import Pixel2CatchError, RecordingError, UnknownNameError
 from pixel2catch.identification.importers import read_recording
 from pixel2catch.identification.recording import Place, Recording, require_motion
-from pixel2catch.scene.constants import JOINTS
 
 
 def with_cell(values: np.ndarray, row: int, column: int, value: float) -> np.ndarray:

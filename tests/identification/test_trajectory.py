@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from paper_robot import ARM_JOINTS, HAND_JOINTS
 from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 from pixel2catch.identification.joints import largest_step
 from pixel2catch.identification.recording import REST, Trajectory
-from pixel2catch.scene.constants import ARM_JOINTS, HAND_JOINTS
 
 JOINTS = ("elbow_joint", "index_joint_1")
 HOME = (ARM_JOINTS[2].home, HAND_JOINTS[0].home)

@@ -6,10 +6,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from paper_robot import JOINTS
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.snapshot import Measurement, Privileged, Transition
 from pixel2catch.robots.geometry import WorkcellGeometry
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_JOINTS = len(JOINTS)

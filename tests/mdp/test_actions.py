@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
 from pixel2catch.agents import commands_of
 from pixel2catch.mdp.actions import ActionMap, JointCommand, absolute_command, relative_command
-from pixel2catch.scene.constants import ARM_JOINTS, CONTROL_DT, HAND_JOINTS, JOINTS
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_ARM = len(ARM_JOINTS)

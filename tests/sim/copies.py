@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from paper_robot import JOINTS
 from pixel2catch.envs.world import MASS_POWER
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, object_table
 from pixel2catch.sim.batch import BatchSimulation

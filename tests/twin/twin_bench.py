@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from paper_robot import JOINTS
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.rendering.camera import Exposure, Image
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock
-from pixel2catch.scene.constants import JOINTS
 from pixel2catch.twin.drivers import Camera
 from pixel2catch.twin.lab_node import COMMAND, STATE, LabNode
 from pixel2catch.twin.simulated_lab import SimulatedLab

@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.scene.constants import CONTROL_DT, JointSpec
+from pixel2catch.robots.spec import JointSpec
+from pixel2catch.scene.constants import CONTROL_DT
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Numbers of time, gravity and the camera, each with its source, and the joints of the paper's robot.
+"""Numbers of time, gravity and the camera, each with its source.
 
 Lengths in metres, angles in radians, quaternions (w, x, y, z). World frame: z up, x from the robot towards
 the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configuration.
@@ -6,9 +6,7 @@ the thrower. "paper" is Pixel2Catch (RA-L 2026), "release" its published configu
 
 from dataclasses import dataclass
 
-from pixel2catch.robots.allegro import HAND
-from pixel2catch.robots.spec import JointSpec, Quat, Vec3
-from pixel2catch.robots.ur5e import ARM
+from pixel2catch.robots.spec import Quat, Vec3
 
 GRAVITY = 9.81  #: Standard value, as MuJoCo's default [m/s²].
 PHYSICS_DT = 1.0 / 120.0  #: Physics time step [s]. Source: paper, 120 Hz.
@@ -16,14 +14,8 @@ DECIMATION = 4  #: Physics steps in a control step. Source: paper.
 CONTROL_DT = DECIMATION * PHYSICS_DT  #: Control time step [s]: the policy runs at 30 Hz. Source: paper.
 
 
-ARM_JOINTS: tuple[JointSpec, ...] = ARM.joints
-HAND_JOINTS: tuple[JointSpec, ...] = HAND.joints
-
 SPEED_MARGIN = 0.9
 """Share of a joint's speed limit that is asked for; the rest is for the pull of the other joints (ours)."""
-
-JOINTS = (*ARM_JOINTS, *HAND_JOINTS)
-"""All joints of the paper's robot, in joint order; those of any robot are in its `WorkcellSpec`."""
 
 PIXEL_CENTER = 0.5
 """The middle of the first pixel in image coordinates, along u and v [px]; ROS and OpenCV call it 0."""

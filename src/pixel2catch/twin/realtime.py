@@ -4,20 +4,19 @@ They end when it does, however it ends.
 """
 
 import gc
-import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
-from multiprocessing import get_context, parent_process
-from threading import Thread
+from multiprocessing import get_context
 
 import torch
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import DeploymentError
+from pixel2catch.interruption import end_with_parent
 from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.ros2.profile import Profile
@@ -37,14 +36,7 @@ def obey_parent(niceness: int) -> None:
     """Call this first in such a process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the twin's
     set_niceness(niceness)
-    Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    end_with_parent()
 
 
 @contextmanager

@@ -16,9 +16,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from itertools import starmap
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
-from threading import Thread
 from typing import Any, TypeVar
 
 from pixel2catch.errors import InvalidValueError, StudyError
@@ -28,6 +27,7 @@ from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_r
 from pixel2catch.evaluation.report import differences
 from pixel2catch.evaluation.stress.suite import Setting
 from pixel2catch.files import plain, write_atomically
+from pixel2catch.interruption import end_with_parent
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
 
@@ -233,14 +233,7 @@ def _begin() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a word of its own
     torch.set_num_threads(1)
-    Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    end_with_parent()
 
 
 @contextmanager
