@@ -23,8 +23,9 @@ from pixel2catch.mdp.throws import Throw, ThrowCfg, sample_throws
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
 from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.geometry import first_chain
+from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.ur5e import ARM
-from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA, JointSpec
+from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
 from pixel2catch.scene.objects import OBJECTS, surface_points
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.simulation import make_simulation

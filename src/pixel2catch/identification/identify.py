@@ -120,9 +120,7 @@ def start_of_fit(
     before = (file.dynamics.over(nominal) if file else nominal).select(joints)
     first = before
     if fits_filter:
-        stiffness = STIFF_FACTOR * before.stiffness
-        stiff = before.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
-        servo = before if file else stiff
+        servo = before if file else stiff(before)
         gain = np.where(servo.has_filter, servo.filter_gain, SERVOJ_GAIN)
         lookahead = np.where(servo.has_filter, servo.filter_lookahead, SERVOJ_LOOKAHEAD)
         first = servo.with_values(filter_gain=gain, filter_lookahead=lookahead)
@@ -141,6 +139,12 @@ def _require_arm(part: str, joints: Sequence[str], workcell: WorkcellSpec) -> No
             f"--filter is an arm's and --robot is {part}; identify --robot {arm} with it, then --robot "
             f"{hand} with the dynamics file of the first as --start: the result has both."
         )
+
+
+def stiff(nominal: JointDynamics) -> JointDynamics:
+    """The servos of a controller whose feed-forward makes them look stiffer than positions can tell."""
+    stiffness = STIFF_FACTOR * nominal.stiffness
+    return nominal.with_values(stiffness=stiffness, damping=STIFF_LAG * stiffness)
 
 
 def checked(recordings: Sequence[Recording], hold_out: str | None) -> list[CheckedRecording]:
