@@ -233,11 +233,11 @@ def main() -> None:
         flights = fly(name, args.throws // 6, generator)
         for moment in MOMENTS:
             tests[name, moment] = see(flights, flights[3] - moment, args.noise, args.radius, generator)
-    samples = tuple(torch.cat(parts) for parts in zip(*seen, strict=True))
+    boxes, ages, latest, crossing = (torch.cat(parts) for parts in zip(*seen, strict=True))
     print(f"| features | | {' | '.join(f'{name} {MOMENTS} s' for name in DISTRIBUTIONS)} | mean |")
     print("| --- " * 6 + "|")
     for name in args.features:
-        learn(name, samples, tests, args.steps)
+        learn(name, (boxes, ages, latest, crossing), tests, args.steps)
 
 
 if __name__ == "__main__":
