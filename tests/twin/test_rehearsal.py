@@ -24,7 +24,7 @@ def test_a_throw_is_rehearsed_and_reported(
         pytest.skip(str(error))
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
     out, recording = tmp_path / "rehearsal", tmp_path / "tape"
-    args = ["rehearse", "--throws", "1", "--clock", "0.1", "--seed", "3", "--json", "--domain", own_domain()]
+    args = ["rehearse", "--throws", "1", "--clock", "0.2", "--seed", "3", "--json", "--domain", own_domain()]
     assert main([*args, "--out", str(out), "--record", str(recording)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert json.loads((out / "report.json").read_text()) == report
