@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
 from pixel2catch.rendering.camera import (
     OBJECT_POS,
@@ -17,7 +16,7 @@ from pixel2catch.rendering.camera import (
     RoomCamera,
     room_positions,
 )
-from pixel2catch.rendering.renderer import Renderer, find_gl_backend
+from pixel2catch.rendering.renderer import Renderer
 from pixel2catch.rendering.room import Bystanders, build_room
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.twin.simulated_lab import Thrower
@@ -36,14 +35,6 @@ def exposure(object_name: str | None = "cone_l", pos: np.ndarray = RELEASE, spee
     qpos[OBJECT_POS], qvel[OBJECT_VEL] = pos, (0.0, speed, 0.0)
     moment = Moment(qpos=qpos, qvel=qvel, time=1.0)
     return Exposure(moment=moment, object_name=object_name, thrower=THROWER.joint_pos)
-
-
-@pytest.fixture
-def opengl() -> None:
-    try:
-        find_gl_backend()
-    except DeviceUnavailableError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture

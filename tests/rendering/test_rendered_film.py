@@ -10,9 +10,7 @@ import torch
 from rendered_throws import FilmCfg, ThrowFilm
 
 from pixel2catch.camera.pinhole import project
-from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL, CameraCfg, Moment
-from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, FOLLOW_THROUGH, HAND_DROP, Bystanders, build_room
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
@@ -30,14 +28,6 @@ def moment(
     qpos[: len(UR5E_ALLEGRO.joints)] = [joint.home for joint in UR5E_ALLEGRO.joints]
     qpos[OBJECT_POS], qvel[OBJECT_VEL] = pos, velocity
     return Moment(qpos=qpos, qvel=qvel, time=time)
-
-
-@pytest.fixture
-def opengl() -> None:
-    try:
-        find_gl_backend()
-    except DeviceUnavailableError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture

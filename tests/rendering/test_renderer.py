@@ -17,14 +17,6 @@ from pixel2catch.scene.scene import OBJECT_START, SceneCfg, build_model
 MODEL = build_model(SceneCfg(visuals=True))
 
 
-@pytest.fixture
-def opengl() -> None:
-    try:
-        find_gl_backend()
-    except DeviceUnavailableError as error:
-        pytest.skip(str(error))
-
-
 @pytest.mark.usefixtures("opengl")
 def test_the_camera_sees_the_object_where_its_mask_is():
     with Renderer(MODEL, shadows=False) as renderer:

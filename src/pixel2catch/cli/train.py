@@ -132,16 +132,15 @@ class Train:
             env = env.with_workcell(find_workcell(self.workcell))
         if cfg.env is None:
             env = env.with_files(cfg.dynamics, cfg.camera)
-        first, *_ = scenes = [dataclasses.replace(env.scene, physics_hz=rate) for rate in cfg.physics_hz]
+        scenes = [dataclasses.replace(env.scene, physics_hz=rate) for rate in cfg.physics_hz]
         sensing = dataclasses.replace(env.sensing, latency_steps=cfg.latency_steps)
-        env = with_fields(dataclasses.replace(env, scene=first, sensing=sensing), self.env)
-        rates = [
-            each.physics_hz for each in (scenes if env.scene.physics_hz == first.physics_hz else [env.scene])
-        ]
+        env = with_fields(dataclasses.replace(env, scene=scenes[0], sensing=sensing), self.env)
+        if env.scene.physics_hz != scenes[0].physics_hz:  # a field was given: one rate from begin to end
+            scenes = [env.scene]
         return dataclasses.replace(
             cfg,
             env=dataclasses.replace(env, objects=select_objects(env.objects)),
-            physics_hz=tuple(rates),
+            physics_hz=tuple(scene.physics_hz for scene in scenes),
             latency_steps=env.sensing.latency_steps,
         )
 
