@@ -26,7 +26,7 @@ class Laws:
         self.limits = limits
         self.mode = np.zeros(num_rows, dtype=np.int64)
         self.command: np.ndarray | None = None
-        self.is_silent = np.ones(num_rows, dtype=bool)
+        self.is_silent = np.ones(num_rows, dtype=np.bool_)
         self.change: np.ndarray | None = None
         self.last_tick = np.full(num_rows, np.nan)
         self.newest_request = np.full(num_rows, -np.inf)
@@ -119,8 +119,8 @@ class Laws:
             self.refusals_by[fault] += int(((output.refused & fault) != 0).sum())
         self.num_clamps |= int(np.bitwise_or.reduce(output.clamped))
         previous = output.command if self.command is None else self.command
-        is_new = np.isnan(previous).any(axis=-1) | np.isnan(output.command).any(axis=-1)
-        self.is_silent = np.isnan(output.command).any(axis=-1)
+        is_new = np.logical_or.reduce(np.isnan(previous) | np.isnan(output.command), axis=-1)
+        self.is_silent = np.logical_or.reduce(np.isnan(output.command), axis=-1)
         self.change = np.where(is_new[:, None], 0.0, output.command - previous)
         self.command = output.command
         is_still = output.mode == Mode.STOPPED
