@@ -12,6 +12,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from pixel2catch.camera import box_history
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs import actuators
@@ -203,8 +205,6 @@ def _joints(task: CatchEnvCfg, workcell: WorkcellSpec) -> list[dict[str, Any]]:
 
 def _palm(workcell: WorkcellSpec) -> dict[str, Any]:
     """The palm's site, and the chain of joints that carries it as the matrices of `robots.chain`."""
-    import torch
-
     (palm,) = workcell.palms
     chain = chain_of(workcell, palm, dtype=torch.float64)
     matrices = chain.matrices.permute(1, 0, 2, 3)  # of each joint K, C and S
@@ -213,8 +213,6 @@ def _palm(workcell: WorkcellSpec) -> dict[str, Any]:
 
 def _cameras(task: CatchEnvCfg) -> dict[str, Any]:
     """The true camera as a projection, and the one whose numbers make pixels into features."""
-    import torch
-
     camera = task.sensing.camera.camera
     projection = nominal_projection(camera, torch.zeros(1, dtype=torch.float64))
     return {

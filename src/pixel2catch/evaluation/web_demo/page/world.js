@@ -15,9 +15,6 @@ export class World {
     this.sceneXml = sceneXml;
     this.copies = new Map();
     this.numJoints = task.joints.length;
-    const numPoints = Object.values(task.objects.points)[0].length;
-    this.distances = new mujoco.DoubleBuffer(numPoints);
-    this.hitGeoms = new mujoco.IntBuffer(numPoints);
     this.groups = Array.from({ length: 6 }, (_, group) => Number(task.physics.occluder_groups.includes(group)));
   }
 
@@ -77,7 +74,10 @@ export class World {
     this.mujoco.mj_kinematics(this.model, this.data);
   }
 
-  /** Surface points of the object [m], and whether neither robot nor table hides them from the camera. */
+  /**
+   * Surface points of the object [m], and whether neither robot nor table hides them from the camera.
+   * Ray by ray: `mj_multiRay` of MuJoCo 3.14 misses some that graze a finger.
+   */
   surfacePoints() {
     const { data, task, mujoco } = this;
     const position = data.xpos.slice(3 * this.copy.body, 3 * this.copy.body + 3);
@@ -86,10 +86,11 @@ export class World {
       [0, 1, 2].map((k) => position[k] + axes[3 * k] * x + axes[3 * k + 1] * y + axes[3 * k + 2] * z),
     );
     const { center } = task.camera;
-    const rays = points.flatMap((point) => point.map((value, k) => value - center[k]));
-    const [distances, geoms, count] = [this.distances, this.hitGeoms, points.length];
-    mujoco.mj_multiRay(this.model, data, center, rays, this.groups, true, -1, geoms, distances, null, count, 1e10);
-    const isVisible = Array.from(distances.GetView(), (distance) => distance < 0 || distance >= 1);
+    const isVisible = points.map((point) => {
+      const ray = point.map((value, k) => value - center[k]);
+      const distance = mujoco.mj_ray(this.model, data, center, ray, this.groups, true, -1, null, null);
+      return distance < 0 || distance >= 1;
+    });
     return { points, isVisible };
   }
 
