@@ -27,14 +27,14 @@ export async function loadDemo(read, mujoco) {
   return { task, policy: new Policy(contract, tensors, task.input_clip), world };
 }
 
-/** How `count` throws of the task end, drawn from a seed: one entry a throw. */
-export function throwAutomatically({ task, policy, world }, count, seed, objects = task.objects.seen) {
+/** Throws of the task one after the other, drawn from a seed: how each ended. */
+export function* automaticThrows({ task, policy, world }, count, seed, objects = task.objects.seen) {
   const random = new Random(seed);
   const env = new CatchEnv(task, policy, world, random);
-  return Array.from({ length: count }, () => {
+  for (let i = 0; i < count; i++) {
     const episode = drawEpisode(task, random, objects);
     env.begin(episode);
     while (!env.isEnded) env.step();
-    return { object: episode.object, isReached: env.isReached, isSuccess: env.isSuccess, steps: env.steps };
-  });
+    yield { object: episode.object, isReached: env.isReached, isSuccess: env.isSuccess, steps: env.steps };
+  }
 }

@@ -1,0 +1,103 @@
+/** Throwing with the mouse: drag the object where it shall fly; the arc shows its path. */
+
+import * as THREE from "three";
+
+const SPEED_PER_METRE = 5; // speed of the throw over the way that is dragged [1/s]
+const LEAST_SPEED = 1; // slower is no throw [m/s]
+const GRASP = 0.15; // how near to the object a drag may begin [m]
+const TRAINED = 0x14804a;
+const UNTRAINED = 0xc97a10;
+
+export class Aiming {
+  /**
+   * @param {import("./view.js").View} view
+   * @param {object} task of task.json
+   * @param {(velocity: number[]) => void} thrown called with the velocity at release [m/s]
+   * @param {(position: number[]) => void} moved called where the object is dragged to with Shift held [m]
+   */
+  constructor(view, task, { thrown, moved }) {
+    Object.assign(this, { view, task, thrown, moved, isOpen: false, velocity: null });
+    this.arc = view.addMark(new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial()));
+    this.mark = view.addMark(new THREE.Mesh(new THREE.TorusGeometry(0.09, 0.008, 8, 40), new THREE.MeshBasicMaterial()));
+    this.hide();
+    const { canvas } = view;
+    canvas.addEventListener("pointerdown", (event) => this.grasp(event), { capture: true });
+    canvas.addEventListener("pointermove", (event) => this.drag(event));
+    canvas.addEventListener("pointerup", (event) => this.letGo(event));
+  }
+
+  /** Let an object at a position be thrown, or nothing. */
+  open(position) {
+    this.isOpen = position !== null;
+    this.position = position && new THREE.Vector3(...position);
+  }
+
+  grasp(event) {
+    if (!this.isOpen || this.view.ray(event).distanceToPoint(this.position) > GRASP) return;
+    this.view.controls.enabled = false;
+    this.view.canvas.setPointerCapture(event.pointerId);
+    this.isDragging = true;
+  }
+
+  drag(event) {
+    const near = this.isOpen && this.view.ray(event).distanceToPoint(this.position) < GRASP;
+    this.view.canvas.style.cursor = this.isDragging ? "grabbing" : near ? "grab" : "";
+    if (!this.isDragging) return;
+    const place = this.view.ray(event).intersectPlane(this.plane(), new THREE.Vector3());
+    if (!place) return;
+    if (event.shiftKey) {
+      place.z = Math.max(place.z, 0.3);
+      this.position.copy(place);
+      this.moved(place.toArray());
+    } else {
+      this.velocity = place.sub(this.position).multiplyScalar(SPEED_PER_METRE);
+      this.showPath();
+    }
+  }
+
+  letGo() {
+    if (!this.isDragging) return;
+    this.isDragging = false;
+    this.view.controls.enabled = true;
+    const { velocity } = this;
+    this.hide();
+    if (velocity && velocity.length() > LEAST_SPEED) this.thrown(velocity.toArray());
+  }
+
+  hide() {
+    this.velocity = null;
+    this.arc.visible = this.mark.visible = false;
+  }
+
+  /** The vertical plane towards the catch area; turning the view turns it, too. */
+  plane() {
+    const [x, y] = this.catchCenter();
+    const angle = Math.atan2(y - this.position.y, x - this.position.x) + this.view.turned;
+    const normal = new THREE.Vector3(-Math.sin(angle), Math.cos(angle), 0);
+    return new THREE.Plane().setFromNormalAndCoplanarPoint(normal, this.position);
+  }
+
+  catchCenter() {
+    const middle = ([lower, upper]) => (lower + upper) / 2;
+    return ["aim_x", "aim_y", "aim_z"].map((name) => middle(this.task.throws[name]));
+  }
+
+  /** The path, and where it comes down through the catch height: green where the policy has practised. */
+  showPath() {
+    const { throws, physics } = this.task;
+    const [p, v] = [this.position, this.velocity];
+    const height = this.catchCenter()[2];
+    const root = v.z ** 2 - 2 * physics.gravity * (height - p.z);
+    const duration = root > 0 && v.z > 0 ? (v.z + Math.sqrt(root)) / physics.gravity : 0.6;
+    const at = (t) => new THREE.Vector3(p.x + v.x * t, p.y + v.y * t, p.z + v.z * t - (physics.gravity * t * t) / 2);
+    this.arc.geometry.setFromPoints(Array.from({ length: 41 }, (_, i) => at((duration * i) / 40)));
+    const end = at(duration);
+    this.mark.position.copy(end);
+    const peak = p.z + Math.max(v.z, 0) ** 2 / (2 * physics.gravity);
+    const isWithin = (value, [lower, upper], margin) => value > lower - margin && value < upper + margin;
+    const isPractised =
+      isWithin(end.x, throws.aim_x, 0.03) && isWithin(end.y, throws.aim_y, 0.03) && isWithin(peak, throws.peak_z, 0.15);
+    for (const each of [this.arc, this.mark]) each.material.color.set(isPractised ? TRAINED : UNTRAINED);
+    this.arc.visible = this.mark.visible = true;
+  }
+}
