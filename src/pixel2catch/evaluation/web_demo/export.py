@@ -92,8 +92,8 @@ def _require_runnable(policy: Policy, workcell: WorkcellSpec) -> None:
         )
     if len(workcell.palms) != 1:
         raise PolicyMismatchError(
-            f"the policy is of the work cell '{workcell.name}' with {len(workcell.palms)} palms, and the page "
-            "runs robots with one; export a policy of a single robot."
+            f"the policy is of the work cell '{workcell.name}' with {len(workcell.palms)} palms, and the "
+            "page runs robots with one; export a policy of a single robot."
         )
     full = {"box_fit": len(box_history.BOX_FIT_FEATURES)}
     for agent in contract.agents.values():
@@ -101,8 +101,8 @@ def _require_runnable(policy: Policy, workcell: WorkcellSpec) -> None:
             name = term.partition("[")[0]
             if name not in TERMS or size != full.get(name, size):
                 raise PolicyMismatchError(
-                    f"the policy of method '{contract.method}' observes '{term}' of {size} numbers, which the "
-                    f"page does not compute; export a policy that observes only {', '.join(TERMS)}."
+                    f"the policy of method '{contract.method}' observes '{term}' of {size} numbers, which "
+                    f"the page does not compute; export a policy that observes only {', '.join(TERMS)}."
                 )
 
 

@@ -5,8 +5,9 @@ import * as THREE from "three";
 const SPEED_PER_METRE = 5; // speed of the throw over the way that is dragged [1/s]
 const LEAST_SPEED = 1; // slower is no throw [m/s]
 const GRASP = 0.15; // how near to the object a drag may begin [m]
-const TRAINED = 0x14804a;
-const UNTRAINED = 0xc97a10;
+const PRACTISED = 0x14804a;
+const UNPRACTISED = 0xc97a10;
+const EXAMPLE = 0x9aa5b1;
 
 export class Aiming {
   /**
@@ -17,7 +18,7 @@ export class Aiming {
    */
   constructor(view, task, { thrown, moved }) {
     Object.assign(this, { view, task, thrown, moved, isOpen: false, velocity: null });
-    this.arc = view.addMark(new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial()));
+    this.arc = view.addMark(new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshBasicMaterial()));
     this.mark = view.addMark(new THREE.Mesh(new THREE.TorusGeometry(0.09, 0.008, 8, 40), new THREE.MeshBasicMaterial()));
     this.hide();
     const { canvas } = view;
@@ -26,10 +27,12 @@ export class Aiming {
     canvas.addEventListener("pointerup", (event) => this.letGo(event));
   }
 
-  /** Let an object at a position be thrown, or nothing. */
-  open(position) {
-    this.isOpen = position !== null;
-    this.position = position && new THREE.Vector3(...position);
+  /** Let an object be thrown from where a throw begins, whose path is shown as an example; or nothing. */
+  open(example) {
+    this.isOpen = example !== null;
+    if (!example) return;
+    this.position = new THREE.Vector3(...example.pos);
+    this.showPath(new THREE.Vector3(...example.linVel), EXAMPLE);
   }
 
   grasp(event) {
@@ -51,7 +54,7 @@ export class Aiming {
       this.moved(place.toArray());
     } else {
       this.velocity = place.sub(this.position).multiplyScalar(SPEED_PER_METRE);
-      this.showPath();
+      this.showPath(this.velocity);
     }
   }
 
@@ -61,7 +64,7 @@ export class Aiming {
     this.view.controls.enabled = true;
     const { velocity } = this;
     this.hide();
-    if (velocity && velocity.length() > LEAST_SPEED) this.thrown(velocity.toArray());
+    if (velocity?.length() > LEAST_SPEED) this.thrown(velocity.toArray());
   }
 
   hide() {
@@ -82,22 +85,27 @@ export class Aiming {
     return ["aim_x", "aim_y", "aim_z"].map((name) => middle(this.task.throws[name]));
   }
 
-  /** The path, and where it comes down through the catch height: green where the policy has practised. */
-  showPath() {
+  /** The path of a throw, in a colour or in green where the policy has practised it. */
+  showPath(velocity, color = null) {
     const { throws, physics } = this.task;
-    const [p, v] = [this.position, this.velocity];
+    const [p, v] = [this.position, velocity];
     const height = this.catchCenter()[2];
     const root = v.z ** 2 - 2 * physics.gravity * (height - p.z);
     const duration = root > 0 && v.z > 0 ? (v.z + Math.sqrt(root)) / physics.gravity : 0.6;
-    const at = (t) => new THREE.Vector3(p.x + v.x * t, p.y + v.y * t, p.z + v.z * t - (physics.gravity * t * t) / 2);
-    this.arc.geometry.setFromPoints(Array.from({ length: 41 }, (_, i) => at((duration * i) / 40)));
+    const fall = (t) => new THREE.Vector3(0, 0, -(physics.gravity * t * t) / 2);
+    const at = (t) => p.clone().addScaledVector(v, t).add(fall(t));
     const end = at(duration);
-    this.mark.position.copy(end);
     const peak = p.z + Math.max(v.z, 0) ** 2 / (2 * physics.gravity);
     const isWithin = (value, [lower, upper], margin) => value > lower - margin && value < upper + margin;
     const isPractised =
-      isWithin(end.x, throws.aim_x, 0.03) && isWithin(end.y, throws.aim_y, 0.03) && isWithin(peak, throws.peak_z, 0.15);
-    for (const each of [this.arc, this.mark]) each.material.color.set(isPractised ? TRAINED : UNTRAINED);
+      isWithin(end.x, throws.aim_x, 0.05) && isWithin(end.y, throws.aim_y, 0.05) && isWithin(peak, throws.peak_z, 0.2);
+    const path = new THREE.CatmullRomCurve3(Array.from({ length: 25 }, (_, i) => at((duration * i) / 24)));
+    this.arc.geometry.dispose();
+    this.arc.geometry = new THREE.TubeGeometry(path, 48, 0.006, 6);
+    this.mark.position.copy(end);
+    for (const { material } of [this.arc, this.mark]) {
+      material.color.set(color ?? (isPractised ? PRACTISED : UNPRACTISED));
+    }
     this.arc.visible = this.mark.visible = true;
   }
 }

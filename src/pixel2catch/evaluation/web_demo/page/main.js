@@ -9,10 +9,10 @@ import { Random } from "./random.js";
 import { poses, View } from "./view.js";
 
 const STEPS_AFTER_CATCH = 40; // control steps to look at a catch
-const STEPS_AFTER_LOSS = 12;
+const STEPS_AFTER_LOSS = 20;
 const MOST_STEPS_BEHIND = 4; // control steps that a slow machine makes up for at once
 const FAST_THROWS = 50;
-const HINT = "Drag the object towards the robot and let go. Shift and drag: throw from elsewhere. Turn the view to aim sideways.";
+const HINT = "Drag the object up towards the robot and let go (Shift: throw from elsewhere; turn the view to aim sideways).";
 
 const element = (id) => document.querySelector(`#${id}`);
 
@@ -80,7 +80,7 @@ class Page {
     this.isCounted = false;
     this.before = this.now = poses(this.demo.world.data);
     this.view.show(this.episode.object, this.demo.world.model);
-    if (!position) this.aiming.open(this.isWaiting ? this.episode.throw.pos : null);
+    if (!position) this.aiming.open(this.isWaiting ? this.episode.throw : null);
     this.say(this.isWaiting ? HINT : `automatic throw of ${this.episode.object.replaceAll("_", " ")}`);
   }
 
