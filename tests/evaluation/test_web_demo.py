@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import threading
@@ -81,6 +82,14 @@ def test_the_command_writes_the_page_and_names_what_is_missing(
     assert main(["export", "proposed", "--web-demo", str(tmp_path / "web")]) == 0, "over an earlier page"
 
 
+def test_the_documents_name_the_pinned_packages(demo: Path):
+    versions = json.loads((demo / "package.json").read_text())["dependencies"]
+    packages = " ".join(f"{name}@{version}" for name, version in versions.items())
+    for name in ("README.md", "CONTRIBUTING.md"):
+        (line,) = re.findall(r"npm install .*?--prefix \S+ ([^`\n]+)", (ROOT / name).read_text("utf-8"))
+        assert line == packages
+
+
 def test_a_folder_with_anything_else_is_refused(tmp_path: Path):
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(InvalidValueError, match="--web-demo"):
@@ -120,7 +129,7 @@ def test_what_the_page_cannot_run_is_refused(
 
 def quiet_throws(policy_name: str | None) -> dict[str, Any]:
     """Throws without noise by the Python code: what was drawn, and every step."""
-    policy, method = load_policy(policy_name and Path(policy_name))
+    policy, method = load_policy(Path(policy_name) if policy_name else None)
     task = task_of(policy)
     quiet = replace(
         task,
@@ -196,7 +205,7 @@ def test_javascript_and_python_agree(demo: Path, tmp_path: Path, policy: str | N
 def test_the_page_catches_as_often_as_the_cpu_back_end(demo: Path):
     policy, method = load_policy(None)
     cfg = EvaluationCfg(objects=SEEN, num_envs=50, trials=2, seed=0, task=task_of(policy))
-    expected = float(evaluate(cfg, policy, method).record.is_success.float().mean())
+    expected = float(evaluate(policy, method, cfg).record.is_success.float().mean())
     with open_page(demo) as page:
         results = page.evaluate("window.pixel2catch.measure(50, 0)")
         counter = page.inner_text("#automatics")
@@ -248,7 +257,7 @@ def open_page(folder: Path) -> Iterator[Any]:
             page = browser.new_page(viewport={"width": 1280, "height": 800})
             page.set_default_timeout(300_000.0)
             errors = list[Any]()
-            page.on("pageerror", errors.append)
+            page.on("pageerror", lambda error: errors.append(error))
             page.goto(f"http://127.0.0.1:{server.server_port}/")
             page.wait_for_function("window.pixel2catch")
             yield page

@@ -8,6 +8,7 @@ observations and actions as the Python code's; `tests/evaluation/test_web_demo.p
 import dataclasses
 import json
 import shutil
+from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -64,8 +65,7 @@ def write_web_demo(policy_folder: Path | None, out: Path) -> tuple[str, ...]:
     workcell = find_workcell(policy.contract.workcell)
     _require_runnable(policy, workcell)
     page = _page_files()
-    if not (out / NPM_FOLDER).is_dir() and not (out / "index.html").is_file():
-        require_free_folder(out, "--web-demo")
+    _require_own_folder(out, page)
     task = task_of(policy)
     (out / "scenes").mkdir(parents=True, exist_ok=True)
     for name in (*SEEN, *UNSEEN):
@@ -76,6 +76,17 @@ def write_web_demo(policy_folder: Path | None, out: Path) -> tuple[str, ...]:
     for name, text in page.items():
         (out / name).write_text(text, encoding="utf-8")
     return _bundle_libraries(out, json.loads(page["package.json"])["dependencies"])
+
+
+def _require_own_folder(out: Path, page: Iterable[str]) -> None:
+    """Refuse a folder with anything but an earlier page and what npm writes.
+
+    Raises:
+        InvalidValueError: With the option to choose another.
+    """
+    known = {*page, "task.json", "scenes", "policy", LIBRARY_FOLDER, NPM_FOLDER, "package-lock.json"}
+    if not (out.is_dir() and known.issuperset(path.name for path in out.iterdir())):
+        require_free_folder(out, "--web-demo")
 
 
 def _require_runnable(policy: Policy, workcell: WorkcellSpec) -> None:

@@ -4,6 +4,7 @@ import * as THREE from "three";
 
 const SPEED_PER_METRE = 5; // speed of the throw over the way that is dragged [1/s]
 const LEAST_SPEED = 1; // slower is no throw [m/s]
+const [NEAREST, LOWEST] = [1.2, 0.3]; // from where one can throw at all, x and z [m]
 const GRASP = 0.15; // how near to the object a drag may begin [m]
 const PRACTISED = 0x14804a;
 const UNPRACTISED = 0xc97a10;
@@ -30,6 +31,7 @@ export class Aiming {
   /** Let an object be thrown from where a throw begins, whose path is shown as an example; or nothing. */
   open(example) {
     this.isOpen = example !== null;
+    this.hide();
     if (!example) return;
     this.position = new THREE.Vector3(...example.pos);
     this.showPath(new THREE.Vector3(...example.linVel), EXAMPLE);
@@ -49,9 +51,9 @@ export class Aiming {
     const place = this.view.ray(event).intersectPlane(this.plane(), new THREE.Vector3());
     if (!place) return;
     if (event.shiftKey) {
-      place.z = Math.max(place.z, 0.3);
-      this.position.copy(place);
-      this.moved(place.toArray());
+      this.position.set(Math.max(place.x, NEAREST), place.y, Math.max(place.z, LOWEST));
+      this.hide();
+      this.moved(this.position.toArray());
     } else {
       this.velocity = place.sub(this.position).multiplyScalar(SPEED_PER_METRE);
       this.showPath(this.velocity);

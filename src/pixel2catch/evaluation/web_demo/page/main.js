@@ -54,7 +54,11 @@ class Page {
     element("object").addEventListener("change", () => this.isWaiting && this.prepare());
     element("automatic").addEventListener("click", () => this.setAutomatic(!this.isAutomatic));
     element("measure").addEventListener("click", () => this.measure(FAST_THROWS, Date.now()));
-    for (const id of ["object", "automatic", "measure"]) element(id).disabled = false;
+    this.setEnabled(true);
+  }
+
+  setEnabled(isEnabled) {
+    for (const id of ["object", "automatic", "measure"]) element(id).disabled = !isEnabled;
   }
 
   /** Throw one after the other, or wait for the mouse. */
@@ -118,6 +122,8 @@ class Page {
   /** Automatic throws as fast as the machine can, without pictures; returns how each ended. */
   async measure(count, seed) {
     this.isPaused = true;
+    this.setEnabled(false);
+    this.aiming.open(null);
     const results = [];
     for (const result of automaticThrows(this.demo, count, seed)) {
       results.push(result);
@@ -126,7 +132,9 @@ class Page {
       await new Promise((resolve) => setTimeout(resolve));
     }
     this.isPaused = false;
+    this.setEnabled(true);
     this.prepare();
+    this.say(`caught ${results.filter((each) => each.isSuccess).length} of ${count} automatic throws`);
     return results;
   }
 
