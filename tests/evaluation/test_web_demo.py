@@ -207,6 +207,7 @@ def test_the_page_catches_as_often_as_the_cpu_back_end(demo: Path):
     cfg = EvaluationCfg(objects=SEEN, num_envs=50, trials=2, seed=0, task=task_of(policy))
     expected = float(evaluate(policy, method, cfg).record.is_success.float().mean())
     with open_page(demo) as page:
+        page.wait_for_function("window.pixel2catch")
         results = page.evaluate("window.pixel2catch.measure(50, 0)")
         counter = page.inner_text("#automatics")
     found = sum(each["isSuccess"] for each in results) / 50
@@ -218,6 +219,7 @@ def test_the_page_catches_as_often_as_the_cpu_back_end(demo: Path):
 @pytest.mark.slow
 def test_a_throw_with_the_mouse_is_caught(demo: Path):
     with open_page(demo) as page:
+        page.wait_for_function("window.pixel2catch")
         page.select_option("#object", "sphere_l")
         start, end = page.evaluate(DRAG)
         page.mouse.move(*start)
@@ -226,6 +228,13 @@ def test_a_throw_with_the_mouse_is_caught(demo: Path):
         page.mouse.up()
         page.wait_for_function("document.querySelector('#yours').cells[1].textContent === '1'")
         assert page.inner_text("#yours").split() == ["yours", "1", "1", "100", "%"]
+
+
+@pytest.mark.slow
+def test_the_page_says_that_its_libraries_are_missing(demo: Path, tmp_path: Path):
+    shutil.copytree(demo, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("lib", "node_modules"))
+    with open_page(tmp_path) as page:
+        page.wait_for_function("document.querySelector('#hint').textContent.includes('libraries')")
 
 
 DRAG = """async () => {
@@ -259,7 +268,6 @@ def open_page(folder: Path) -> Iterator[Any]:
             errors = list[Any]()
             page.on("pageerror", lambda error: errors.append(error))
             page.goto(f"http://127.0.0.1:{server.server_port}/")
-            page.wait_for_function("window.pixel2catch")
             yield page
             assert not errors
         finally:

@@ -3,6 +3,7 @@
 The folder holds the page, the policy as training writes it, one MJCF file an object, and `task.json`: every
 number that the page's code reads, from where it is declared here. The page's JavaScript is the same path of
 observations and actions as the Python code's; `tests/evaluation/test_web_demo.py` compares them step by step.
+It reads the policy's own file: a perceptron is twenty lines, a runtime for networks many megabytes.
 """
 
 import dataclasses

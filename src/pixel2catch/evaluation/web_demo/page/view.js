@@ -7,6 +7,8 @@ const [PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH] = [0, 2, 3, 4, 5,
 const DRAWN_GROUPS = [0, 1, 2, 3];
 const LOOKAT = [1.25, 0, 1.0];
 const FROM = [2.25, -3.9, 1.95]; // the outside view of the videos, a little farther away
+const HALF_HEIGHT = 0.364; // of the outside view, at a distance of 1
+const LEAST_ASPECT = 1.4; // width over height; what is narrower shows as much of the throw
 const ONLY_OUTSIDE = 1; // layer of what the robot's camera does not see
 
 export class View {
@@ -103,6 +105,8 @@ export class View {
     this.width = width;
     this.renderer.setSize(width, height, false);
     this.outside.aspect = width / height;
+    const narrower = Math.max(LEAST_ASPECT / this.outside.aspect, 1);
+    this.outside.fov = THREE.MathUtils.radToDeg(2 * Math.atan(narrower * HALF_HEIGHT));
     this.outside.updateProjectionMatrix();
   }
 }
