@@ -1,0 +1,64 @@
+"""The camera's image on a page, with the box that the policy gets, drawn beside the simulation."""
+
+import contextlib
+import time
+from queue import Empty, Full, Queue
+from threading import Thread
+
+import numpy as np
+import viser
+
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.rendering.camera import RoomCamera
+from pixel2catch.rendering.video import draw_box
+from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.viewer.throws import Frame
+
+PERIOD = 1 / 15  #: Least time between two images [s]. Source: ours, to leave the physics its core.
+DARK = 40  #: Level of an image where nothing can be drawn but the box.
+
+
+class CameraImages:
+    """Draws the newest frame that it was given, in a thread of its own; close it."""
+
+    def __init__(self, picture: viser.GuiImageHandle, scene: SceneCfg, room_seed: int = 0) -> None:
+        """Draw into a picture of the page. The seed is of the room's looks."""
+        self._picture, self._scene, self._seed = picture, scene, room_seed
+        self._frames: Queue[Frame | None] = Queue(maxsize=1)
+        self.num_drawn = 0  #: Images so far.
+        self._thread = Thread(target=self._run, name="camera images", daemon=True)
+        self._thread.start()
+
+    def show(self, frame: Frame) -> None:
+        """Draw this frame next, instead of any that waits."""
+        self._put(frame)
+
+    def close(self) -> None:
+        """End the thread."""
+        while self._thread.is_alive():
+            self._put(None)
+            self._thread.join(timeout=0.05)
+
+    def _put(self, frame: Frame | None) -> None:
+        with contextlib.suppress(Empty):
+            self._frames.get_nowait()
+        with contextlib.suppress(Full):
+            self._frames.put_nowait(frame)
+
+    def _run(self) -> None:
+        with contextlib.ExitStack() as stack:
+            try:
+                camera = stack.enter_context(RoomCamera(self._scene, self._seed))
+            except DeviceUnavailableError:
+                camera = None
+            while (frame := self._frames.get()) is not None:
+                begin = time.monotonic()
+                self._picture.image = self._drawn(camera, frame)
+                self.num_drawn += 1
+                time.sleep(max(0.0, begin + PERIOD - time.monotonic()))
+
+    def _drawn(self, camera: RoomCamera | None, frame: Frame) -> np.ndarray:
+        size = (self._scene.camera.height, self._scene.camera.width, 3)
+        image = np.full(size, DARK, np.uint8) if camera is None else camera.image(frame.exposure)
+        draw_box(image, frame.box)
+        return image
