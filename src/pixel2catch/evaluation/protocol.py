@@ -219,7 +219,7 @@ def run_round(
     After every control step `watch` is called; it must copy what it keeps, the next step overwrites it.
     """
     state = _round_start(env)
-    for step, state in round_steps(env, actor):  # noqa: B007
+    for step, state in round_steps(env, actor):
         watch(step, state)
     env.world.simulation.check()
     return Trials(record=state.record, is_verified=state.is_verified)

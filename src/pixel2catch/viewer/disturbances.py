@@ -17,7 +17,7 @@ class Disturbance:
     label: str  #: What people read, with the unit.
     hint: str  #: What it means, in a sentence.
     part: str  #: Part of the task, such as `sensing`.
-    field: str  #: Field of that part: a number or a range.
+    name: str  #: Field of that part: a number or a range.
     largest: float  #: Largest value, in the unit of the label; the least is 0.
     step: float  #: Step of the slider, in that unit.
     scale: float = 1.0  #: The field's unit over the label's.
@@ -25,7 +25,7 @@ class Disturbance:
 
     def of(self, task: CatchEnvCfg) -> Setting:
         """What a task has, in the unit of the label."""
-        value = getattr(getattr(task, self.part), self.field)
+        value = getattr(getattr(task, self.part), self.name)
         return tuple(each / self.scale for each in value) if isinstance(value, tuple) else value / self.scale
 
     def applied(self, task: CatchEnvCfg, setting: Setting) -> CatchEnvCfg:
@@ -37,7 +37,7 @@ class Disturbance:
             if isinstance(setting, tuple)
             else setting * self.scale
         )
-        return part(self.part, **{self.field: value, **self.others})(task)
+        return part(self.part, **{self.name: value, **self.others})(task)
 
 
 DISTURBANCES = (
@@ -45,7 +45,7 @@ DISTURBANCES = (
         label="latency [steps]",
         hint="Control steps of 33 ms between an image and its box; every throw draws its own.",
         part="sensing",
-        field="latency_steps",
+        name="latency_steps",
         largest=5.0,
         step=0.5,
         others={"latency_grid": 0.5},
@@ -54,7 +54,7 @@ DISTURBANCES = (
         label="box noise [px]",
         hint="Largest error of each edge of the box.",
         part="sensing",
-        field="corner_noise",
+        name="corner_noise",
         largest=20.0,
         step=1.0,
     ),
@@ -62,7 +62,7 @@ DISTURBANCES = (
         label="missing boxes [%]",
         hint="Share of the images in which the object is not found.",
         part="sensing",
-        field="drop_rate",
+        name="drop_rate",
         largest=60.0,
         step=5.0,
         scale=1e-2,
@@ -71,7 +71,7 @@ DISTURBANCES = (
         label="camera turned [°]",
         hint="Angle between the camera and what the policy takes it for.",
         part="sensing",
-        field="camera_turn",
+        name="camera_turn",
         largest=4.0,
         step=0.25,
         scale=radians(1.0),
@@ -80,7 +80,7 @@ DISTURBANCES = (
         label="camera moved [cm]",
         hint="Distance between the camera and what the policy takes it for.",
         part="sensing",
-        field="camera_offset",
+        name="camera_offset",
         largest=8.0,
         step=0.5,
         scale=1e-2,
@@ -89,7 +89,7 @@ DISTURBANCES = (
         label="command delay [steps]",
         hint="Control steps between a command and its effect; every throw draws its own.",
         part="randomization",
-        field="command_delay",
+        name="command_delay",
         largest=3.0,
         step=0.5,
         others={"command_delay_grid": 0.5},
@@ -98,7 +98,7 @@ DISTURBANCES = (
         label="restitution",
         hint="Speed after an impact over the speed before; every throw draws its own.",
         part="randomization",
-        field="restitution",
+        name="restitution",
         largest=0.8,
         step=0.05,
     ),
@@ -106,7 +106,7 @@ DISTURBANCES = (
         label="drag: air [kg/m³]",
         hint="Density of the air that slows the object; real air has 1.2. The thrower makes up for it.",
         part="randomization",
-        field="air_density",
+        name="air_density",
         largest=3.6,
         step=0.1,
     ),

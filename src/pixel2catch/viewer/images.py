@@ -1,16 +1,20 @@
 """The camera's image on a page, with the box that the policy gets, drawn beside the simulation."""
 
+import base64
 import contextlib
+import io
 import time
 from queue import Empty, Full, Queue
 from threading import Thread
 
 import numpy as np
 import viser
+from PIL import Image
 
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.camera import RoomCamera
 from pixel2catch.rendering.video import draw_box
+from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.throws import Frame
 
@@ -18,10 +22,37 @@ PERIOD = 1 / 15  #: Least time between two images [s]. Source: ours, to leave th
 DARK = 40  #: Level of an image where nothing can be drawn but the box.
 
 
+QUALITY = 80  #: Of the JPEG images of a page.
+
+
+class Picture:
+    """An image on a page that may change often.
+
+    Not viser's own: that one frees an image before a busy browser has loaded it, which is an error there.
+    """
+
+    def __init__(self, gui: viser.GuiApi, camera: CameraSpec) -> None:
+        """A dark picture of the camera's size."""
+        self._style = f"width:100%;display:block;aspect-ratio:{camera.width}/{camera.height}"
+        self._html = gui.add_html("")
+        self.show(np.full((camera.height, camera.width, 3), DARK, np.uint8))
+
+    def show(self, image: np.ndarray) -> None:
+        """Show an image, red, green, blue."""
+        self.image = image  #: What is shown.
+        buffer = io.BytesIO()
+        Image.fromarray(image).save(buffer, "jpeg", quality=QUALITY)
+        data = base64.b64encode(buffer.getvalue()).decode()
+        self._html.content = (
+            f'<img alt="the camera\'s image" decoding="sync" style="{self._style}" '
+            f'src="data:image/jpeg;base64,{data}">'
+        )
+
+
 class CameraImages:
     """Draws the newest frame that it was given, in a thread of its own; close it."""
 
-    def __init__(self, picture: viser.GuiImageHandle, scene: SceneCfg, room_seed: int = 0) -> None:
+    def __init__(self, picture: Picture, scene: SceneCfg, room_seed: int = 0) -> None:
         """Draw into a picture of the page. The seed is of the room's looks."""
         self._picture, self._scene, self._seed = picture, scene, room_seed
         self._frames: Queue[Frame | None] = Queue(maxsize=1)
@@ -53,7 +84,7 @@ class CameraImages:
                 camera = None
             while (frame := self._frames.get()) is not None:
                 begin = time.monotonic()
-                self._picture.image = self._drawn(camera, frame)
+                self._picture.show(self._drawn(camera, frame))
                 self.num_drawn += 1
                 time.sleep(max(0.0, begin + PERIOD - time.monotonic()))
 

@@ -159,7 +159,7 @@ class PlayPage:
         self.rates = gui.add_markdown(rates_text(0, 0))
         gui.add_button("throw", color="green").on_click(lambda _: self.throw())
         self.is_repeated = gui.add_checkbox("one throw after the other", True)
-        self.is_repeated.on_update(lambda _: self.is_repeated.value and self._wanted.set())
+        self.is_repeated.on_update(lambda _: self._wanted.set() if self.is_repeated.value else None)
         tabs = gui.add_tab_group()
         with tabs.add_tab("What is thrown"):
             policies = list(dict.fromkeys((self._policy, *shipped_policies())))
@@ -168,7 +168,9 @@ class PlayPage:
             choices = list(dict.fromkeys((objects, *OBJECT_GROUPS, *OBJECTS)))
             self.objects = gui.add_dropdown("object", choices, initial_value=objects)
             self.is_release_set = gui.add_checkbox(
-                "release at the handle", False, hint="Else the release point is drawn; drag the handle to set it."
+                "release at the handle",
+                False,
+                hint="Else the release point is drawn; drag the handle to set it.",
             )
         with tabs.add_tab("Made harder"):
             self.sliders = [self._add_slider(gui, i) for i in range(len(DISTURBANCES))]
@@ -220,18 +222,19 @@ def rates_text(caught: int, throws: int) -> str:
     if not throws:
         return "**S.R.** no throw like this yet"
     low, high = wilson_interval(caught, throws)
-    return f"**S.R. {100 * caught / throws:.0f} %** ({100 * low:.0f} to {100 * high:.0f} %): {caught} of {throws}"
+    rate, interval = f"{100 * caught / throws:.0f} %", f"{100 * low:.0f} to {100 * high:.0f} %"
+    return f"**S.R. {rate}** ({interval}): {caught} of {throws}"
 
 
 def _setting(value: Any) -> Setting:
-    return tuple(float(each) for each in value) if isinstance(value, tuple) else float(value)
+    return (float(value[0]), float(value[1])) if isinstance(value, tuple) else float(value)
 
 
-def serve_play(cfg: PlayCfg, say: Callable[[str], None]) -> None:
+def serve_play(cfg: PlayCfg) -> None:
     """Serve the page until it is interrupted."""
     with StopRequest() as stop, ThreadPoolExecutor(1) as pool:
         page = PlayPage(cfg)
-        say(page.server.address)
+        print(f"open {page.server.address} in a browser; Ctrl-C ends it", flush=True)
         playing = pool.submit(page.run)
         try:
             while not (stop.is_set or playing.done()):

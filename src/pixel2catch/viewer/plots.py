@@ -12,6 +12,7 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.viewer.throws import FlightPath, Frame
 
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#17becf")
+SHOWN = (-0.7, 2.6)  #: Times that a plot shows [s].
 PLOT_HEIGHT = 150  #: Of a plot [px].
 LEGEND_LINES = 6  #: Most lines of a plot that has a legend.
 
@@ -27,8 +28,8 @@ def add_plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> viser.GuiUp
         series=tuple(series),
         title=title,
         height=PLOT_HEIGHT + 25 * (len(names) <= LEGEND_LINES),
-        legend=uplot.Legend(show=len(names) <= LEGEND_LINES),
-        scales={"x": uplot.Scale(time=False)},
+        legend=uplot.Legend(show=len(names) <= LEGEND_LINES, live=False),
+        scales={"x": uplot.Scale(time=False, auto=False, range=SHOWN)},
     )
 
 

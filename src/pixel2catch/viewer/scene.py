@@ -1,6 +1,7 @@
-"""The scene in its room as nodes of a page: robot, table, thrower, object, and the path that it should fly."""
+"""The scene in its room as nodes of a page: robot, table, thrower, and an object with its path."""
 
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,8 +26,9 @@ MAKERS: dict[int, Callable[[float, float, float], ConvexPart]] = {
 PLANE_SIZE = 5.0  #: Half a side of a plane without end [m].
 PLANE_LEVELS = {"floor": FLOOR_LEVEL, "wall": WALL_LEVEL}  #: Colours of planes, by their materials.
 LEAST_MOVE = 1e-5  #: Least change of a position [m] or quaternion that is sent.
+SKY_LEVEL = (226, 232, 238)  #: What is behind everything.
 SUN = (1.6, -2.2, 3.4)  #: Where the light is that casts shadows [m]; it shines towards the origin.
-VIEW_POS, VIEW_AT = (2.6, -3.4, 2.0), (1.3, 0.0, 0.95)  #: From where and whereto one looks at first [m].
+VIEW_POS, VIEW_AT = (0.2, -4.6, 2.6), (1.5, 0.0, 0.9)  #: From where and whereto one looks at first [m].
 ROOT = "/scene"  #: What all nodes of the scene hang on.
 PATH_COLOR, CAMERA_COLOR = (255, 150, 30), (40, 90, 200)
 
@@ -49,10 +51,14 @@ class SceneView:
             self._add_geom(geom)
         #: The object, whichever it is.
         self.thrown = self._nodes.add_frame(f"{ROOT}/object", show_axes=False, visible=False)
-        self._looks = {name: self._nodes.add_frame(f"{ROOT}/object/{name}", show_axes=False) for name in OBJECTS}
+        self._looks = {
+            name: self._nodes.add_frame(f"{ROOT}/object/{name}", show_axes=False) for name in OBJECTS
+        }
         for name, spec in OBJECTS.items():
             for i, part in enumerate(spec.parts):
-                self._add_part(f"{ROOT}/object/{name}/{i}", part, OBJECT_RGBA[:3], is_smooth=name.startswith("ball"))
+                self._add_part(
+                    f"{ROOT}/object/{name}/{i}", part, OBJECT_RGBA[:3], is_smooth=name.startswith("ball")
+                )
         camera = scene.camera
         self._nodes.add_camera_frustum(
             f"{ROOT}/camera",
@@ -65,7 +71,7 @@ class SceneView:
         )
 
     def show(self, exposure: Exposure, before: Exposure | None = None, share: float = 1.0) -> None:
-        """Move everything to where it is, or to where it was at a share of the way from an exposure before."""
+        """Move everything to where it is, or was at a share of the way from an exposure before."""
         now = self._positions(exposure)
         if before is not None and share < 1.0:
             way, start = np.zeros(self._model.nv), self._positions(before)
@@ -92,7 +98,7 @@ class SceneView:
     def show_path(self, path: Path) -> None:
         """Draw where the object should fly, as dashes; nothing where it has fewer than two points."""
         dashes = np.stack([path[:-1], 0.4 * path[:-1] + 0.6 * path[1:]], axis=1)
-        self._nodes.add_line_segments(f"{ROOT}/path", points=dashes, colors=PATH_COLOR, line_width=3.0)
+        self._nodes.add_line_segments(f"{ROOT}/path", points=dashes, colors=PATH_COLOR, thickness=0.012)
 
     def _positions(self, exposure: Exposure) -> np.ndarray:
         return room_positions(self._model, exposure.moment, 0.0, exposure.thrower)
@@ -102,8 +108,9 @@ class SceneView:
         nodes = self._nodes
         nodes.configure_default_lights(enabled=False)
         nodes.configure_environment_map(None)
+        nodes.set_background_image(np.full((1, 1, 3), SKY_LEVEL, np.uint8), format="png")
         nodes.add_light_hemisphere(
-            f"{ROOT}/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130), intensity=1.3
+            f"{ROOT}/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130), intensity=2.0
         )
         nodes.add_light_directional(f"{ROOT}/sun", position=SUN, intensity=2.2, cast_shadow=True)
 
@@ -123,7 +130,13 @@ class SceneView:
             self._add_part(name, MAKERS[kind](*size), model.geom_rgba[geom][:3], is_smooth=is_smooth, **pose)
 
     def _add_part(
-        self, name: str, part: ConvexPart, rgb: tuple[float, ...] | np.ndarray, *, is_smooth: bool, **pose
+        self,
+        name: str,
+        part: ConvexPart,
+        rgb: tuple[float, ...] | np.ndarray,
+        *,
+        is_smooth: bool,
+        **pose: Any,
     ) -> None:
         corners, faces = np.unique(part.faces.reshape(-1, 3), axis=0, return_inverse=True)
         faces = faces.reshape(-1, 3)
@@ -131,7 +144,7 @@ class SceneView:
             name, corners, faces, color=_levels(rgb), flat_shading=not is_smooth, **pose
         )
 
-    def _add_plane(self, name: str, size: np.ndarray, rgb: np.ndarray, pose: dict[str, np.ndarray]) -> None:
+    def _add_plane(self, name: str, size: np.ndarray, rgb: np.ndarray, pose: dict[str, Any]) -> None:
         x, y = (half or PLANE_SIZE for half in size[:2])
         corners = np.array(((-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)), dtype=float)
         faces = np.array(((0, 1, 2), (0, 2, 3)))

@@ -117,7 +117,7 @@ def open_server(cfg: PageCfg, title: str) -> PageServer:
     Raises:
         InvalidValueError: If this machine cannot listen on that address.
     """
-    _require_address(cfg)
+    require_address(cfg)
     check = RequestCheck.of(cfg.host)
     with contextlib.redirect_stdout(io.StringIO()), _checked(check):
         server = viser.ViserServer(cfg.host, cfg.port, label=title, verbose=False)
@@ -148,8 +148,12 @@ def ip_address_of(host: str) -> Any:
         ) from None
 
 
-def _require_address(cfg: PageCfg) -> None:
-    """See that the server can listen; viser would try a thousand ports and then wait for ever."""
+def require_address(cfg: PageCfg) -> None:
+    """See that a server can listen; viser would try a thousand ports and then wait for ever.
+
+    Raises:
+        InvalidValueError: If it cannot.
+    """
     if not 0 <= cfg.port < 65536:
         raise InvalidValueError(f"the page's port is {cfg.port}; it must be from 0 to 65535.")
     family = socket.AF_INET6 if ip_address_of(cfg.host).version == 6 else socket.AF_INET
@@ -165,19 +169,19 @@ def _require_address(cfg: PageCfg) -> None:
 @contextlib.contextmanager
 def _checked(check: RequestCheck) -> Iterator[None]:
     """Let the server that is made within ask the check first; viser has no place for one of its own."""
-    module, times = vars(websockets.asyncio.server), 0
-    serve = module["serve"]
+    module: Any = websockets.asyncio.server
+    serve, times = module.serve, 0
 
     def checked_serve(*args: Any, process_request: Answer, **options: Any) -> Any:
         nonlocal times
         times += 1
         return serve(*args, process_request=check.before(process_request), **options)
 
-    module["serve"] = checked_serve
+    module.serve = checked_serve
     try:
         yield
     finally:
-        module["serve"] = serve
+        module.serve = serve
     if not times:
         raise RuntimeError("viser did not serve through websockets: its requests would not be checked")
 

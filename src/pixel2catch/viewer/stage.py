@@ -1,14 +1,13 @@
 """What every page shows of a throw: the scene, the camera's image, the curves, and how fast time goes."""
 
 import time
-from collections.abc import Sequence
 
 import numpy as np
 import viser
 
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.viewer.images import DARK, CameraImages
+from pixel2catch.viewer.images import CameraImages, Picture
 from pixel2catch.viewer.playback import Playback
 from pixel2catch.viewer.plots import ThrowPlots
 from pixel2catch.viewer.scene import SceneView
@@ -26,12 +25,12 @@ class Stage:
     def __init__(self, server: viser.ViserServer, scene: SceneCfg, playback: Playback) -> None:
         """Build the page of a scene; what is special to a page goes into `controls`."""
         self._server, self._playback = server, playback
-        gui, size = server.gui, (scene.camera.height, scene.camera.width, 3)
+        gui = server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(380)
         self.text = gui.add_markdown("")
         self._add_time(gui)
-        self.picture = gui.add_image(np.full(size, DARK, np.uint8), label="camera, and the box of the policy")
+        self.picture = Picture(gui, scene.camera)  #: The camera's image, with the box of the policy.
         self.controls = gui.add_folder("Throws")  #: Where a page adds what is its own.
         panel = gui.add_panel()
         self._plots_tab = panel.add_tab("Plots")

@@ -75,7 +75,7 @@ class Thrower:
 
     def __init__(self, dynamics: Path | None = None, camera: Path | None = None) -> None:
         """Nothing is loaded before the first order; files are as of `task_of`."""
-        self._files = {"dynamics": dynamics, "camera": camera}
+        self._dynamics, self._camera = dynamics, camera
         self._policies: dict[str, tuple[Policy, Method]] = {}
         self._env: CatchEnv | None = None
         self._order: ThrowOrder | None = None
@@ -83,7 +83,7 @@ class Thrower:
 
     def task(self, policy: str) -> CatchEnvCfg:
         """The undisturbed task of a policy."""
-        return task_of(self._loaded(policy)[0], **self._files)
+        return task_of(self._loaded(policy)[0], dynamics=self._dynamics, camera=self._camera)
 
     def throw(self, order: ThrowOrder, seed: int) -> "Throwing":
         """Begin a throw.
@@ -189,5 +189,3 @@ def _flight(episode: Episode) -> FlightPath:
     drag = torch.zeros(1) if episode.drag is None else episode.drag
     path = flight_path(throw.pos, throw.lin_vel, drag, throw.flight_time())
     return path[:, 0].double().numpy()
-
-

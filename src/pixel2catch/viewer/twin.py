@@ -5,49 +5,46 @@ button does all that an operator does for a throw; the others do it step by step
 """
 
 import json
+import sys
 import time
 from collections import deque
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import get_context
 from threading import Thread
 from typing import Any, NoReturn
 
-import mujoco
 import numpy as np
 import torch
-import viser
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.deployment.operator import OperatorConsole, newest
+from pixel2catch.rendering.camera import Exposure, Moment
+from pixel2catch.rendering.room import Bystanders
+from pixel2catch.rendering.video import draw_box
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
-from pixel2catch.scene import shapes
-from pixel2catch.scene.objects import OBJECTS
-from pixel2catch.scene.scene import OBJECT_RGBA, SceneCfg, build_model
-from pixel2catch.scene.shapes import ConvexPart
+from pixel2catch.scene.scene import OBJECT_START, SceneCfg
 from pixel2catch.twin.lab_node import COMMAND, STATE
 from pixel2catch.twin.realtime import LAST, obey_parent
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
+from pixel2catch.twin.simulated_lab import Phase
+from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer.images import Picture
+from pixel2catch.viewer.scene import SceneView
+from pixel2catch.viewer.server import open_server, require_address
 from pixel2catch.workcells import find_workcell
 
-HOST = "127.0.0.1"  #: The page is for this machine only; others come by a tunnel.
 PERIOD = 1 / 15  #: Real time between two changes of the page [s]. Source: ours, light on a shared machine.
-BOX_COLOR, LINE = (40, 220, 70), 2  #: Colour and width [px] of the box that the deployment sees.
 REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: What the twin is asked for by buttons.
 
-MAKERS = {
-    mujoco.mjtGeom.mjGEOM_BOX: lambda x, y, z: shapes.box(2 * x, 2 * y, 2 * z),
-    mujoco.mjtGeom.mjGEOM_CAPSULE: lambda x, y, _: shapes.capsule(x, 2 * y),
-    mujoco.mjtGeom.mjGEOM_CYLINDER: lambda x, y, _: shapes.cylinder(x, 2 * y),
-}
-"""Shapes of the scene's geoms by their sizes."""
 
-
-class Page:
+class TwinPage:
     """The page; `update` makes it current."""
 
     def __init__(
-        self, port: int, scene: SceneCfg, profile: Profile, transport: Transport, clock: Clock
+        self, cfg: PageCfg, scene: SceneCfg, profile: Profile, transport: Transport, clock: Clock
     ) -> None:
         """Serve the page of a scene, by the clock of twin and deployment."""
         self._transport, self._topics, self._clock = transport, profile.operator, clock
@@ -56,8 +53,6 @@ class Page:
         joints = find_workcell(scene.workcell).joints
         self._parts, self._joint_pos = profile.robots, np.array([joint.home for joint in joints])
         self._camera = scene.camera
-        self._model = build_model(replace(scene, visuals=True))
-        self._data = mujoco.MjData(self._model)
         self._joints = transport.subscription(profile.robots[0].state_topic, depth=20)
         self._images = transport.subscription(profile.camera.image)
         self._states = transport.subscription(STATE)
@@ -65,14 +60,16 @@ class Page:
         self._wishes: deque[dict[str, Any]] = deque()
         self._state: dict[str, Any] = {}
         self._boxes: deque[list[float]] = deque(maxlen=2)
-        self._server = viser.ViserServer(HOST, port, label="Pixel2Catch twin", verbose=False)
-        self._build_scene()
+        self._held_pos, self._held_until = np.array(OBJECT_START), clock.now()
+        self._page = open_server(cfg, "Pixel2Catch twin")
+        self._server = self._page.viser
+        self.view = SceneView(self._server, scene)  #: The scene.
         self._build_panel()
 
     @property
     def address(self) -> str:
         """Where it is served."""
-        return f"http://{HOST}:{self._server.get_port()}"
+        return self._page.address
 
     def update(self) -> None:
         """Show what has arrived, and send what was clicked."""
@@ -118,39 +115,14 @@ class Page:
 
     def close(self) -> None:
         """End the page."""
-        self._server.stop()
-
-    def _build_scene(self) -> None:
-        """Every body as a frame with its geoms; every object, though only one is shown."""
-        scene, model = self._server.scene, self._model
-        scene.add_grid("/floor", 8.0, 8.0)
-        self.bodies: dict[str, viser.FrameHandle] = {}  #: What is shown of every body, by its name.
-        for geom in range(model.ngeom):
-            body = int(model.geom_bodyid[geom])
-            maker = MAKERS.get(mujoco.mjtGeom(model.geom_type[geom]))
-            if maker is None:  # the floor, and the object
-                continue
-            name = model.body(body).name
-            if name not in self.bodies:
-                self.bodies[name] = scene.add_frame(f"/{name}", show_axes=False)
-            pose = {"position": model.geom_pos[geom], "wxyz": model.geom_quat[geom]}
-            self._add_mesh(f"/{name}/{geom}", maker(*model.geom_size[geom]), model.geom_rgba[geom], **pose)
-        self.thrown = scene.add_frame("/object", show_axes=False, visible=False)
-        self._looks = {name: scene.add_frame(f"/object/{name}", show_axes=False) for name in OBJECTS}
-        for name, spec in OBJECTS.items():
-            for i, part in enumerate(spec.parts):
-                self._add_mesh(f"/object/{name}/{i}", part, np.array(OBJECT_RGBA))
-
-    def _add_mesh(self, name: str, part: ConvexPart, rgba: np.ndarray, **pose: Any) -> None:
-        corners = part.faces.reshape(-1, 3)
-        triangles = np.arange(len(corners)).reshape(-1, 3)
-        color = np.rint(255 * rgba[:3]).astype(np.uint8)
-        self._server.scene.add_mesh_simple(name, corners, triangles, color=color, side="double", **pose)
+        self._page.close()
 
     def _build_panel(self) -> None:
         """The camera's image, the states, the buttons."""
         gui = self._server.gui
-        self.picture = gui.add_image(np.zeros((self._camera.height, self._camera.width, 3), np.uint8))
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(380)
+        self.picture = Picture(gui, self._camera)  #: The newest image, with the box that the deployment sees.
         self.text = gui.add_markdown("")
         self.seed = gui.add_number("seed of the next throw", 0, min=0, step=1)
         gui.add_button("throw and catch").on_click(lambda _: self.catch())
@@ -164,18 +136,16 @@ class Page:
             gui.add_button("stop").on_click(lambda _: self.console.stop())
 
     def _move(self) -> None:
-        """Move robot and object to where they are."""
-        self._data.qpos[: len(self._joint_pos)] = self._joint_pos
-        mujoco.mj_kinematics(self._model, self._data)
-        for name, frame in self.bodies.items():
-            body = self._data.body(name)
-            frame.position, frame.wxyz = body.xpos.copy(), body.xquat.copy()
-        pose, thrown = self._state.get("object_pose"), self._state.get("object")
-        self.thrown.visible = thrown is not None
-        if pose and thrown:
-            self.thrown.position, self.thrown.wxyz = np.array(pose[:3]), np.array(pose[3:])
-            for name, look in self._looks.items():
-                look.visible = name == thrown
+        """Move robot, object and thrower to where they are."""
+        now, phase = self._clock.now(), self._state.get("phase")
+        pose = np.array(self._state.get("object_pose") or (*self._held_pos, 1.0, 0.0, 0.0, 0.0))
+        if phase == Phase.HELD or phase == Phase.EMPTY:
+            self._held_pos, self._held_until = pose[:3], now
+        qpos = np.concatenate((self._joint_pos, pose))
+        moment = Moment(qpos=qpos, qvel=np.zeros(len(qpos) - 1), time=now - self._held_until)
+        thrower = Bystanders(release_pos=self._held_pos, phase=0.0)
+        shown = Exposure(moment=moment, object_name=self._state.get("object"), thrower=thrower.joint_pos)
+        self.view.show(shown)
 
     def _tell(self) -> None:
         """Show the newest image with the box, and all states."""
@@ -184,7 +154,10 @@ class Page:
         if box:
             self._boxes.append(box)
         for message in self._images.take():
-            self.picture.image = with_box(messages.read_image(message.data).pixels, box)
+            pixels = messages.read_image(message.data).pixels.copy()
+            if box:
+                draw_box(pixels, np.array(box, dtype=float))
+            self.picture.show(pixels)
         rows = {**self._features(), **{f"deploy: {name}": value for name, value in status.items()}}
         rows |= {f"twin: {name}": value for name, value in self._state.items() if name != "object_pose"}
         table = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
@@ -199,25 +172,28 @@ class Page:
         return {name: f"{value:.2f}" for name, value in zip(PIXEL_FEATURES, values, strict=True)}
 
 
-def with_box(pixels: np.ndarray, box: list[float] | None) -> np.ndarray:
-    """A copy of an image with the outline of a box [px]; as it is without one."""
-    if not box:
-        return pixels
-    marked = pixels.copy()
-    xmin, ymin, xmax, ymax = (max(round(edge), 0) for edge in box)
-    inside = marked[ymin + LINE : ymax - LINE, xmin + LINE : xmax - LINE].copy()
-    marked[ymin:ymax, xmin:xmax] = BOX_COLOR
-    marked[ymin + LINE : ymax - LINE, xmin + LINE : xmax - LINE] = inside
-    return marked
+@contextmanager
+def page_process(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> Iterator[None]:
+    """A process that serves the page as long as the context lasts, by a clock of that rate."""
+    require_address(cfg)
+    args = (cfg, scene, profile, rate)
+    process = get_context("spawn").Process(target=serve_page, args=args, daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.join()
 
 
-def serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
-    """Serve the page until this process is ended; if the port is taken, on one of the next."""
+def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
+    """Serve the page until this process is ended."""
     obey_parent(LAST)
     torch.set_num_threads(1)
     clock = RealClock(rate)
     with make_transport("dds", "pixel2catch_page", loopback=True, clock=clock) as node:
-        page = Page(port, scene, profile, node, clock)
+        page = TwinPage(cfg, scene, profile, node, clock)
+        print(f"the twin's page: {page.address}", file=sys.stderr, flush=True)
         while True:
             page.update()
             time.sleep(PERIOD)
