@@ -19,6 +19,7 @@ from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.throws import Frame
 
 PERIOD = 1 / 15  #: Least time between two images [s]. Source: ours, to leave the physics its core.
+REST = 2.0  #: Least rest after an image, over the time that it took: the physics goes first.
 DARK = 40  #: Level of an image where nothing can be drawn but the box.
 
 
@@ -86,7 +87,8 @@ class CameraImages:
                 begin = time.monotonic()
                 self._picture.show(self._drawn(camera, frame))
                 self.num_drawn += 1
-                time.sleep(max(0.0, begin + PERIOD - time.monotonic()))
+                spent = time.monotonic() - begin
+                time.sleep(max(PERIOD - spent, REST * spent))
 
     def _drawn(self, camera: RoomCamera | None, frame: Frame) -> np.ndarray:
         size = (self._scene.camera.height, self._scene.camera.width, 3)

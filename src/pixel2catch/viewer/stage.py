@@ -41,6 +41,7 @@ class Stage:
         self._flight_time = 0.0
         self._plotted, self._counted, self._num_pictures = 0.0, time.monotonic(), 0
         self.rate = 0.0  #: Pictures in a second, of late.
+        self.is_playing = False  #: Whether a throw is being shown.
         self.num_pictures = 0  #: Pictures so far.
         self._open(scene)
 
@@ -50,7 +51,7 @@ class Stage:
             return
         self._images.close()
         self._plots.remove()
-        self._view.remove()
+        self.view.remove()
         self._open(scene)
 
     def tell(self, text: str) -> None:
@@ -60,7 +61,7 @@ class Stage:
     def begin(self, path: FlightPath, flight_time: float) -> None:
         """Begin to show a throw that should fly along a path."""
         self._frames, self._path, self._flight_time = [], path, flight_time
-        self._view.show_path(path)
+        self.view.show_path(path)
 
     def show(self, frame: Frame) -> bool:
         """Show the next control step of a throw when its time has come; return whether to go on."""
@@ -70,18 +71,20 @@ class Stage:
         count = 1 if before is None or self._playback.is_paused else max(1, round(1 / self._playback.speed))
         for i in range(count):
             with self._server.atomic():
-                self._view.show(frame.exposure, before, (i + 1) / count)
+                self.view.show(frame.exposure, before, (i + 1) / count)
             self._count()
+            self.is_playing = True
             if not self._playback.wait(CONTROL_DT / count):
+                self.is_playing = False
                 return False
         if self._playback.is_paused or time.monotonic() > self._plotted + PLOT_PERIOD:
             self._plot()
         return True
 
     def end(self) -> None:
-        """Show all of the curves."""
-        if self._frames:
-            self._plot()
+        """Show all of the curves of a throw that is over."""
+        self.is_playing = False
+        self._plot()
 
     def replay(self, played: PlayedThrow) -> None:
         """Show a throw again."""
@@ -98,7 +101,7 @@ class Stage:
 
     def _open(self, scene: SceneCfg) -> None:
         self._scene = scene
-        self._view = SceneView(self._server, scene)
+        self.view = SceneView(self._server, scene)  #: The scene.
         self._images = CameraImages(self.picture, scene)
         with self._plots_tab:
             self._plots = ThrowPlots(self._server.gui, find_workcell(scene.workcell))
