@@ -22,7 +22,17 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.viewer.config import PageCfg, PlayCfg
 from pixel2catch.viewer.play import PlayPage, rates_text
 
-FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+FLAGS = [
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
 WAIT_MS = 1000 * PATIENCE
 
 
