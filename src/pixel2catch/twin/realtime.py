@@ -26,7 +26,7 @@ from pixel2catch.twin.lab_node import LabNode, twin_profile
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells import find_workcell
 
-FIRST, SECOND, LAST = -10, -5, 10  #: Niceness of physics and wires, of camera, and of page. Source: ours.
+FIRST, SECOND = -10, -5  #: Niceness of physics and wires, and of camera. Source: ours.
 
 
 def obey_parent(niceness: int) -> None:

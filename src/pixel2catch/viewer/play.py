@@ -20,7 +20,7 @@ from pixel2catch.scene.scene import OBJECT_START
 from pixel2catch.viewer.config import PlayCfg
 from pixel2catch.viewer.disturbances import DISTURBANCES, Setting
 from pixel2catch.viewer.playback import Playback
-from pixel2catch.viewer.server import open_server
+from pixel2catch.viewer.server import PageServer, open_server
 from pixel2catch.viewer.stage import Stage
 from pixel2catch.viewer.throws import PlayedThrow, Thrower, ThrowOrder
 
@@ -33,8 +33,8 @@ GREEN, RED = (47, 158, 68), (224, 49, 49)  #: Colours of throws that were caught
 class PlayPage:
     """The page; `run` plays until it is closed."""
 
-    def __init__(self, cfg: PlayCfg) -> None:
-        """Serve the page.
+    def __init__(self, cfg: PlayCfg, server: PageServer | None = None) -> None:
+        """Serve the page, on a server that is there if one is given.
 
         Raises:
             Pixel2CatchError: If the policy, an object or a file does not do, or the page cannot be served.
@@ -48,7 +48,7 @@ class PlayPage:
         self.throws: dict[int, PlayedThrow] = {}  #: Throws that can be looked at again, by number.
         self._counts: Counter[tuple[ThrowOrder, bool]] = Counter()
         self._again: PlayedThrow | None = None  #: What shall be looked at again.
-        self.server = open_server(cfg.page, "Pixel2Catch")
+        self.server = server or open_server(cfg.page, "Pixel2Catch")
         viser = self.server.viser
         viser.on_client_connect(lambda _: self._wanted.set())
         self.stage = Stage(viser, self._task.scene, self.playback)  #: What the page shows of a throw.

@@ -17,9 +17,17 @@ PLOT_HEIGHT = 150  #: Of a plot [px].
 LEGEND_LINES = 6  #: Most lines of a plot that has a legend.
 
 
-def add_plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> viser.GuiUplotHandle:
-    """Add an empty plot of named lines over time [s]."""
-    series = [uplot.Series(label="s")]
+def add_plot(
+    gui: viser.GuiApi,
+    title: str,
+    names: Sequence[str],
+    *,
+    x: str = "s",
+    limits: tuple[float, float] | None = SHOWN,
+) -> viser.GuiUplotHandle:
+    """Add an empty plot of named lines over time [s], or over something else; all of it without limits."""
+    scale = uplot.Scale(time=False) if limits is None else uplot.Scale(time=False, auto=False, range=limits)
+    series = [uplot.Series(label=x)]
     series += [
         uplot.Series(label=name, stroke=COLORS[i % len(COLORS)], width=1.5) for i, name in enumerate(names)
     ]
@@ -29,7 +37,7 @@ def add_plot(gui: viser.GuiApi, title: str, names: Sequence[str]) -> viser.GuiUp
         title=title,
         height=PLOT_HEIGHT + 25 * (len(names) <= LEGEND_LINES),
         legend=uplot.Legend(show=len(names) <= LEGEND_LINES, live=False),
-        scales={"x": uplot.Scale(time=False, auto=False, range=SHOWN)},
+        scales={"x": scale},
     )
 
 

@@ -12,7 +12,7 @@ from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.envs.catch_env import CatchEnv, Step
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.episode import FAILURES, Episode, failure
-from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.evaluation.loading import load_policy, policy_folder, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, RoundState, round_steps
 from pixel2catch.mdp.throws import flight_path
 from pixel2catch.methods import Method
@@ -77,6 +77,7 @@ class Thrower:
         """Nothing is loaded before the first order; files are as of `task_of`."""
         self._dynamics, self._camera = dynamics, camera
         self._policies: dict[str, tuple[Policy, Method]] = {}
+        self._written: dict[str, float] = {}
         self._env: CatchEnv | None = None
         self._order: ThrowOrder | None = None
         self.num_throws = 0  #: Throws so far.
@@ -111,8 +112,12 @@ class Thrower:
         self._env = None
 
     def _loaded(self, policy: str) -> tuple[Policy, Method]:
-        if policy not in self._policies:
+        """The policy; read again when a training has written a newer one."""
+        file = policy_folder(Path(policy)) / "policy.safetensors"
+        written = file.stat().st_mtime if file.exists() else 0.0
+        if self._written.get(policy) != written:
             self._policies[policy] = load_policy(Path(policy))
+            self._written[policy] = written
         return self._policies[policy]
 
 

@@ -8,9 +8,6 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
-from multiprocessing import get_context
 from threading import Thread
 from typing import Any, NoReturn
 
@@ -27,13 +24,12 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
 from pixel2catch.scene.scene import OBJECT_START, SceneCfg
 from pixel2catch.twin.lab_node import COMMAND, STATE
-from pixel2catch.twin.realtime import LAST, obey_parent
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.images import Picture
 from pixel2catch.viewer.scene import SceneView
-from pixel2catch.viewer.server import open_server, require_address
+from pixel2catch.viewer.server import open_server
 from pixel2catch.workcells import find_workcell
 
 PERIOD = 1 / 15  #: Real time between two changes of the page [s]. Source: ours, light on a shared machine.
@@ -123,7 +119,6 @@ class TwinPage:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(380)
         self.picture = Picture(gui, self._camera)  #: The newest image, with the box that the deployment sees.
-        self.text = gui.add_markdown("")
         self.seed = gui.add_number("seed of the next throw", 0, min=0, step=1)
         gui.add_button("throw and catch").on_click(lambda _: self.catch())
         with gui.add_folder("step by step", expand_by_default=False):
@@ -134,6 +129,7 @@ class TwinPage:
             gui.add_button("arm").on_click(lambda _: self.console.arm())
             gui.add_button("point at the object").on_click(lambda _: self.point())
             gui.add_button("stop").on_click(lambda _: self.console.stop())
+        self.text = gui.add_markdown("")
 
     def _move(self) -> None:
         """Move robot, object and thrower to where they are."""
@@ -160,7 +156,7 @@ class TwinPage:
             self.picture.show(pixels)
         rows = {**self._features(), **{f"deploy: {name}": value for name, value in status.items()}}
         rows |= {f"twin: {name}": value for name, value in self._state.items() if name != "object_pose"}
-        table = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
+        table = "\n".join(f"| {name} | {_short(value)} |" for name, value in rows.items())
         self.text.content = f"| | |\n|---|---|\n{table}"
 
     def _features(self) -> dict[str, str]:
@@ -172,24 +168,15 @@ class TwinPage:
         return {name: f"{value:.2f}" for name, value in zip(PIXEL_FEATURES, values, strict=True)}
 
 
-@contextmanager
-def page_process(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> Iterator[None]:
-    """A process that serves the page as long as the context lasts, by a clock of that rate."""
-    require_address(cfg)
-    args = (cfg, scene, profile, rate)
-    process = get_context("spawn").Process(target=serve_page, args=args, daemon=True)
-    process.start()
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.join()
+def _short(value: Any) -> str:
+    """A state as people read it: numbers with three digits."""
+    if isinstance(value, list):
+        return ", ".join(map(_short, value))
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
     """Serve the page until this process is ended."""
-    obey_parent(LAST)
-    torch.set_num_threads(1)
     clock = RealClock(rate)
     with make_transport("dds", "pixel2catch_page", loopback=True, clock=clock) as node:
         page = TwinPage(cfg, scene, profile, node, clock)
