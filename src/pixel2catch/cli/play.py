@@ -46,9 +46,11 @@ class Play:
             from pixel2catch.viewer.config import PlayCfg
 
             with needs_extra("viewer"):
-                from pixel2catch.viewer.play import serve_play
+                from pixel2catch.viewer.play import PlayPage
+                from pixel2catch.viewer.process import serve_until_interrupted
             args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page}
-            return serve_play(PlayCfg(**args, dynamics=self.dynamics, camera=self.camera))
+            cfg = PlayCfg(**args, dynamics=self.dynamics, camera=self.camera)
+            return serve_until_interrupted(lambda: PlayPage(cfg))
         find_gl_backend()
         policy, method = load_policy(self.policy)
         task = task_of(policy, dynamics=self.dynamics, camera=self.camera)

@@ -1,9 +1,7 @@
 """`pixel2catch play --web`: throws to play with. One process, and no network but the page's own."""
 
-import time
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from threading import Event
 from typing import Any
 
@@ -14,7 +12,6 @@ import viser
 from pixel2catch.errors import Pixel2CatchError
 from pixel2catch.evaluation.loading import DEFAULT_POLICY, shipped_policies
 from pixel2catch.evaluation.metrics import wilson_interval
-from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
 from pixel2catch.scene.scene import OBJECT_START
 from pixel2catch.viewer.config import PlayCfg
@@ -228,19 +225,3 @@ def rates_text(caught: int, throws: int) -> str:
 
 def _setting(value: Any) -> Setting:
     return (float(value[0]), float(value[1])) if isinstance(value, tuple) else float(value)
-
-
-def serve_play(cfg: PlayCfg) -> None:
-    """Serve the page until it is interrupted."""
-    with StopRequest() as stop, ThreadPoolExecutor(1) as pool:
-        page = PlayPage(cfg)
-        print(f"open {page.server.address} in a browser; Ctrl-C ends it", flush=True)
-        playing = pool.submit(page.run)
-        try:
-            while not (stop.is_set or playing.done()):
-                time.sleep(0.1)
-        finally:
-            page.close()
-            playing.exception()
-            page.free()
-        playing.result()

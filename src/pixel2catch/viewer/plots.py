@@ -24,8 +24,10 @@ def add_plot(
     *,
     x: str = "s",
     limits: tuple[float, float] | None = SHOWN,
+    heights: tuple[float, float] | None = None,
 ) -> viser.GuiUplotHandle:
     """Add an empty plot of named lines over time [s], or over something else; all of it without limits."""
+    scales = {} if heights is None else {"y": uplot.Scale(auto=False, range=heights)}
     scale = uplot.Scale(time=False) if limits is None else uplot.Scale(time=False, auto=False, range=limits)
     series = [uplot.Series(label=x)]
     series += [
@@ -37,7 +39,7 @@ def add_plot(
         title=title,
         height=PLOT_HEIGHT + 25 * (len(names) <= LEGEND_LINES),
         legend=uplot.Legend(show=len(names) <= LEGEND_LINES, live=False),
-        scales={"x": scale},
+        scales=scales | {"x": scale},
     )
 
 

@@ -25,6 +25,7 @@ MAKERS: dict[int, Callable[[float, float, float], ConvexPart]] = {
 
 PLANE_SIZE = 5.0  #: Half a side of a plane without end [m].
 PLANE_LEVELS = {"floor": FLOOR_LEVEL, "wall": WALL_LEVEL}  #: Colours of planes, by their materials.
+BYSTANDERS = ("thrower", "thrower_arm", "ball")  #: Bodies that are in the room, and not in a laboratory.
 LEAST_MOVE = 1e-5  #: Least change of a position [m] or quaternion that is sent.
 SKY_LEVEL = (226, 232, 238)  #: What is behind everything.
 SUN = (1.6, -2.2, 3.4)  #: Where the light is that casts shadows [m]; it shines towards the origin.
@@ -90,6 +91,11 @@ class SceneView:
             for name, look in self._looks.items():
                 if look.visible != (name == exposure.object_name):
                     look.visible = name == exposure.object_name
+
+    def show_bystanders(self, are_there: bool) -> None:
+        """Show thrower and hanging ball, or not."""
+        for name in BYSTANDERS:
+            self.bodies[name].visible = are_there
 
     def remove(self) -> None:
         """Take the scene off the page."""

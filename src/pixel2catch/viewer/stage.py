@@ -29,7 +29,8 @@ class Stage:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(380)
         self.text = gui.add_markdown("")
-        self._add_time(gui)
+        self.speed = add_time_controls(gui, playback)  #: How fast time goes, by a name of `SPEEDS`.
+        self.rate_text = gui.add_markdown("")
         self.picture = Picture(gui, scene.camera)  #: The camera's image, with the box of the policy.
         self.controls = gui.add_folder("Throws")  #: Where a page adds what is its own.
         panel = gui.add_panel()
@@ -120,18 +121,18 @@ class Stage:
             self._counted, self._num_pictures = now, 0
             self.rate_text.content = f"{self.rate:.0f} pictures/s"
 
-    def _add_time(self, gui: viser.GuiApi) -> None:
-        """Buttons for time."""
-        playback = self._playback
-        buttons = gui.add_button_group("time", ("pause", "go on", "one step"))
 
-        def clicked(_: object) -> None:
-            if buttons.value == "one step":
-                playback.step()
-            else:
-                playback.pause(buttons.value == "pause")
+def add_time_controls(gui: viser.GuiApi, playback: Playback) -> viser.GuiDropdownHandle[str]:
+    """Add what makes time stand still, go on, go slower or step by step."""
+    buttons = gui.add_button_group("time", ("pause", "go on", "one step"))
 
-        buttons.on_click(clicked)
-        self.speed = gui.add_dropdown("speed", list(SPEEDS), initial_value="real time")
-        self.speed.on_update(lambda _: playback.set_speed(SPEEDS[self.speed.value]))
-        self.rate_text = gui.add_markdown("")
+    def clicked(_: object) -> None:
+        if buttons.value == "one step":
+            playback.step()
+        else:
+            playback.pause(buttons.value == "pause")
+
+    buttons.on_click(clicked)
+    speed = gui.add_dropdown("speed", list(SPEEDS), initial_value="real time")
+    speed.on_update(lambda _: playback.set_speed(SPEEDS[speed.value]))
+    return speed

@@ -43,11 +43,13 @@ class TrainingCurves:
             with self._folder:
                 rates = tuple(name for name in RATES if name in last)
                 rewards = tuple(name for name in last if name.startswith(REWARD))
-                for title, names in (
-                    ("rates, over million transitions", rates),
-                    ("rewards of a step", rewards),
+                for title, names, heights in (
+                    ("rates, over million transitions", rates, (0.0, 1.0)),
+                    ("rewards of a step", rewards, None),
                 ):
-                    self._plots[names] = add_plot(self._gui, title, names, x="M", limits=None)
+                    self._plots[names] = add_plot(
+                        self._gui, title, names, x="M", limits=None, heights=heights
+                    )
         million = np.array([float(row["transitions"]) for row in rows]) / 1e6
         for names, plot in self._plots.items():
             columns = (np.array([float(row[name] or "nan") for row in rows]) for name in names)

@@ -11,26 +11,16 @@ from collections import deque
 from threading import Thread
 from typing import Any, NoReturn
 
-import numpy as np
-import torch
-
-from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.deployment.operator import OperatorConsole, newest
-from pixel2catch.rendering.camera import Exposure, Moment
-from pixel2catch.rendering.room import Bystanders
-from pixel2catch.rendering.video import draw_box
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
-from pixel2catch.scene.scene import OBJECT_START, SceneCfg
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.lab_node import COMMAND, STATE
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
-from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.viewer.config import PageCfg
-from pixel2catch.viewer.images import Picture
-from pixel2catch.viewer.scene import SceneView
 from pixel2catch.viewer.server import open_server
-from pixel2catch.workcells import find_workcell
+from pixel2catch.viewer.wire import WireView
 
 PERIOD = 1 / 15  #: Real time between two changes of the page [s]. Source: ours, light on a shared machine.
 REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: What the twin is asked for by buttons.
@@ -46,20 +36,13 @@ class TwinPage:
         self._transport, self._topics, self._clock = transport, profile.operator, clock
         self.console = OperatorConsole(transport, profile.operator, clock)
         self.trial: Thread | None = None  #: The throw that goes on by itself, or did.
-        joints = find_workcell(scene.workcell).joints
-        self._parts, self._joint_pos = profile.robots, np.array([joint.home for joint in joints])
-        self._camera = scene.camera
-        self._joints = transport.subscription(profile.robots[0].state_topic, depth=20)
-        self._images = transport.subscription(profile.camera.image)
         self._states = transport.subscription(STATE)
         self._commands = transport.publisher(COMMAND)
         self._wishes: deque[dict[str, Any]] = deque()
         self._state: dict[str, Any] = {}
-        self._boxes: deque[list[float]] = deque(maxlen=2)
-        self._held_pos, self._held_until = np.array(OBJECT_START), clock.now()
         self._page = open_server(cfg, "Pixel2Catch twin")
         self._server = self._page.viser
-        self.view = SceneView(self._server, scene)  #: The scene.
+        self.wire = WireView(self._server, scene, profile, transport, clock)  #: What is shown.
         self._build_panel()
 
     @property
@@ -73,13 +56,7 @@ class TwinPage:
             self._commands.publish(messages.text(json.dumps(self._wishes.popleft())))
         self._state = newest(self._states, self._state)
         self.console.watch()
-        for message in self._joints.take():
-            reading = messages.read_joint_state(message.data)
-            for part in self._parts:
-                part.merge(reading, self._joint_pos)
-        with self._server.atomic():
-            self._move()
-            self._tell()
+        self.wire.update(self.console.status, self._state)
 
     def ask(self, name: str) -> None:
         """Ask the twin for one of `REQUESTS`, with the next update; any thread may call this."""
@@ -116,9 +93,6 @@ class TwinPage:
     def _build_panel(self) -> None:
         """The camera's image, the states, the buttons."""
         gui = self._server.gui
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(380)
-        self.picture = Picture(gui, self._camera)  #: The newest image, with the box that the deployment sees.
         self.seed = gui.add_number("seed of the next throw", 0, min=0, step=1)
         gui.add_button("throw and catch").on_click(lambda _: self.catch())
         with gui.add_folder("step by step", expand_by_default=False):
@@ -129,50 +103,7 @@ class TwinPage:
             gui.add_button("arm").on_click(lambda _: self.console.arm())
             gui.add_button("point at the object").on_click(lambda _: self.point())
             gui.add_button("stop").on_click(lambda _: self.console.stop())
-        self.text = gui.add_markdown("")
-
-    def _move(self) -> None:
-        """Move robot, object and thrower to where they are."""
-        now, phase = self._clock.now(), self._state.get("phase")
-        pose = np.array(self._state.get("object_pose") or (*self._held_pos, 1.0, 0.0, 0.0, 0.0))
-        if phase == Phase.HELD or phase == Phase.EMPTY:
-            self._held_pos, self._held_until = pose[:3], now
-        qpos = np.concatenate((self._joint_pos, pose))
-        moment = Moment(qpos=qpos, qvel=np.zeros(len(qpos) - 1), time=now - self._held_until)
-        thrower = Bystanders(release_pos=self._held_pos, phase=0.0)
-        shown = Exposure(moment=moment, object_name=self._state.get("object"), thrower=thrower.joint_pos)
-        self.view.show(shown)
-
-    def _tell(self) -> None:
-        """Show the newest image with the box, and all states."""
-        status = self.console.status
-        box = status.get("box")
-        if box:
-            self._boxes.append(box)
-        for message in self._images.take():
-            pixels = messages.read_image(message.data).pixels.copy()
-            if box:
-                draw_box(pixels, np.array(box, dtype=float))
-            self.picture.show(pixels)
-        rows = {**self._features(), **{f"deploy: {name}": value for name, value in status.items()}}
-        rows |= {f"twin: {name}": value for name, value in self._state.items() if name != "object_pose"}
-        table = "\n".join(f"| {name} | {_short(value)} |" for name, value in rows.items())
-        self.text.content = f"| | |\n|---|---|\n{table}"
-
-    def _features(self) -> dict[str, str]:
-        """What a policy reads of the boxes that the deployment sees."""
-        if len(self._boxes) < 2:
-            return {}
-        before, now = (torch.tensor([box], dtype=torch.float32) for box in self._boxes)
-        values = pixel_features(before, now, self._camera)[0].tolist()
-        return {name: f"{value:.2f}" for name, value in zip(PIXEL_FEATURES, values, strict=True)}
-
-
-def _short(value: Any) -> str:
-    """A state as people read it: numbers with three digits."""
-    if isinstance(value, list):
-        return ", ".join(map(_short, value))
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+        self.wire.add_states()
 
 
 def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
