@@ -47,7 +47,7 @@ class PlayPage:
         self._again: PlayedThrow | None = None  #: What shall be looked at again.
         self.server = server or open_server(cfg.page, "Pixel2Catch")
         viser = self.server.viser
-        viser.on_client_connect(lambda _: self._wanted.set())
+        viser.on_client_connect(lambda _: self._welcome())
         self.stage = Stage(viser, self._task.scene, self.playback)  #: What the page shows of a throw.
         with self.stage.controls:
             self._add_controls(viser.gui)
@@ -106,6 +106,11 @@ class PlayPage:
         self._thrower.close()
         self.server.close()
 
+    def _welcome(self) -> None:
+        """Throw for a visitor, if nothing is thrown by itself any more or yet."""
+        if self.is_repeated.value or not self._thrower.num_throws:
+            self._wanted.set()
+
     def _begin(self, again: PlayedThrow | None) -> None:
         self._again = again
         self.playback.interrupt()
@@ -113,10 +118,12 @@ class PlayPage:
 
     def _throw(self) -> None:
         """A throw, from its beginning to its end."""
-        order = self.order
+        order, renewed = self.order, self._thrower.num_renewed
         task = self._thrower.task(order.policy)
         self.stage.set_scene(task.scene)
         throwing = self._thrower.throw(order, self._cfg.seed + self._thrower.num_throws)
+        if self._thrower.num_renewed != renewed:
+            self._counts.clear()
         for frame in throwing.run():
             if len(throwing.frames) == 1:
                 self.stage.begin(throwing.path, throwing.flight_time)
@@ -124,13 +131,14 @@ class PlayPage:
             if not self.stage.show(frame):
                 return
         played = throwing.played()
-        self._keep(played)
         self.stage.end()
         self.stage.tell(f"throw {played.number}: {played.object_name} **{played.outcome}**")
+        self._keep(played)
 
     def _keep(self, played: PlayedThrow) -> None:
         """Count a throw, and put it on the list."""
         self._counts[played.order, played.is_success] += 1
+        self._tell_rates()
         self.throws[played.number] = played
         label = f"{played.number}  {played.object_name}: {played.outcome}"
         with self.list:
@@ -145,7 +153,6 @@ class PlayPage:
         if len(self._buttons) > NUM_KEPT:
             self._buttons.pop(0).remove()
             del self.throws[min(self.throws)]
-        self._tell_rates()
 
     def _tell_rates(self) -> None:
         """Show how often throws like those to come were caught."""

@@ -10,11 +10,12 @@ from jaxtyping import Float
 from mujoco import mjtGeom
 
 from pixel2catch.rendering.camera import Exposure, room_positions
-from pixel2catch.rendering.room import FLOOR_LEVEL, WALL_LEVEL, build_room
+from pixel2catch.rendering.room import FLOOR_LEVEL, WALL_LEVEL, Bystanders, build_room
 from pixel2catch.scene import shapes
 from pixel2catch.scene.objects import OBJECTS
-from pixel2catch.scene.scene import OBJECT_RGBA, SceneCfg
+from pixel2catch.scene.scene import OBJECT_RGBA, OBJECT_START, SceneCfg
 from pixel2catch.scene.shapes import ConvexPart
+from pixel2catch.workcells import find_workcell
 
 MAKERS: dict[int, Callable[[float, float, float], ConvexPart]] = {
     mjtGeom.mjGEOM_BOX.value: lambda x, y, z: shapes.box(2 * x, 2 * y, 2 * z),
@@ -60,6 +61,9 @@ class SceneView:
                 self._add_part(
                     f"{ROOT}/object/{name}/{i}", part, OBJECT_RGBA[:3], is_smooth=name.startswith("ball")
                 )
+        home = [joint.home for joint in find_workcell(scene.workcell).joints]
+        waiting = Bystanders(release_pos=np.array(OBJECT_START), phase=0.0).joint_pos(-1.0)
+        self._place(np.concatenate((home, self._model.qpos0[len(home) : -len(waiting)], waiting)))
         camera = scene.camera
         self._nodes.add_camera_frustum(
             f"{ROOT}/camera",
@@ -79,11 +83,7 @@ class SceneView:
             mujoco.mj_differentiatePos(self._model, way, 1.0, start, now)
             mujoco.mj_integratePos(self._model, start, way, share)
             now = start
-        self._data.qpos[:] = now
-        mujoco.mj_kinematics(self._model, self._data)
-        for name, frame in self.bodies.items():
-            body = self._data.body(name)
-            _move(frame, body.xpos, body.xquat)
+        self._place(now)
         self.thrown.visible = exposure.object_name is not None
         if exposure.object_name is not None:
             body = self._data.body("object")
@@ -105,6 +105,14 @@ class SceneView:
         """Draw where the object should fly, as dashes; nothing where it has fewer than two points."""
         dashes = np.stack([path[:-1], 0.4 * path[:-1] + 0.6 * path[1:]], axis=1)
         self._nodes.add_line_segments(f"{ROOT}/path", points=dashes, colors=PATH_COLOR, thickness=0.012)
+
+    def _place(self, qpos: np.ndarray) -> None:
+        """Move all bodies but the object."""
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        for name, frame in self.bodies.items():
+            body = self._data.body(name)
+            _move(frame, body.xpos, body.xquat)
 
     def _positions(self, exposure: Exposure) -> np.ndarray:
         return room_positions(self._model, exposure.moment, 0.0, exposure.thrower)

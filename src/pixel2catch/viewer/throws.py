@@ -81,6 +81,7 @@ class Thrower:
         self._env: CatchEnv | None = None
         self._order: ThrowOrder | None = None
         self.num_throws = 0  #: Throws so far.
+        self.num_renewed = 0  #: How often a policy was read that a training had changed.
 
     def task(self, policy: str) -> CatchEnvCfg:
         """The undisturbed task of a policy."""
@@ -116,6 +117,7 @@ class Thrower:
         file = policy_folder(Path(policy)) / "policy.safetensors"
         written = file.stat().st_mtime if file.exists() else 0.0
         if self._written.get(policy) != written:
+            self.num_renewed += policy in self._written
             self._policies[policy] = load_policy(Path(policy))
             self._written[policy] = written
         return self._policies[policy]
