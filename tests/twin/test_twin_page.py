@@ -66,7 +66,10 @@ def test_the_page_is_there_for_this_machine(shown: Shown):
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", None])
 def test_another_page_cannot_press_a_button(shown: Shown, origin: str | None):
     address = shown.page.address.replace("http://", "ws://")
-    with pytest.raises(InvalidStatus, match="403"), connect(address, origin=origin and Origin(origin)):
+    with (
+        pytest.raises(InvalidStatus, match="403"),
+        connect(address, origin=Origin(origin) if origin else None),
+    ):
         pass
     request = urllib.request.Request(shown.page.address, headers={"Host": "evil.example"})
     with pytest.raises(urllib.error.HTTPError, match="403") as refused:
