@@ -100,9 +100,9 @@ def test_a_throw_is_shown_counted_kept_and_shown_again(visited: Visited):
     caught = page.throws[1].frames[-1]
     palm = np.array(page.stage.view.bodies["palm"].position)
     assert np.linalg.norm(palm - caught.object_pos) < 0.2
-    page.sliders[0].value = (5.0, 5.0)
+    page.sliders[0].value = (5.0, 3.0)
     page.release.position, page.is_release_set.value = (2.2, 0.5, 1.1), True
-    assert page.order.settings[0] == (5.0, 5.0)
+    assert page.order.settings[0] == (3.0, 5.0)
     assert page.order.release_pos == (2.2, 0.5, 1.1)
     page.stage.set_scene(SceneCfg(workcell="fr3_allegro"))
     assert "fr3_link7" in page.stage.view.bodies

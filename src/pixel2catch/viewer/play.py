@@ -231,4 +231,5 @@ def rates_text(caught: int, throws: int) -> str:
 
 
 def _setting(value: Any) -> Setting:
-    return (float(value[0]), float(value[1])) if isinstance(value, tuple) else float(value)
+    """A slider's value; the handles of a range may have passed each other."""
+    return (float(min(value)), float(max(value))) if isinstance(value, tuple) else float(value)
