@@ -1,4 +1,4 @@
-"""`pixel2catch play`: a video of throws."""
+"""`pixel2catch play`: a film of throws."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +9,12 @@ from tyro.conf import Positional
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
-    """Write a video of throws: the robot's camera with the policy's box, and a view from outside."""
+    """Write a film of throws: robot and thrower, the catch in slow motion, the robot's camera in a corner."""
 
     #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
-    out: Path = Path("play.mp4")  #: The video file.
+    #: The film, as .mp4, .webp or .gif; as .png it is a strip of stills of every throw.
+    out: Path = Path("play.mp4")
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     throws: int = 4  #: Number of throws.
@@ -24,18 +25,25 @@ class Play:
     #: Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
     #: exactly.
     camera: Path | None = None
-    view: Literal["rgb", "outside", "both"] = "both"  #: What the pictures show.
+    #: From outside, with the robot's own view and the policy's box in a corner (both), or one of the two.
+    view: Literal["both", "outside", "rgb"] = "both"
+    layout: Literal["grid", "sequence"] = "grid"  #: Whether throws are shown side by side or one by one.
 
     def run(self) -> None:
         """Throw, draw and write."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
+        from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+        from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.rendering.video import write_video
+        from pixel2catch.rendering.video import require_picture_file
         from pixel2catch.scene.objects import select_objects
 
+        require_picture_file(self.out)
+        if self.throws < 1:
+            raise InvalidValueError(f"--throws is {self.throws}; it must be at least 1.")
         prepare("cpu")
         find_gl_backend()
         policy, method = load_policy(self.policy)
@@ -46,6 +54,12 @@ class Play:
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )
         throws = recorded_throws(cfg, policy, method)
-        say(f"drawing {self.throws} throws ...")
-        num_pictures = write_video(self.out, throws, task.scene, self.view)
+        num_pictures = write_throws(
+            self.out,
+            throws,
+            task.scene,
+            self.view,
+            is_grid=self.layout == "grid",
+            on_throw=lambda number: say(f"drawing throw {number + 1} of {self.throws} ..."),
+        )
         print(f"wrote {self.out}: {num_pictures} pictures")
