@@ -50,7 +50,9 @@ LAST_PICTURES = 20  #: How often the last picture of a film is shown.
 class FilmRenderer(AbstractContextManager["FilmRenderer"]):
     """Draws throws in one room; close it, or use it as a context manager."""
 
-    def __init__(self, scene: SceneCfg, views: Views = "both", width: int = WIDTHS[1]) -> None:
+    def __init__(
+        self, scene: SceneCfg, views: Views = "both", width: int = WIDTHS[1], meshes: Path | None = None
+    ) -> None:
         """Furnish the room; a picture is so many pixels wide.
 
         Raises:
@@ -58,7 +60,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         """
         self._views, self._width, self._height = views, width, width * 9 // 16 // 2 * 2
         self._workcell, self._objects = find_workcell(scene.workcell), object_table(scene)
-        self._room = build_film_room(scene, self._objects.names[0])
+        self._room = build_film_room(scene, self._objects.names[0], meshes)
         self._geoms = object_indices(self._room).geoms
         self._room.geom_sameframe[self._geoms] = 0  # as in the scene, so that objects can be exchanged
         self._room.vis.quality.numslices, self._room.vis.quality.numstacks = ROUNDNESS

@@ -20,13 +20,20 @@ from jaxtyping import Bool, Float, UInt8
 from mujoco.rendering.classic import gl_context
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
+from pixel2catch.robots.geometry import COLLISION_GROUP
+from pixel2catch.robots.workcell import VISUAL_GROUP
 from pixel2catch.scene.constants import RGB_CAMERA
 
 GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first: EGL also draws on a GPU.
 
 OBJECT_BODY = "object"
 
-DRAWN_GROUPS = (0, 1, 2, 3)  #: Geom groups in a picture: table and floor, object, what is only seen, robot.
+DRAWN_GROUPS = (0, 1, 2, 3)
+"""Geom groups in a picture: table and floor, object, what is only seen, and what collides of the bodies of
+robots that have nothing of the former."""
+
+UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
+
 
 _PROBE = """
 import importlib, sys, mujoco
@@ -113,6 +120,9 @@ class Renderer(AbstractContextManager["Renderer"]):
         self.model.vis.quality.shadowsize = 1024
         self.model.vis.global_.offwidth = view.width
         self.model.vis.global_.offheight = view.height
+        seen = np.unique(self.model.geom_bodyid[self.model.geom_group == VISUAL_GROUP])
+        is_covered = np.isin(self.model.geom_bodyid, seen) & (self.model.geom_group == COLLISION_GROUP)
+        self.model.geom_group[is_covered] = UNDRAWN_GROUP
         self._data = mujoco.MjData(self.model)
         self._view = view
         self._option = mujoco.MjvOption()

@@ -2,14 +2,17 @@
 
 from dataclasses import dataclass, replace
 from math import cos, exp, pi, sin
+from pathlib import Path
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
+from pixel2catch.rendering.meshes import add_meshes
 from pixel2catch.robots.workcell import VISUAL_GROUP
 from pixel2catch.scene.scene import SceneCfg, build_spec
+from pixel2catch.workcells import find_workcell
 
 WALL_X = 4.6  #: Where the wall behind the thrower is [m]; its foot is in the upper half of the image.
 TEXTURE_SIZE = 512  #: Side of a texture [px].
@@ -80,9 +83,14 @@ def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
     return spec.compile()
 
 
-def build_film_room(scene: SceneCfg, object_name: str) -> mujoco.MjModel:
-    """Compile the scene in a bright, plain room with soft shadows; `qpos` is as of `build_room`."""
+def build_film_room(scene: SceneCfg, object_name: str, meshes: Path | None = None) -> mujoco.MjModel:
+    """Compile the scene in a bright, plain room with soft shadows; `qpos` is as of `build_room`.
+
+    The robots look like the meshes of a checkout of the MuJoCo Menagerie, if its folder is given.
+    """
     spec = build_spec(replace(scene, visuals=True), object_name)
+    if meshes:
+        add_meshes(spec, find_workcell(scene.workcell), meshes)
     spec.texture("floor").rgb1, spec.texture("floor").rgb2 = FILM_FLOOR
     for pos, normal in FILM_WALLS:
         size, plane = (8, 8, 1), mujoco.mjtGeom.mjGEOM_PLANE
