@@ -23,12 +23,13 @@ class Catch:
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.evaluation.report import quality_table, results_table
+        from pixel2catch.files import require_file
         from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.rendering.video import require_picture_file
+        from pixel2catch.rendering.video import FORMATS
         from pixel2catch.scene.objects import OBJECT_GROUPS
 
-        require_picture_file(self.video)
+        require_file(self.video, FORMATS)
         prepare("cpu")
         policy, method = load_policy(None)
         rounds = max(1, round(self.throws / 500))

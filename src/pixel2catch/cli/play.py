@@ -36,12 +36,13 @@ class Play:
         from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+        from pixel2catch.files import require_file
         from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.rendering.video import require_picture_file
+        from pixel2catch.rendering.video import FORMATS
         from pixel2catch.scene.objects import select_objects
 
-        require_picture_file(self.out)
+        require_file(self.out, FORMATS)
         if self.throws < 1:
             raise InvalidValueError(f"--throws is {self.throws}; it must be at least 1.")
         prepare("cpu")

@@ -15,6 +15,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from PIL import Image
 
+from pixel2catch.files import require_file
 from pixel2catch.rendering.camera import OBJECT_POS
 from pixel2catch.rendering.caption import add_caption, add_inset
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
@@ -27,7 +28,7 @@ from pixel2catch.rendering.storyboard import (
     positions_between,
     storyboard,
 )
-from pixel2catch.rendering.video import draw_box, require_picture_file, write_film
+from pixel2catch.rendering.video import FORMATS, draw_box, write_film
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
 from pixel2catch.workcells import find_workcell
@@ -173,7 +174,7 @@ def write_throws(
         InvalidValueError: If the file cannot be written; nothing was drawn then.
         DeviceUnavailableError: If nothing can be drawn on this machine; the message says what to install.
     """
-    require_picture_file(path)
+    require_file(path, FORMATS)
     if path.suffix.lower() == ".png":
         Image.fromarray(np.concatenate(strips(throws, scene, views))).save(path)
         return STILLS * len(throws)

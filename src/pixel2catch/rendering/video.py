@@ -1,6 +1,5 @@
 """Files of pictures: videos and animations; and the box of the policy in a picture."""
 
-import os
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from fractions import Fraction
@@ -14,6 +13,7 @@ from numpy import ndarray
 from PIL import Image
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import require_file
 
 WEBP_QUALITY, WEBP_EFFORT = 60, 4  #: Of 100 and of 6.
 BOX_COLOR = (80, 255, 80)
@@ -24,28 +24,13 @@ FORMATS = (".mp4", ".webp", ".gif", ".png")
 """Endings of the files of a film; a PNG has stills."""
 
 
-def require_picture_file(path: Path) -> None:
-    """Refuse a file that no film can be written to, before anything is drawn.
-
-    Raises:
-        InvalidValueError: If the ending names no format, or the folder is not there or not writable.
-    """
-    if path.suffix.lower() not in FORMATS:
-        raise InvalidValueError(f"cannot write '{path}': its name must end in one of {', '.join(FORMATS)}.")
-    _require_folder(path)
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise InvalidValueError(
-            f"cannot write '{path}': it is a folder or write-protected; name another file."
-        )
-
-
 def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]], fps: int) -> int:
     """Write pictures as a video or an animation that repeats, by the file's ending, and return their number.
 
     Raises:
-        InvalidValueError: As `require_picture_file`.
+        InvalidValueError: As `require_file`.
     """
-    require_picture_file(path)
+    require_file(path, FORMATS)
     num_pictures = 0
     if path.suffix.lower() == ".mp4":
         with VideoWriter(path, fps=fps) as video:
@@ -83,7 +68,8 @@ class VideoWriter(AbstractContextManager["VideoWriter"]):
         Raises:
             InvalidValueError: If the folder does not exist, or the ending names no format.
         """
-        _require_folder(path)
+        if not path.parent.is_dir():
+            raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
         try:
             self._container = av.open(str(path), "w")
         except ValueError as error:
@@ -116,8 +102,3 @@ class VideoWriter(AbstractContextManager["VideoWriter"]):
     def __exit__(self, *exception: object) -> None:
         """Close the file."""
         self.close()
-
-
-def _require_folder(path: Path) -> None:
-    if not path.parent.is_dir():
-        raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
