@@ -138,9 +138,7 @@ def require_file(path: Path, endings: Sequence[str]) -> None:
     if not path.parent.is_dir():
         raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
     if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise InvalidValueError(
-            f"cannot write '{path}': it is a folder or may not be written."
-        )
+        raise InvalidValueError(f"cannot write '{path}': it is a folder or may not be written.")
 
 
 def require_free_file(path: Path) -> None:

@@ -16,6 +16,11 @@ class Catch:
 
     def run(self) -> None:
         """Evaluate, print the results beside the paper's, and write the film."""
+        from pixel2catch.files import require_file
+        from pixel2catch.rendering.video import FORMATS
+
+        require_file(self.video, FORMATS)
+
         from pixel2catch.cli.console import results_console, round_reporter, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.errors import DeviceUnavailableError
@@ -23,13 +28,10 @@ class Catch:
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.evaluation.report import quality_table, results_table
-        from pixel2catch.files import require_file
         from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.rendering.video import FORMATS
         from pixel2catch.scene.objects import OBJECT_GROUPS
 
-        require_file(self.video, FORMATS)
         prepare("cpu")
         policy, method = load_policy(None)
         rounds = max(1, round(self.throws / 500))

@@ -27,24 +27,31 @@ class Play:
     camera: Path | None = None
     #: From outside, with the robot's own view and the policy's box in a corner (both), or one of the two.
     view: Literal["both", "outside", "rgb"] = "both"
+    #: Folder of a checkout of the MuJoCo Menagerie: the robots look like its meshes. robot_descriptions keeps
+    #: one in ~/.cache/robot_descriptions/mujoco_menagerie. Default: shapes of our own.
+    meshes: Path | None = None
     layout: Literal["grid", "sequence"] = "grid"  #: Whether throws are shown side by side or one by one.
 
     def run(self) -> None:
         """Throw, draw and write."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.cli.device import prepare
         from pixel2catch.errors import InvalidValueError
-        from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
-        from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.files import require_file
-        from pixel2catch.rendering.film import write_throws
-        from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.rendering.video import FORMATS
-        from pixel2catch.scene.objects import select_objects
 
         require_file(self.out, FORMATS)
         if self.throws < 1:
             raise InvalidValueError(f"--throws is {self.throws}; it must be at least 1.")
+
+        from pixel2catch.cli.console import say
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
+        from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+        from pixel2catch.rendering.film import write_throws
+        from pixel2catch.rendering.meshes import require_meshes
+        from pixel2catch.rendering.renderer import find_gl_backend
+        from pixel2catch.scene.objects import select_objects
+        from pixel2catch.workcells import find_workcell
+
         prepare("cpu")
         find_gl_backend()
         policy, method = load_policy(self.policy)
@@ -54,6 +61,8 @@ class Play:
         cfg = EvaluationCfg(
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )
+        if self.meshes:
+            require_meshes(find_workcell(task.scene.workcell), self.meshes)
         throws = recorded_throws(cfg, policy, method)
         num_pictures = write_throws(
             self.out,
@@ -61,6 +70,7 @@ class Play:
             task.scene,
             self.view,
             is_grid=self.layout == "grid",
+            meshes=self.meshes,
             on_throw=lambda number: say(f"drawing throw {number + 1} of {self.throws} ..."),
         )
         print(f"wrote {self.out}: {num_pictures} pictures")

@@ -50,8 +50,8 @@ RATES_NOTE = (
     "shaking. In brackets: 95 % Wilson intervals."
 )
 LANDING_NOTE = (
-    "Where each throw would come down through the middle of the catch heights if nothing stopped it, from "
-    "above; the robot stands at 0, and the thrower to the right. Box: where the paper's throws are aimed."
+    "Where each throw would come down through the middle of the catch heights if nothing stopped it. "
+    "Seen from above, the robot at 0 and the thrower at the top. Box: where the paper's throws are aimed."
 )
 NO_FILMS = "Nothing can be drawn on this machine; 'pixel2catch doctor' says what to install."
 STRIPS_NOTE = "The first throw of each kind: the flight, the catch in the middle, the end."
@@ -156,16 +156,16 @@ def landing_figure(throws: ThrowCollection) -> Figure:
     """Draw where throws come down, misses over catches."""
     paper = ThrowCfg()
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 5.2), layout="constrained")
+        figure = Figure(figsize=(9.0, 4.6), layout="constrained")
         axes = figure.subplots()
-        corner = (paper.aim_x[0], paper.aim_y[0])
-        size = (paper.aim_x[1] - paper.aim_x[0], paper.aim_y[1] - paper.aim_y[0])
+        corner = (paper.aim_y[0], paper.aim_x[0])
+        size = (paper.aim_y[1] - paper.aim_y[0], paper.aim_x[1] - paper.aim_x[0])
         axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="#8A8A8A", linestyle="--"))
         for outcome, text in OUTCOMES.items():
             if points := throws.landings.get(outcome):
                 is_caught = outcome == CAUGHT
                 axes.scatter(
-                    *np.array(points).T,
+                    *np.array(points).T[::-1],
                     s=14 if is_caught else 42,
                     marker="o" if is_caught else "X",
                     color=COLORS[outcome],
@@ -174,9 +174,10 @@ def landing_figure(throws: ThrowCollection) -> Figure:
                     linewidth=0.0,
                     label=f"{text} ({len(points):,})",
                 )
-        axes.set(xlabel="x [m], from the robot to the thrower", ylabel="y [m]", aspect="equal")
+        axes.set(xlabel="y [m]", ylabel="x [m], from the robot to the thrower", aspect="equal")
+        axes.invert_xaxis()
         axes.grid(visible=True)
-        figure.legend(loc="outside right upper")
+        figure.legend(loc="outside lower center", ncols=2)
         return figure
 
 
@@ -195,7 +196,8 @@ def _objects_figure(result: Metrics) -> Figure:
 
 
 def _kind(outcome: str, throws: ThrowCollection) -> str:
-    return f"{OUTCOMES[outcome]}: {len(throws.landings[outcome]):,} throws"
+    number = len(throws.landings[outcome])
+    return f"{OUTCOMES[outcome]}: {number:,} throw{'' if number == 1 else 's'}"
 
 
 def _table(rows: Sequence[Cells]) -> str:

@@ -6,7 +6,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 from PIL import Image, ImageDraw, ImageFont
 
-from pixel2catch.rendering.storyboard import CAUGHT, LOST, OUTCOMES, SLOW, RecordedThrow
+from pixel2catch.rendering.storyboard import CAUGHT, OUTCOMES, SLOW, RecordedThrow
 
 INSET_SHARE = 0.27  #: Width of the robot's own view, of the picture's.
 TEXT_SHARE = 0.048  #: Height of letters, of the picture's.
@@ -28,13 +28,13 @@ def add_inset(image: Image.Image, other: UInt8[ndarray, "height width 3"]) -> No
     image.paste(inset, (x, y))
 
 
-def add_caption(image: Image.Image, throw: RecordedThrow, step: float, *, is_slow: bool) -> None:
-    """Write the object, the slow motion while it lasts, and the outcome once it is decided."""
+def add_caption(image: Image.Image, throw: RecordedThrow, *, is_slow: bool, is_over: bool) -> None:
+    """Write the object, the slow motion while it lasts, and the outcome once it is over."""
     gap = _gap(image)
     _write(image, title(throw.object_name), (gap, gap), "la", GROUND)
     if is_slow:
         _write(image, f"{SLOW} times slower", (image.width - gap, gap), "ra", GROUND)
-    if step >= (len(throw.qpos) if throw.outcome == LOST else throw.num_untested) - 1:
+    if is_over:
         ground = GOOD if throw.outcome == CAUGHT else BAD
         _write(image, OUTCOMES[throw.outcome], (gap, image.height - gap), "ld", ground)
 

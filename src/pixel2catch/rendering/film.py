@@ -54,7 +54,13 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
     def __init__(
         self, scene: SceneCfg, views: Views = "both", width: int = WIDTHS[1], meshes: Path | None = None
     ) -> None:
-        """Furnish the room; a picture is so many pixels wide.
+        """Furnish the room.
+
+        Args:
+            scene: What was simulated.
+            views: What is shown.
+            width: Of a picture [px].
+            meshes: Folder of a checkout of the MuJoCo Menagerie, whose meshes the robots shall look like.
 
         Raises:
             DeviceUnavailableError: If no OpenGL back end works.
@@ -114,7 +120,8 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
             image = Image.fromarray(drawn).resize((self._width, self._height), Image.Resampling.LANCZOS)
             if self._views == "both":
                 add_inset(image, self._robots_view(throw, step))
-        add_caption(image, throw, step, is_slow=bool(board.is_slow[i]))
+        is_over = step >= board.decision or i == len(board.steps) - 1
+        add_caption(image, throw, is_slow=bool(board.is_slow[i]), is_over=is_over)
         return np.asarray(image)
 
     def _view(self, board: Storyboard, i: int) -> View:
@@ -152,10 +159,10 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
 
 
 def strips(
-    throws: Sequence[RecordedThrow], scene: SceneCfg, views: Views = "both", width: int = WIDTHS[-1]
+    throws: Sequence[RecordedThrow], scene: SceneCfg, views: Views = "both", meshes: Path | None = None
 ) -> list[Picture]:
     """Stills of every throw, side by side in a strip."""
-    with FilmRenderer(scene, views, width) as renderer:
+    with FilmRenderer(scene, views, WIDTHS[-1], meshes) as renderer:
         return [renderer.strip(throw) for throw in throws]
 
 
@@ -166,6 +173,7 @@ def write_throws(
     views: Views = "both",
     *,
     is_grid: bool = True,
+    meshes: Path | None = None,
     on_throw: Callable[[int], None] = lambda _: None,
 ) -> int:
     """Write a film of throws, or stills of them if the file is a PNG, and return the number of pictures.
@@ -176,9 +184,11 @@ def write_throws(
     """
     require_file(path, FORMATS)
     if path.suffix.lower() == ".png":
-        Image.fromarray(np.concatenate(strips(throws, scene, views))).save(path)
+        Image.fromarray(np.concatenate(strips(throws, scene, views, meshes))).save(path)
         return STILLS * len(throws)
-    return write_film(path, film_pictures(throws, scene, views, is_grid=is_grid, on_throw=on_throw), FPS)
+    return write_film(
+        path, film_pictures(throws, scene, views, is_grid=is_grid, meshes=meshes, on_throw=on_throw), FPS
+    )
 
 
 def film_pictures(
@@ -187,6 +197,7 @@ def film_pictures(
     views: Views = "both",
     *,
     is_grid: bool = True,
+    meshes: Path | None = None,
     on_throw: Callable[[int], None] = lambda _: None,
 ) -> Iterator[Picture]:
     """The pictures of a film of several throws, side by side in a grid or one after the other.
@@ -195,7 +206,7 @@ def film_pictures(
     """
     columns = ceil(sqrt(len(throws))) if is_grid else 1
     width = WIDTHS[min(columns, len(WIDTHS)) - 1]
-    with FilmRenderer(scene, views, width) as renderer:
+    with FilmRenderer(scene, views, width, meshes) as renderer:
         films: list[list[Picture]] = []
         for number, throw in enumerate(throws):
             on_throw(number)
@@ -207,7 +218,7 @@ def film_pictures(
         yield tiled([film[min(i, len(film) - 1)] for film in films], columns)
 
 
-def tiled(pictures: Sequence[Picture], columns: int) -> Picture:
+def tiled(pictures: Sequence[Picture], columns: int) -> UInt8[ndarray, "all_rows all_columns 3"]:
     """Pictures of one size in rows of so many; what is left of the last row is black."""
     missing = -len(pictures) % columns
     cells = [*pictures, *[np.zeros_like(pictures[0])] * missing]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.chain import pose_matrix
-from pixel2catch.robots.spec import MeshSource, Quat, RobotSpec, Vec3
+from pixel2catch.robots.spec import MeshSource, RobotSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, WorkcellSpec, robot_mjcf
 
 Pose = Float[np.ndarray, "4 4"]
@@ -101,7 +101,7 @@ def _seen_meshes(path: Path) -> tuple[list[SeenMesh], Mapping[str, Pose]]:
                 body=geom.parent.name,
                 file=folder / spec.mesh(geom.meshname).file,
                 pose=pose_matrix(geom.pos, geom.quat),
-                rgba=tuple(spec.material(geom.material).rgba if geom.material else geom.rgba),
+                rgba=tuple((spec.material(geom.material) if geom.material else geom).rgba.tolist()),
             )
             for geom in spec.geoms
             if geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.group == VISUAL_GROUP
@@ -131,7 +131,7 @@ def _parts(workcell: WorkcellSpec) -> Iterator[tuple[str, RobotSpec]]:
             placed = placed.robot.tool
 
 
-def _pos_quat(pose: Pose) -> tuple[Vec3, Quat]:
+def _pos_quat(pose: Pose) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, pose[:3, :3].ravel())
-    return tuple(pose[:3, 3].tolist()), tuple(quat.tolist())
+    return pose[:3, 3], quat

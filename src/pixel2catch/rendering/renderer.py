@@ -124,7 +124,7 @@ class Renderer(AbstractContextManager["Renderer"]):
         is_covered = np.isin(self.model.geom_bodyid, seen) & (self.model.geom_group == COLLISION_GROUP)
         self.model.geom_group[is_covered] = UNDRAWN_GROUP
         self._data = mujoco.MjData(self.model)
-        self._view = view
+        self._camera = _camera(self.model, view)
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = [group in DRAWN_GROUPS for group in range(mujoco.mjNGROUP)]
         self._option.sitegroup[:] = 0
@@ -169,7 +169,8 @@ class Renderer(AbstractContextManager["Renderer"]):
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_comPos(self.model, self._data)
         mujoco.mj_camlight(self.model, self._data)
-        self._renderer.update_scene(self._data, _camera(self.model, view or self._view), self._option)
+        camera = _camera(self.model, view) if view else self._camera
+        self._renderer.update_scene(self._data, camera, self._option)
         if path is not None:
             _add_path(self._renderer.scene, path)
         return self._renderer.render()

@@ -109,7 +109,7 @@ def _add_soft_light(spec: mujoco.MjSpec) -> None:
     for light in tuple(spec.lights):
         spec.delete(light)
     headlight = spec.visual.headlight
-    headlight.ambient, headlight.diffuse, headlight.specular = (0.45,) * 3, (0.15,) * 3, (0.0,) * 3
+    headlight.ambient, headlight.diffuse, headlight.specular = (0.5,) * 3, (0.18,) * 3, (0.0,) * 3
     spec.visual.map.shadowclip = 1.6
     spec.stat.center = (0.9, 0.0, 1.0)
     for turn in np.arange(NUM_LAMPS) * 2.0 * pi / NUM_LAMPS:

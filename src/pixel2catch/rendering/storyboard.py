@@ -21,13 +21,13 @@ BEFORE_RELEASE, BEFORE_CATCH, AFTER_CATCH, AFTER_OUTCOME, LONGEST = 6, 5, 7, 12,
 """Control steps: shown before the release; slow before and after the catch; shown after the outcome; after
 the catch at most."""
 
-ZOOM_STEPS = 12  #: Control steps in which the view comes closer, before the catch.
+ZOOM_STEPS = 9  #: Control steps in which the view comes closer, before the catch.
 
 CAUGHT, LOST = "caught", "lost"
 OUTCOMES = {
     CAUGHT: "caught, and held when shaken",
     LOST: "caught, but lost in the test of the hold",
-    "never_reached": "missed: the hand never came near",
+    "never_reached": "missed: the palm never came near",
     "bounced_off": "missed: bounced off the hand",
     "dropped": "missed: touched, then dropped",
     "not_held": "missed: not held near the palm in time",
@@ -60,6 +60,7 @@ class Storyboard:
     steps: Float[ndarray, " num_pictures"]  #: Control step, with fractions.
     is_slow: Bool[ndarray, " num_pictures"]  #: Whether the picture is of the slow motion.
     closeness: Float[ndarray, " num_pictures"]  #: Of the view: 0 the whole room, 1 the hand.
+    decision: int  #: Control step in which the outcome is known.
     catch: int  #: Control step in which the catch begins, or the object is nearest to a palm.
     catch_pos: Float[ndarray, "3"]  #: Where the palm is then [m].
 
@@ -68,8 +69,9 @@ def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
     """Plan the film of a throw, from just before the release to its outcome."""
     catch, catch_pos = _catch(throw, workcell)
     last = len(throw.qpos) - 1
-    outcome = last if throw.outcome == LOST else throw.num_untested + AFTER_OUTCOME
-    begin, end = max(throw.release - BEFORE_RELEASE, 0), max(min(last, outcome, catch + LONGEST), catch)
+    decision = last if throw.outcome == LOST else throw.num_untested - 1
+    begin = max(throw.release - BEFORE_RELEASE, 0)
+    end = max(min(last, decision + AFTER_OUTCOME, catch + LONGEST), catch)
     slow_from, slow_to = max(catch - BEFORE_CATCH, begin), min(catch + AFTER_CATCH, end)
     pace = 1.0 / (FPS * CONTROL_DT)
     steps = np.concatenate(
@@ -85,6 +87,7 @@ def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
         steps=steps,
         is_slow=(steps >= slow_from) & (steps < slow_to),
         closeness=share * share * (3.0 - 2.0 * share),
+        decision=decision,
         catch=catch,
         catch_pos=catch_pos,
     )

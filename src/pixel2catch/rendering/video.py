@@ -39,8 +39,15 @@ def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]],
                 num_pictures += 1
         return num_pictures
     first, *others = (Image.fromarray(picture) for picture in pictures)
-    settings = {"duration": 1000 // fps, "loop": 0, "quality": WEBP_QUALITY, "method": WEBP_EFFORT}
-    first.save(path, save_all=True, append_images=others, **settings)
+    first.save(
+        path,
+        save_all=True,
+        append_images=others,
+        duration=1000 // fps,
+        loop=0,
+        quality=WEBP_QUALITY,
+        method=WEBP_EFFORT,
+    )
     return 1 + len(others)
 
 
