@@ -33,18 +33,20 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate and print."""
+        from pixel2catch.files import require_file, write_atomically
+
+        if self.html:
+            require_file(self.html, (".html",))
+
         from pixel2catch.cli.console import results_console, round_reporter, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, fingerprint, load_policy, sha256, task_of
         from pixel2catch.evaluation.metrics import assess
-        from pixel2catch.evaluation.page import ThrowCollection, write_page
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import objects_table, quality_table, results_table
-        from pixel2catch.files import require_file, write_atomically
+        from pixel2catch.evaluation.throw_collection import ThrowCollection
         from pixel2catch.scene.objects import select_objects
 
-        if self.html:
-            require_file(self.html, (".html",))
         prepare(self.device)
         policy, method = load_policy(self.policy, self.device)
         cfg = EvaluationCfg(
@@ -72,6 +74,8 @@ class Evaluate:
         if self.out:
             write_atomically({self.out: text.encode()})
         if self.html:
+            from pixel2catch.evaluation.page import write_page
+
             write_page(self.html, " ".join(self.objects), result, cfg, collection)
             say(f"wrote {self.html}")
         if self.json:

@@ -3,13 +3,12 @@
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
-from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy import ndarray
@@ -21,6 +20,7 @@ from pixel2catch.evaluation.comparison.figures import STYLE, objects_figure
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.report import Cells, objects_rows, percent, png, quality_rows, results_rows
+from pixel2catch.evaluation.throw_collection import ThrowCollection
 from pixel2catch.files import plain, write_atomically
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.offline_page import (
@@ -34,10 +34,8 @@ from pixel2catch.offline_page import (
     picture,
     table,
 )
-from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
 from pixel2catch.rendering.film import strips
-from pixel2catch.rendering.storyboard import CAUGHT, OUTCOMES, RecordedThrow
-from pixel2catch.scene.constants import GRAVITY
+from pixel2catch.rendering.storyboard import CAUGHT, OUTCOMES
 from pixel2catch.scene.objects import OBJECT_GROUPS
 from pixel2catch.scene.scene import SceneCfg
 
@@ -55,30 +53,6 @@ LANDING_NOTE = (
 )
 NO_FILMS = "Nothing can be drawn on this machine; 'pixel2catch doctor' says what to install."
 STRIPS_NOTE = "The first throw of each kind: the flight, the catch in the middle, the end."
-
-
-@dataclass(kw_only=True)
-class ThrowCollection:
-    """What the page shows of single throws; give its `add` to `assess`."""
-
-    landings: dict[str, list[Float[ndarray, "2"]]] = field(default_factory=dict)  #: By outcome [m].
-    examples: dict[str, RecordedThrow] = field(default_factory=dict)  #: The first throw of each outcome.
-
-    def add(self, throws: Sequence[RecordedThrow]) -> None:
-        """Take a round's throws."""
-        for throw in throws:
-            self.landings.setdefault(throw.outcome, []).append(landing(throw, sum(ThrowCfg().aim_z) / 2.0))
-            self.examples.setdefault(throw.outcome, throw)
-
-
-def landing(throw: RecordedThrow, height: float) -> Float[ndarray, "2"]:
-    """Where a throw would come down through a height, without air: x and y [m].
-
-    A throw that never gets there counts as coming down where it is highest.
-    """
-    pos, vel = throw.qpos[throw.release, OBJECT_POS], throw.qvel[throw.release, OBJECT_VEL]
-    root = max(vel[2] ** 2 + 2.0 * GRAVITY * (pos[2] - height), 0.0) ** 0.5
-    return pos[:2] + vel[:2] * (vel[2] + root) / GRAVITY
 
 
 def write_page(path: Path, name: str, result: Metrics, cfg: EvaluationCfg, throws: ThrowCollection) -> None:
