@@ -52,34 +52,18 @@ def test_the_command_writes_a_page_that_needs_nothing_else(
     assert "wrote" in capsys.readouterr().err
     text = path.read_text()
     assert not re.search(r"<script|<link|https?://|src=\"(?!data:)", text)
-    for part in (
-        "Of 6 throws, 0.0 [",
-        "cube_s",
-        "Where throws come down",
-        "never reached",
-        "--html",
-        "physics_hz",
-    ):
+    for part in ("Of 3 throws, ", "cube_s", "Where throws come down", "never reached", "physics_hz"):
         assert part in text
-    assert len(re.findall("data:image/png", text)) == 2
-    assert (
-        text.count("data:image/webp")
-        == len(re.findall(r"<figcaption>(?:missed|caught)[^<]*throws?<", text))
-        > 0
-    )
+    assert text.count("data:image/png") == 2
+    strips = re.findall(r"<figcaption>(?:missed|caught)[^<]*throws?</figcaption><img [^>]*image/webp", text)
+    assert text.count("data:image/webp") == len(strips) > 0
 
 
 @pytest.mark.parametrize("command", [("evaluate", "--html"), ("play", "--out"), ("catch", "--video")])
 def test_a_file_that_cannot_be_written_is_refused_at_once(
     command: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    for name, why in (
-        ("x.nonsense", "must end in"),
-        ("absent/x.html", "no folder"),
-        ("absent/x.gif", "no folder"),
-    ):
+    for name in ("x.nonsense", "absent/x.html", "absent/x.gif"):
         assert main([*command, str(tmp_path / name)]) == 2
-        message = capsys.readouterr().err
-        assert "cannot write" in message
-        assert why in message or "must end in" in message
+        assert re.search("cannot write.*(must end in|there is no folder)", capsys.readouterr().err)
     assert not list(tmp_path.iterdir())
