@@ -2,9 +2,6 @@ import hypothesis
 import pytest
 import torch
 
-from pixel2catch.errors import DeviceUnavailableError
-from pixel2catch.rendering.renderer import find_gl_backend
-
 # Shared machines are too uneven for a deadline per example; the same examples in every run.
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("repeatable")
@@ -22,6 +19,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def opengl() -> None:
     """Skip what draws where no OpenGL back end works."""
+    from pixel2catch.errors import DeviceUnavailableError
+    from pixel2catch.rendering.renderer import find_gl_backend
+
     try:
         find_gl_backend()
     except DeviceUnavailableError as error:

@@ -7,6 +7,7 @@ import torch
 from PIL import Image, ImageSequence
 
 from pixel2catch.camera.pinhole import project
+from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.methods import PROPOSED
@@ -165,8 +166,11 @@ def test_a_still_has_path_caption_and_the_robots_view(throws: list[RecordedThrow
         outside = renderer.strip(throws[0])
     assert strip.shape == others.shape == outside.shape == (180, 6 * 320, 3)
     last, plain = strip[:, -320:], outside[:, -320:]
-    differs = np.argwhere((last.astype(int) != plain).any(axis=-1))
-    assert differs.min(axis=0).tolist() == pytest.approx([180 - 6 - 64 - 2, 320 - 6 - 86 - 2], abs=2)
+    differs = np.abs(last.astype(int) - plain).max(axis=-1) > 20
+    inset = slice(108, 176), slice(226, 316)  # 86 x 64 px with a frame, 6 px from the corner
+    assert differs[inset].mean() > 0.3
+    differs[inset] = False
+    assert differs.mean() < 0.001
     red, green, blue = np.moveaxis(outside.astype(int), -1, 0)
     is_path = (red > 180) & (green > 110) & (blue < 90)
     counts = [is_path[:, i : i + 320].sum() for i in range(0, 6 * 320, 320)]
@@ -186,3 +190,13 @@ def test_a_grid_has_all_throws(throws: list[RecordedThrow], opengl: None, tmp_pa
     assert numbers == [0, 1]
     boards = [storyboard(throw, find_workcell("ur5e_allegro")) for throw in throws]
     assert count == max(len(board.steps) for board in boards) + LAST_PICTURES - 1
+
+
+@pytest.mark.slow
+def test_the_command_draws_one_throw_after_the_other(opengl: None, tmp_path: Path):
+    Policy(contract_of(PROPOSED), hidden=(16,)).save(tmp_path / "policy")
+    path, options = tmp_path / "film.webp", ["--throws", "2", "--view", "rgb", "--layout", "sequence"]
+    assert main(["play", str(tmp_path / "policy"), "--out", str(path), *options]) == 0
+    with Image.open(path) as film:
+        assert film.size == (800, 600)
+        assert len(ImageSequence.all_frames(film)) > 50  # a picture that does not change is shown for longer

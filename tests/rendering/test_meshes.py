@@ -5,8 +5,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 
+from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.methods import PROPOSED
+from pixel2catch.policy import Policy, contract_of
 from pixel2catch.rendering.meshes import require_meshes
 from pixel2catch.rendering.room import build_film_room
 from pixel2catch.robots.workcell import VISUAL_GROUP
@@ -87,3 +91,14 @@ def test_a_model_that_cannot_be_read(menagerie: Path):
     (menagerie / "universal_robots_ur5e" / "ur5e.xml").write_text("<mujoco>")
     with pytest.raises(InvalidValueError, match="cannot read the meshes of"):
         build_film_room(SceneCfg(), "cube_s", menagerie)
+
+
+def test_the_command_draws_stills_with_meshes(menagerie: Path, opengl: None):
+    Policy(contract_of(PROPOSED), hidden=(16,)).save(menagerie / "policy")
+    path, options = (
+        menagerie / "stills.png",
+        ["--throws", "1", "--view", "outside", "--meshes", str(menagerie)],
+    )
+    assert main(["play", str(menagerie / "policy"), "--out", str(path), *options]) == 0
+    with Image.open(path) as image:
+        assert image.size == (6 * 320, 180)
