@@ -25,3 +25,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("gpu"):
             item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
+
+
+@pytest.fixture
+def opengl() -> None:
+    """Skip what draws where no OpenGL back end works."""
+    from pixel2catch.errors import DeviceUnavailableError
+    from pixel2catch.rendering.renderer import find_gl_backend
+
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))

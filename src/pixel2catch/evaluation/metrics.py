@@ -16,6 +16,7 @@ from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
 from pixel2catch.methods import Method
+from pixel2catch.rendering.storyboard import RecordedThrow
 from pixel2catch.scene.objects import OBJECTS
 
 Metrics = dict[str, Any]
@@ -34,11 +35,15 @@ def pooled_counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
 
 
 def assess(
-    actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
+    actor: Actor,
+    method: Method,
+    cfg: EvaluationCfg,
+    on_round: Callable[[Trials], None] = lambda _: None,
+    on_throws: Callable[[list[RecordedThrow]], None] | None = None,
 ) -> Metrics:
     """Evaluate a policy and return its metrics, with how they were obtained; arguments as of `evaluate`."""
     started = time.perf_counter()
-    trials = evaluate(actor, method, cfg, on_round)
+    trials = evaluate(actor, method, cfg, on_round, on_throws)
     return {
         "method": method.name,
         "objects_thrown": list(cfg.objects),
