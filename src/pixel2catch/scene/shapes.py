@@ -42,10 +42,16 @@ class ConvexPart:
 def moments(part: ConvexPart) -> Float[ndarray, "4 4"]:
     """Integral of (1, x) (1, x)ᵀ over a solid of density 1 [m³, m⁴, m⁵].
 
-    It adds up over disjoint solids and subtracts over overlaps; taken over the tetrahedra between the origin
-    and each face.
+    It adds up over disjoint solids and subtracts over overlaps.
     """
-    faces = part.faces
+    return moments_inside(part.faces)
+
+
+def moments_inside(faces: Float[ndarray, "num_faces 3 3"]) -> Float[ndarray, "4 4"]:
+    """The same for the solid inside a closed surface of triangles, counter-clockwise seen from outside [m].
+
+    Taken over the tetrahedra between the origin and each face.
+    """
     volumes = np.linalg.det(faces) / 6.0
     sums = faces.sum(axis=1)
     second = np.einsum("f,fi,fj->ij", volumes, sums, sums) + np.einsum("f,fki,fkj->ij", volumes, faces, faces)
