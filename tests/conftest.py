@@ -2,6 +2,9 @@ import hypothesis
 import pytest
 import torch
 
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.rendering.renderer import find_gl_backend
+
 # Shared machines are too uneven for a deadline per example; the same examples in every run.
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("repeatable")
@@ -14,3 +17,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("gpu"):
             item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
+
+
+@pytest.fixture
+def opengl() -> None:
+    """Skip what draws where no OpenGL back end works."""
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))

@@ -1,6 +1,7 @@
 """The methods that are compared, as values of one type. No code asks for a method by name."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from jaxtyping import Float
@@ -40,6 +41,22 @@ class Method:
     def knows_age(self) -> bool:
         """Whether its agents know how old the boxes are that they see."""
         return any(agent.memory for agent in self.agents)
+
+    def with_weights(self, weights: Mapping[str, float]) -> "Method":
+        """The method with other weights of reward terms, by names such as `arm.success`; 0 for none.
+
+        Raises:
+            UnknownNameError: If no agent has such a term.
+        """
+        names = {
+            f"{part.name}.{term.name}"
+            for agent in self.agents
+            for part in agent.parts
+            for term in part.reward
+        }
+        for name in set(weights) - names:
+            raise UnknownNameError("reward term", name, sorted(names))
+        return replace(self, agents=tuple(agent.with_weights(weights) for agent in self.agents))
 
     def observe(self, history: History) -> dict[str, Float[Tensor, "num_envs _"]]:
         """What each agent sees, by name."""

@@ -1,8 +1,8 @@
 """Python files of one's own: what they define at their top level joins the package's catalogues.
 
-`pixel2catch --import FILE.py COMMAND ...` names a file; `FILE.py:NAME`, wherever a command takes a name, names
-a file and what is meant in it. A value of a catalogue's type (a method, an object, a work cell, a disturbance)
-is known by its `name` from then on, also to the processes that a command starts.
+`pixel2catch --import FILE.py COMMAND ...` names a file; `FILE.py:NAME`, wherever a command takes a name, does
+so, too, and says what is meant in it. A value of a catalogue's type (a method, an object, a work cell, an
+axis of disturbances) is known by its `name` from then on, also to the processes that a command starts.
 """
 
 import importlib.util
@@ -35,12 +35,18 @@ def take_option(args: Sequence[str]) -> list[str]:
         name, _, value = argument.partition("=")
         if name == OPTION:
             announce(value or next(remaining, ""))
-        elif found := _NAME_IN_FILE.fullmatch(argument):
-            announce(found["file"])
-            rest.append((found["option"] or "") + found["name"])
         else:
-            rest.append(argument)
+            rest.append(named(argument))
     return rest
+
+
+def named(argument: str) -> str:
+    """The name in `FILE.py:NAME`, or in `--option=FILE.py:NAME`, whose file is announced; else as it is."""
+    found = _NAME_IN_FILE.fullmatch(argument)
+    if not found:
+        return argument
+    announce(found["file"])
+    return (found["option"] or "") + found["name"]
 
 
 def announce(file: str) -> None:
@@ -55,7 +61,7 @@ def import_files() -> None:
     """Import the files that `VARIABLE` names, each once.
 
     Raises:
-        InvalidValueError: If one cannot be imported by its name, or calls a value as the package does another.
+        InvalidValueError: If one cannot be imported by its name, or a name in it is taken.
     """
     for name in _announced():
         import_file(name)
@@ -65,7 +71,7 @@ def import_file(name: str) -> ModuleType:
     """Import a file, once; what it defines joins the catalogues.
 
     Raises:
-        InvalidValueError: If it cannot be imported by its name, or calls a value as the package does another.
+        InvalidValueError: If it cannot be imported by its name, or a name in it is taken.
     """
     path = Path(name).absolute()
     if str(path) in _MODULES:

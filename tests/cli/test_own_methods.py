@@ -17,14 +17,14 @@ from pixel2catch.policy import contract_of, method_of
 FILE = """
 from dataclasses import replace
 from pixel2catch.mdp.observations import PAPER_TERMS
-from pixel2catch.methods import METHODS, PROPOSED
+from pixel2catch.methods import PROPOSED
 
 def palm_height(frame):
     return frame.now.palm_pos[:, 0, 2:]
 
-METHODS["size_alone"] = replace(PROPOSED, name="size_alone", pixel_features=("w", "h"))
+size_alone = replace(PROPOSED, name="size_alone", pixel_features=("w", "h"))
 seeing = tuple(replace(agent, observation=(*PAPER_TERMS, palm_height)) for agent in PROPOSED.agents)
-METHODS["with_height"] = replace(PROPOSED, name="with_height", agents=seeing)
+with_height = replace(PROPOSED, name="with_height", agents=seeing)
 """
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
 TRAINING = (*SIZE, "--hidden", "8", "--device", "cpu")
@@ -58,8 +58,10 @@ def test_how_many_boxes_an_own_memory_holds_is_not_told():
 def test_the_option_is_taken_wherever_it_stands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(VARIABLE, "")
-    assert take_option(["--import", "a.py", "evaluate", "run", "--import=b.py"]) == ["evaluate", "run"]
-    assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / name) for name in ("a.py", "b.py"))
+    given = ["--import", "a.py", "evaluate", "run", "--import=b.py", "c.py:mine+fit", "--objects=./b.py:mug"]
+    assert take_option(given) == ["evaluate", "run", "mine+fit", "--objects=mug"]
+    assert take_option(["C:/a.py", "--workcell", "cell.py"]) == ["C:/a.py", "--workcell", "cell.py"]
+    assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / f"{name}.py") for name in ("a", "b", "c"))
 
 
 def pixel2catch(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
@@ -73,7 +75,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
     (folder / "my_methods.py").write_text(FILE)
     for name in ("size_alone", "with_height"):
-        done = pixel2catch(folder, "train", name, "--import", "my_methods.py", *TRAINING, "--out", name)
+        done = pixel2catch(folder, "train", f"my_methods.py:{name}", *TRAINING, "--out", name)
         assert done.returncode == 0, done.stderr
     return folder
 

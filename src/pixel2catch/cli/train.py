@@ -55,32 +55,13 @@ class Train:
 
     def run(self) -> None:
         """Train to the end."""
-        from pixel2catch.envs.catch_env import CatchEnv
-        from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.learning.train import train
+        from pixel2catch.api.training import run
         from pixel2catch.methods import find_method
-        from pixel2catch.policy import contract_of
         from pixel2catch.workcells import find_workcell
 
         cfg = self.with_task(self.resolve())
-        workcell = find_workcell(cfg.env.scene.workcell)
-        method = find_method(cfg.method, workcell)
-        contract = contract_of(method, workcell, cfg.env.sensing.camera.camera)
-        contract = dataclasses.replace(contract, task=cfg.task)
-        teacher = load_policy(cfg.teacher)[1] if cfg.teacher else None
-
-        def make_env(cfg: TrainCfg) -> CatchEnv:
-            scene = dataclasses.replace(cfg.env.scene, physics_hz=cfg.physics_hz[0])
-            return CatchEnv(
-                dataclasses.replace(cfg.env, scene=scene),
-                method,
-                num_envs=cfg.num_envs,
-                device=cfg.device,
-                seed=cfg.seed,
-                teacher=teacher,
-            )
-
-        train(cfg, make_env, contract, self._folder, resume=self.resume, agents=method.agents)
+        method = find_method(cfg.method, find_workcell(cfg.env.scene.workcell))
+        run(cfg, method, self._folder, resume=self.resume)
 
     @property
     def _folder(self) -> Path:
@@ -123,26 +104,9 @@ class Train:
             InvalidValueError: If a value is out of range, or a file cannot be read.
             UnknownNameError: If there is no such task, work cell or object.
         """
-        from pixel2catch.envs.tasks import find_task
-        from pixel2catch.scene.objects import select_objects
-        from pixel2catch.workcells import find_workcell
+        from pixel2catch.api.training import with_task
 
-        env = cfg.env or find_task(cfg.task)
-        if self.workcell:
-            env = env.with_workcell(find_workcell(self.workcell))
-        if cfg.env is None:
-            env = env.with_files(cfg.dynamics, cfg.camera)
-        scenes = [dataclasses.replace(env.scene, physics_hz=rate) for rate in cfg.physics_hz]
-        sensing = dataclasses.replace(env.sensing, latency_steps=cfg.latency_steps)
-        env = with_fields(dataclasses.replace(env, scene=scenes[0], sensing=sensing), self.env)
-        if env.scene.physics_hz != scenes[0].physics_hz:  # a field was given: one rate from begin to end
-            scenes = [env.scene]
-        return dataclasses.replace(
-            cfg,
-            env=dataclasses.replace(env, objects=select_objects(env.objects)),
-            physics_hz=tuple(scene.physics_hz for scene in scenes),
-            latency_steps=env.sensing.latency_steps,
-        )
+        return with_task(cfg, self.workcell, lambda env: with_fields(env, self.env))
 
 
 def with_fields(env: "CatchEnvCfg", options: FieldOptions) -> "CatchEnvCfg":

@@ -183,9 +183,9 @@ def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
 def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[ndarray, "num_points 3"]:
     """Points on the surface of an object, body frame [m].
 
-    The first points are all vertices, or those of the hull of all if all are too many: their projections bound
-    the outline exactly. The others are spread over the outer surface, equally per area. Points of one part
-    inside another are left out.
+    The first points are all vertices, or those of the hull of all if these are too many: their projections
+    bound the outline exactly. The others are spread over the outer surface, equally per area. Points of one
+    part inside another are left out.
 
     Raises:
         InvalidValueError: If the hull has more vertices than there are points.

@@ -251,10 +251,10 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
     thrown = thrown.scaled(cfg.object_scale)
     for other in OBJECTS.values():
         for i, part in enumerate(other.scaled(cfg.object_scale).parts):
-            if np.abs(part.vertices).max() > OBJECT_BOUND:
+            if (reach := np.abs(part.vertices).max()) > OBJECT_BOUND:
                 raise InvalidValueError(
-                    f"object '{other.name}' reaches {100 * np.abs(part.vertices).max():.3g} cm from its centre "
-                    f"of mass; {100 * OBJECT_BOUND:g} cm is the most: scale it down, for a mesh in mm by 0.001."
+                    f"object '{other.name}' reaches {100 * reach:.3g} cm from its centre of mass; "
+                    f"{100 * OBJECT_BOUND:g} cm is the most: scale it down, a mesh in mm by 0.001."
                 )
             spec.add_mesh(name=f"{other.name}_part_{i}", uservert=part.vertices.ravel())
     corners = 5e-4 * np.array(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)))

@@ -120,13 +120,18 @@ def capsule(radius: float, length: float) -> ConvexPart:
 
 def ellipsoid(x: float, y: float, z: float) -> ConvexPart:
     """An ellipsoid with these semi-axes [m]; its vertices follow a spiral of equal areas."""
-    k = np.arange(SPHERE_POINTS) + 0.5
-    height = 1 - 2 * k / SPHERE_POINTS
-    angle = pi * (1 + sqrt(5)) * k
-    ring = np.sqrt(1 - height**2)
-    points = np.column_stack((ring * np.cos(angle), ring * np.sin(angle), height))
+    points = spiral(SPHERE_POINTS)
     nearest_face = ConvexHull(points).equations[:, 3].max()
     return ConvexPart(vertices=points * 2 / (1 - nearest_face) * (x, y, z))
+
+
+def spiral(num_points: int) -> Float[ndarray, "num_points 3"]:
+    """Points on the unit sphere, each for an equal area."""
+    k = np.arange(num_points) + 0.5
+    height = 1 - 2 * k / num_points
+    angle = pi * (1 + sqrt(5)) * k
+    ring = np.sqrt(1 - height**2)
+    return np.column_stack((ring * np.cos(angle), ring * np.sin(angle), height))
 
 
 def sphere(radius: float) -> ConvexPart:
