@@ -6,6 +6,8 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
@@ -24,6 +26,8 @@ class Play:
     #: Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
     #: exactly.
     camera: Path | None = None
+    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: play --env.help.
+    env: FieldOptions = ()
     view: Literal["rgb", "outside", "both"] = "both"  #: What the pictures show.
 
     def run(self) -> None:
@@ -40,6 +44,7 @@ class Play:
         find_gl_backend()
         policy, method = load_policy(self.policy)
         task = task_of(policy, dynamics=self.dynamics, camera=self.camera)
+        task = EvaluatedTask(options=self.env, command="play")(task)
         for remark in camera_remark(policy, task):
             say(remark)
         cfg = EvaluationCfg(

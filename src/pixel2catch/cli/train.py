@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from pixel2catch.cli.fields import FieldOptions, with_fields
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
 
 if TYPE_CHECKING:
-    from pixel2catch.envs.cfg import CatchEnvCfg
-
     TrainOptions = TrainCfg
 else:
     # The fields of the configuration, each None unless it is given: then the preset or the run decides.
@@ -29,17 +28,14 @@ else:
         kw_only=True,
     )
 
-FieldOptions = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
-"""Names of fields of the task, each with its values, such as `("throws.peak-z", "1.5", "1.9")`."""
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Train:
     """Train a policy. What is not given comes from the preset, or from the run that goes on."""
 
     #: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
-    #: shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes or +fit.
-    #: Default: proposed.
+    #: shared_reward, journal, catch, catch_alone, catch_teacher, or FILE.py:NAME, a method of your own; with
+    #: a memory METHOD+age, +boxes, +boxes5 (any number) or +fit. Default: proposed.
     method: Positional[str | None] = None
     #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
     #: WORKCELLS; other commands know those of a file by `--import FILE.py`. Default: ur5e_allegro.
@@ -50,7 +46,7 @@ class Train:
     #: Go on from the last checkpoint in that folder, with its configuration and what is given here.
     resume: bool = False
     #: Any field of the task, also as --env.sensing.latency-steps 1 3. All fields: train --env.help.
-    env: Annotated[FieldOptions, tyro.conf.arg(metavar="FIELD VALUE ...")] = ()
+    env: FieldOptions = ()
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrainOptions)
 
     def run(self) -> None:
@@ -107,20 +103,3 @@ class Train:
         from pixel2catch.api.training import with_task
 
         return with_task(cfg, self.workcell, lambda env: with_fields(env, self.env))
-
-
-def with_fields(env: "CatchEnvCfg", options: FieldOptions) -> "CatchEnvCfg":
-    """Return a task with other values of some fields; tyro prints help and mistakes, and exits."""
-    if not options:
-        return env
-    task = dataclasses.make_dataclass("Task", [("env", type(env))])
-    names = {"help": "--help"}
-    found = tyro.cli(
-        task,
-        args=[arg for name, *values in options for arg in (names.get(name, f"--env.{name}"), *values)],
-        default=task(dataclasses.replace(env, dynamics=None)),
-        prog="pixel2catch train",
-        description="Fields of the task and their values, without what is given by other options.",
-        config=(tyro.conf.AvoidSubcommands, tyro.conf.FlagConversionOff),
-    )
-    return dataclasses.replace(found.env, dynamics=env.dynamics)
