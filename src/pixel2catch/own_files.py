@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -22,7 +23,7 @@ VARIABLE = "PIXEL2CATCH_IMPORT"
 
 _NAME_IN_FILE = re.compile(r"(?P<option>--[\w.-]+=)?(?P<file>.+\.py):(?P<name>[^:/\\]+)")
 _MODULES: dict[str, ModuleType] = {}  # what was imported, by path
-_CATALOGUES: list[tuple[type, dict[str, Any]]] = []
+_CATALOGUES: list["_Catalogue"] = []
 
 Value = TypeVar("Value")
 
@@ -87,35 +88,57 @@ def import_file(name: str) -> ModuleType:
     except BaseException:
         del sys.modules[path.stem]
         raise
-    for kind, values in _CATALOGUES:
-        _join(module, kind, values)
+    for each in _CATALOGUES:
+        each.join(module)
     _MODULES[str(path)] = module
     return module
 
 
 def catalogue(kind: type[Value], values: dict[str, Value]) -> dict[str, Value]:
     """The package's values of a type by name, which those of files of one's own join; they have a `name`."""
-    _CATALOGUES.append((kind, values))
+    found = _Catalogue(kind=kind, values=values, of_package=frozenset(values))
+    _CATALOGUES.append(found)
     for module in _MODULES.values():
-        _join(module, kind, values)
+        found.join(module)
     return values
+
+
+def add(value: Any) -> str:
+    """Put a value into its catalogue, in place of an own one that has its name, and return the name.
+
+    Raises:
+        InvalidValueError: If the package has another one of that name.
+    """
+    for each in _CATALOGUES:
+        if isinstance(value, each.kind):
+            each.add(value)
+    return value.name
 
 
 def defined(module: ModuleType, kind: type[Value]) -> Iterator[Value]:
     """The values of a type at the top level of a module, alone or in a tuple, in their order."""
     for value in tuple(vars(module).values()):
-        yield from (
-            each for each in (value if isinstance(value, tuple) else (value,)) if isinstance(each, kind)
-        )
+        values = value if isinstance(value, tuple) else (value,)
+        yield from (each for each in values if isinstance(each, kind))
 
 
-def _join(module: ModuleType, kind: type, values: dict[str, Any]) -> None:
-    for value in defined(module, kind):
-        if values.setdefault(value.name, value) != value:
+@dataclass(frozen=True, kw_only=True)
+class _Catalogue:
+    kind: type  #: Type of its values.
+    values: dict[str, Any]  #: They by name.
+    of_package: frozenset[str]  #: Names that are taken.
+
+    def join(self, module: ModuleType) -> None:
+        for value in defined(module, self.kind):
+            self.add(value)
+
+    def add(self, value: Any) -> None:
+        if value.name in self.of_package and self.values[value.name] != value:
             raise InvalidValueError(
-                f"'{module.__file__}' calls its {kind.__name__} '{value.name}', and there is another one of "
-                "that name; choose a name that is free."
+                f"the package has another {self.kind.__name__} that is called '{value.name}'; give yours a name of "
+                "its own."
             )
+        self.values[value.name] = value
 
 
 def _announced() -> list[str]:

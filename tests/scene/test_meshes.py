@@ -79,10 +79,8 @@ def test_meshes_that_cannot_be_thrown_are_refused(tmp_path: Path):
 
 def test_an_object_of_many_parts_is_in_the_model(monkeypatch: pytest.MonkeyPatch):
     """All models get as many geoms; those that an object does not need hide inside it."""
-    bars = [shapes.box(0.02, 0.02, 0.1) for _ in range(3)]
-    places = [np.array((0.03 * i, 0.0, 0.0)) for i in range(3)]
-    moved = [shapes.ConvexPart(vertices=bar.vertices + at) for bar, at in zip(bars, places, strict=True)]
-    monkeypatch.setitem(OBJECTS, "rake", make_object("rake", *moved, mass=0.06))
+    bars = [shapes.box(0.02, 0.02, 0.1).moved((0.03 * i, 0.0, 0.0)) for i in range(3)]
+    monkeypatch.setitem(OBJECTS, "rake", make_object("rake", *bars, mass=0.06))
     model = build_model(SceneCfg(), "rake")
     assert model.body("object").mass == pytest.approx(0.06)
     assert [model.geom(f"object_part_{i}").pos[0] for i in range(3)] == pytest.approx(

@@ -16,10 +16,13 @@ from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.learning.config import preset as preset_of
 from pixel2catch.learning.train import TrainResult
 from pixel2catch.methods import Method, find_method
-from pixel2catch.own_files import named
+from pixel2catch.own_files import add, import_files, named
 from pixel2catch.policy import Policy, method_of
-from pixel2catch.scene.objects import select_objects
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.objects import ObjectSpec, select_objects
 from pixel2catch.workcells import find_workcell
+
+Objects = str | ObjectSpec | Sequence[str | ObjectSpec]
 
 
 def make(
@@ -27,8 +30,8 @@ def make(
     *,
     num_envs: int = 1,
     task: str | CatchEnvCfg = "nominal",
-    objects: str | Sequence[str] | None = None,
-    workcell: str | None = None,
+    objects: Objects | None = None,
+    workcell: str | WorkcellSpec | None = None,
     device: str = "cpu",
     seed: int = 0,
 ) -> CatchEnv:
@@ -38,8 +41,9 @@ def make(
         method: A method or its name, such as "single_agent", "catch+fit" or "my_file.py:mine".
         num_envs: How many robots catch side by side.
         task: A task or its name: nominal, wide, ...
-        objects: What is thrown: seen, unseen, real, names of objects. Default: the task's.
-        workcell: The robots, by name. Default: the task's.
+        objects: What is thrown: seen, unseen, real, names of objects, or objects of one's own. Default: the
+            task's.
+        workcell: The robots, or their name. Default: the task's.
         device: Where to simulate: cpu, cuda, cuda:1, ...
         seed: Seed of everything that is drawn.
 
@@ -51,7 +55,7 @@ def make(
         raise InvalidValueError(f"num_envs is {num_envs}; it must be at least 1.")
     cfg = find_task(task) if isinstance(task, str) else task
     if workcell is not None:
-        cfg = cfg.with_workcell(find_workcell(named(workcell)))
+        cfg = cfg.with_workcell(find_workcell(_known(workcell)))
     if objects is not None:
         cfg = replace(cfg, objects=_selected(objects))
     return CatchEnv(cfg, _method(method, cfg), num_envs=num_envs, device=device, seed=seed)
@@ -70,7 +74,7 @@ def evaluate(
     policy: Policy | str | Path | None = None,
     method: Method | None = None,
     *,
-    objects: str | Sequence[str] = "seen",
+    objects: Objects = "seen",
     num_envs: int = 100,
     trials: int = 10,
     seed: int = 0,
@@ -82,7 +86,7 @@ def evaluate(
     Args:
         policy: A policy, or what `load_policy` takes.
         method: Its method, where neither the package nor the policy's contract defines it.
-        objects: What is thrown: seen, unseen, real, names of objects.
+        objects: What is thrown: seen, unseen, real, names of objects, or objects of one's own.
         num_envs: Throws in a round.
         trials: Rounds.
         seed: Seed of everything that is drawn.
@@ -110,7 +114,7 @@ def train(
     *,
     preset: str = "cpu",
     task: str | CatchEnvCfg = "nominal",
-    workcell: str | None = None,
+    workcell: str | WorkcellSpec | None = None,
     resume: bool = False,
     **options: Any,
 ) -> TrainResult:
@@ -121,7 +125,7 @@ def train(
         out: Folder of the run.
         preset: Where the options come from that are not given: fast, cpu or paper.
         task: A task or its name.
-        workcell: The robots, by name. Default: the task's.
+        workcell: The robots, or their name. Default: the task's.
         resume: Whether to go on from the last checkpoint in the folder.
         **options: Fields of `TrainCfg`, such as `transitions=1_000_000` or `hidden=(64, 64)`.
 
@@ -130,16 +134,24 @@ def train(
     """
     env = {"task": task} if isinstance(task, str) else {"env": task}
     name = method.name if isinstance(method, Method) else named(method)
-    cfg = with_task(preset_of(preset, method=name, **env, **options), named(workcell) if workcell else None)
+    cfg = with_task(preset_of(preset, method=name, **env, **options), _known(workcell) if workcell else None)
     return run(cfg, _method(method, cfg.env), Path(out), resume=resume)
 
 
 def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:
     if isinstance(method, Method):
         return method
-    return find_method(named(method), find_workcell(cfg.scene.workcell))
+    return find_method(_known(method), find_workcell(cfg.scene.workcell))
 
 
-def _selected(objects: str | Sequence[str]) -> tuple[str, ...]:
-    names = objects.split(",") if isinstance(objects, str) else objects
-    return select_objects([named(name.strip()) for name in names])
+def _selected(objects: Objects) -> tuple[str, ...]:
+    several = objects.split(",") if isinstance(objects, str) else objects
+    several = [several] if isinstance(several, ObjectSpec) else several
+    return select_objects([_known(each.strip() if isinstance(each, str) else each) for each in several])
+
+
+def _known(value: Any) -> str:
+    """The name of a value, which joins its catalogue, or what is meant by a name; its file is imported."""
+    name = named(value) if isinstance(value, str) else add(value)
+    import_files()
+    return name

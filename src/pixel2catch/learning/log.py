@@ -121,13 +121,24 @@ class WandbRun:
     """A run of Weights & Biases: the configuration of a run folder and its metrics over the transitions."""
 
     def __init__(self, project: str, folder: Path) -> None:
-        """Begin it, or go on with the one of this folder; it is called as the folder."""
+        """Begin it, or go on with the one of this folder; it is called as the folder.
+
+        Raises:
+            InvalidValueError: If it cannot begin.
+        """
         config = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))
         file = folder / WANDB_FILE
         number = file.read_text(encoding="utf-8") if file.exists() else None
-        self._run = wandb_package().init(
-            project=project, name=folder.name, dir=folder, config=config, id=number, resume="allow"
-        )
+        wandb = wandb_package()
+        try:
+            self._run = wandb.init(
+                project=project, name=folder.name, dir=folder, config=config, id=number, resume="allow"
+            )
+        except wandb.Error as error:
+            raise InvalidValueError(
+                f"Weights & Biases does not begin a run ({error}); log in by 'wandb login', or set "
+                "WANDB_MODE=offline."
+            ) from error
         write_atomically({file: self._run.id.encode()})
         self._run.define_metric("*", step_metric="transitions")
 

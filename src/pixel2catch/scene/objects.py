@@ -100,8 +100,7 @@ def _principal_axes(inertia: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
 def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
     """Two bars of this width at a right angle, both legs `leg` long outside, `depth` deep along z."""
     long_bar = shapes.box(leg, width, depth)
-    offset = np.array((-(leg - width) / 2, leg / 2, 0.0))
-    short_bar = ConvexPart(vertices=shapes.box(width, leg - width, depth).vertices + offset)
+    short_bar = shapes.box(width, leg - width, depth).moved((-(leg - width) / 2, leg / 2, 0.0))
     return make_object(name, long_bar, short_bar)
 
 

@@ -133,18 +133,18 @@ def object_indices(model: mujoco.MjModel) -> ObjectIndices:
 
 def object_table(cfg: SceneCfg) -> ObjectTable:
     """Compile the scene once with each object and read off what differs."""
-    return _object_table(cfg, tuple(OBJECTS))
+    return _object_table(cfg, tuple(OBJECTS.values()))
 
 
 @cache
-def _object_table(cfg: SceneCfg, names: tuple[str, ...]) -> ObjectTable:
-    models = [build_model(cfg, name) for name in names]
+def _object_table(cfg: SceneCfg, objects: tuple[ObjectSpec, ...]) -> ObjectTable:
+    models = [build_model(cfg, each.name) for each in objects]
     indices = object_indices(models[0])
     fields = {
         field: np.stack([_rows(model, field, indices) for model in models])
         for field in (*GEOM_FIELDS, *BODY_FIELDS, *DOF_FIELDS)
     }
-    return ObjectTable(names=names, indices=indices, fields=fields)
+    return ObjectTable(names=tuple(each.name for each in objects), indices=indices, fields=fields)
 
 
 def _rows(model: mujoco.MjModel, field: str, indices: ObjectIndices) -> ndarray:

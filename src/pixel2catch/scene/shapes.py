@@ -24,6 +24,10 @@ class ConvexPart:
 
     vertices: Float[ndarray, "num_vertices 3"]  #: Corners [m].
 
+    def moved(self, by: tuple[float, float, float]) -> "ConvexPart":
+        """The same body at another place [m]."""
+        return ConvexPart(vertices=self.vertices + np.array(by))
+
     @cached_property
     def hull(self) -> ConvexHull:
         """The hull of the corners."""

@@ -1,0 +1,66 @@
+"""Every script of `examples/` runs as it stands, with tiny settings."""
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pixel2catch.own_files import VARIABLE
+from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.workcells import workcells
+
+FOLDER = Path(__file__).parents[1] / "examples"
+TRAINING = {"transitions": 256 * 4, "num_envs": 32}
+SETTINGS: dict[str, dict[str, object]] = {
+    "evaluate_policies": {"num_envs": 2},
+    "last_five_boxes": TRAINING,
+    "own_learner": {"num_envs": 4, "updates": 2, "steps": 4},
+    "own_method": TRAINING,
+    "own_object": {"num_envs": 4},
+    "own_reward": TRAINING,
+    "own_robot": {"num_envs": 2},
+}
+PRINTED = {
+    "evaluate_policies": "proposed-seed0, 300 g: ",
+    "last_five_boxes": "success rate 0.",
+    "own_learner": "update 1: mean reward ",
+    "own_method": "finished size_and_age (64, 64) 32",
+    "own_object": "'cup': ",
+    "own_reward": "arm.held_speed: ",
+    "own_robot": "nearer [",
+}
+
+
+@pytest.fixture
+def catalogues(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an example adds to the catalogues goes again."""
+    monkeypatch.setenv(VARIABLE, "")
+    for values in (OBJECTS, workcells()):
+        for name, value in tuple(values.items()):
+            monkeypatch.setitem(values, name, value)
+
+
+def main_of(name: str) -> Callable[..., None]:
+    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.main
+
+
+def test_every_example_is_here_and_short():
+    files = {path.stem: path.read_text().splitlines() for path in FOLDER.glob("*.py")}
+    assert set(files) == set(SETTINGS) == set(PRINTED)
+    assert all(len(lines) <= 40 for lines in files.values())
+
+
+@pytest.mark.usefixtures("catalogues")
+@pytest.mark.parametrize("name", SETTINGS)
+def test_it_runs(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    main_of(name)(**SETTINGS[name])
+    assert PRINTED[name] in capsys.readouterr().out
