@@ -28,7 +28,7 @@ gentle = replace(p2c.find_method("proposed"), name="gentle", agents=agents)
 def main(out: Path = Path("runs/gentle"), transitions: int = 1_000_000, num_envs: int = 256) -> None:
     """Train with it, then look at its curve, reward_term/arm.held_speed, in metrics.csv."""
     result = p2c.train(gentle, out, transitions=transitions, num_envs=num_envs)
-    print(f"arm.held_speed: {result.metrics['reward_term/arm/arm.held_speed']:.4f}")
+    print(f"arm.held_speed: {result.metrics['reward_term/arm.held_speed']:.4f}")
 
 
 if __name__ == "__main__":

@@ -13,17 +13,17 @@ from pixel2catch.workcells import workcells
 FOLDER = Path(__file__).parents[1] / "examples"
 TRAINING = {"transitions": 256 * 4, "num_envs": 32}
 SETTINGS: dict[str, dict[str, object]] = {
-    "evaluate_policies": {"num_envs": 2},
+    "evaluate_policies": {"num_envs": 2, "physics_hz": 120.0},
     "last_five_boxes": TRAINING,
     "own_learner": {"num_envs": 4, "updates": 2, "steps": 4},
     "own_method": TRAINING,
-    "own_object": {"num_envs": 4},
+    "own_object": {"num_envs": 4, "physics_hz": 120.0},
     "own_reward": TRAINING,
     "own_robot": {"num_envs": 2},
 }
 PRINTED = {
     "evaluate_policies": "proposed-seed0, 300 g: ",
-    "last_five_boxes": "success rate 0.",
+    "last_five_boxes": "('last_boxes[t]', 25)",
     "own_learner": "update 1: mean reward ",
     "own_method": "finished size_and_age (64, 64) 32",
     "own_object": "'cup': ",
@@ -56,8 +56,13 @@ def test_every_example_is_here_and_short():
     assert all(len(lines) <= 40 for lines in files.values())
 
 
+SLOW = ("last_five_boxes", "own_method")  #: They train as `own_reward` does.
+
+
 @pytest.mark.usefixtures("catalogues")
-@pytest.mark.parametrize("name", SETTINGS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in SETTINGS]
+)
 def test_it_runs(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):

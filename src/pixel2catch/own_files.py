@@ -135,8 +135,7 @@ class _Catalogue:
     def add(self, value: Any) -> None:
         if value.name in self.of_package and self.values[value.name] != value:
             raise InvalidValueError(
-                f"the package has another {self.kind.__name__} that is called '{value.name}'; give yours a name of "
-                "its own."
+                f"the package has another {self.kind.__name__} called '{value.name}'; rename yours."
             )
         self.values[value.name] = value
 

@@ -17,13 +17,21 @@ from pixel2catch.policy import contract_of, method_of
 FILE = """
 from dataclasses import replace
 from pixel2catch.mdp.observations import PAPER_TERMS
+from pixel2catch.evaluation.stress.suite import Axis, Level
 from pixel2catch.methods import PROPOSED
+from pixel2catch.scene.objects import make_object
+from pixel2catch.scene.shapes import box
 
 def palm_height(frame):
     return frame.now.palm_pos[:, 0, 2:]
 
 size_alone = replace(PROPOSED, name="size_alone", pixel_features=("w", "h"))
 seeing = tuple(replace(agent, observation=(*PAPER_TERMS, palm_height)) for agent in PROPOSED.agents)
+def heavier(task):
+    return replace(task, randomization=replace(task.randomization, mass_scale=(2.0, 2.0)))
+
+brick = make_object("brick", box(0.04, 0.05, 0.06), mass=0.1)
+heavy = Axis(name="heavy", unit="g", levels=(Level(label="60", change=heavier, source="ours"),))
 with_height = replace(PROPOSED, name="with_height", agents=seeing)
 """
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
@@ -109,11 +117,16 @@ def test_with_its_file_a_term_of_ones_own_is_evaluated_and_filmed(runs: Path):
 
 
 def test_child_processes_know_the_file(runs: Path):
-    options = ("--axes", "nominal", "--jobs", "2", "--out", "stress", "--json")
-    command = ("stress", "size_alone", "with_height", *THROWS, *options, "--import", "my_methods.py")
-    result = pixel2catch(runs, *command)
+    """Of methods, of an object, and of a disturbance, which is sent to them."""
+    thrown = (*THROWS[:-1], "my_methods.py:brick")
+    options = ("--axes", "my_methods.py:heavy", "--jobs", "2", "--out", "stress", "--json")
+    result = pixel2catch(runs, "stress", "size_alone", "with_height", *thrown, *options)
     assert result.returncode == 0, result.stderr
-    policies = json.loads(result.stdout)["policies"]
+    table = json.loads(result.stdout)
+    policies = table["policies"]
+    cell = json.loads((runs / "stress" / "cells" / "with_height" / "heavy-60.json").read_text())
+    assert cell["evaluation"]["objects"] == ["brick"]
+    assert cell["evaluation"]["task"]["randomization"]["mass_scale"] == [2.0, 2.0]
     assert {name: each["method"] for name, each in policies.items()} == {
         name: name for name in ("size_alone", "with_height")
     }

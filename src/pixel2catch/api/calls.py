@@ -1,6 +1,6 @@
 """The commands as functions: make environments, load, train and evaluate policies."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -79,7 +79,8 @@ def evaluate(
     trials: int = 10,
     seed: int = 0,
     device: str = "cpu",
-    task: CatchEnvCfg | None = None,
+    physics_hz: float = loading.PHYSICS_HZ,
+    change: Callable[[CatchEnvCfg], CatchEnvCfg] = lambda task: task,
 ) -> Metrics:
     """Evaluate a policy as `pixel2catch evaluate --json` does; the same numbers, by name.
 
@@ -91,7 +92,8 @@ def evaluate(
         trials: Rounds.
         seed: Seed of everything that is drawn.
         device: Where to simulate.
-        task: The task. Default: the paper's, at 600 physics steps in a second.
+        physics_hz: Physics steps in a second, a multiple of 30.
+        change: What is different of the task, such as the `change` of a `Level`.
 
     Raises:
         PolicyMismatchError: If there is no policy, or it does not fit this code.
@@ -103,7 +105,7 @@ def evaluate(
         trials=trials,
         seed=seed,
         device=device,
-        task=task or loading.task_of(policy),
+        task=change(loading.task_of(policy, physics_hz)),
     )
     return assess(policy, method or method_of(policy.contract), cfg)
 
