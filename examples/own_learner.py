@@ -13,10 +13,10 @@ import pixel2catch as p2c
 def main(num_envs: int = 256, updates: int = 200, steps: int = 32, discount: float = 0.97) -> None:
     """Train a small network to bring the palm to the object; print the mean reward of a step."""
     env = p2c.CatchVectorEnv(p2c.make("single_agent", num_envs=num_envs))
-    (_, num_inputs), (_, num_actions) = env.observation_space.shape, env.action_space.shape
+    observation, _ = env.reset(seed=0)
+    num_inputs, num_actions = observation.shape[1], env.action_space.sample().shape[1]
     network = nn.Sequential(nn.Linear(num_inputs, 64), nn.ELU(), nn.Linear(64, num_actions))
     optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
-    observation, _ = env.reset(seed=0)
     for update in range(updates):
         log_probs, rewards, ends = [], torch.zeros(steps, num_envs), torch.zeros(steps, num_envs)
         for step in range(steps):

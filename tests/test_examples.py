@@ -1,7 +1,7 @@
 """Every script of `examples/` runs as it stands, with tiny settings."""
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -12,7 +12,7 @@ from pixel2catch.workcells import workcells
 
 FOLDER = Path(__file__).parents[1] / "examples"
 TRAINING = {"transitions": 256 * 4, "num_envs": 32}
-SETTINGS: dict[str, dict[str, object]] = {
+SETTINGS: dict[str, Mapping[str, float]] = {
     "evaluate_policies": {"num_envs": 2, "physics_hz": 120.0},
     "last_five_boxes": TRAINING,
     "own_learner": {"num_envs": 4, "updates": 2, "steps": 4},

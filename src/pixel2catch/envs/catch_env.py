@@ -115,7 +115,7 @@ class CatchEnv:
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
         )
         self.detector: Detector = ProjectedDetector(cfg.sensing, self.world, self._generator)
-        self._is_nan = torch.zeros((), dtype=torch.bool, device=self.device)
+        self._is_nan = torch.zeros(len(method.agents), dtype=torch.bool, device=self.device)
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
@@ -148,7 +148,7 @@ class CatchEnv:
             InvalidValueError: If an action is NaN. On a device it is `check` that raises.
         """
         action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
-        self._is_nan |= action.isnan().any()
+        self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
         if self.device.type == "cpu":
             self._require_numbers()
         step = self._advance(action.clamp(-1.0, 1.0))
@@ -173,9 +173,12 @@ class CatchEnv:
         return self._episode.record.object_id
 
     def _require_numbers(self) -> None:
-        if self._is_nan:
+        found = zip(self.method.agents, self._is_nan.tolist(), strict=True)
+        if names := [agent.name for agent, is_nan in found if is_nan]:
             self._is_nan.zero_()
-            raise InvalidValueError("an action is NaN; each must be a number, and counts within [-1, 1].")
+            raise InvalidValueError(
+                f"an action of agent '{names[0]}' is NaN; each must be a number, and counts within [-1, 1]."
+            )
 
     def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
         """One control step on memory that stays where it is, so that a device can record and replay it."""

@@ -110,11 +110,17 @@ def _decomposed(mesh: Any, max_parts: int) -> list[Float[ndarray, "_ 3"]]:
 
 def _simplified(parts: list[Float[ndarray, "_ 3"]]) -> list[ConvexPart]:
     """The parts with fewer vertices, so few that the camera finds those of their common hull."""
-    for most in PART_POINTS:
-        found = [_corners(part, most) for part in parts]
-        if len(ConvexHull(np.concatenate(found)).vertices) <= OUTLINE_POINTS:
-            break
+    tries = ([_corners(part, most) for part in parts] for most in PART_POINTS)
+    found = next((each for each in tries if _num_corners(each) <= OUTLINE_POINTS), None)
+    if found is None:
+        raise InvalidValueError(
+            f"{len(parts)} convex parts have a hull of more than {OUTLINE_POINTS} corners; give fewer max_parts."
+        )
     return [ConvexPart(vertices=part) for part in found]
+
+
+def _num_corners(parts: list[Float[ndarray, "_ 3"]]) -> int:
+    return len(ConvexHull(np.concatenate(parts)).vertices)
 
 
 def _corners(vertices: Float[ndarray, "n 3"], most: int) -> Float[ndarray, "m 3"]:
