@@ -35,7 +35,7 @@ def test_environments_are_made_by_name():
     actions = {name: torch.zeros(2, size) for name, size in env.action_sizes.items()}
     assert env.step(actions).rewards["arm"].shape == (2,)
     assert {env.world.objects.names[row] for row in env.object_id} <= {"real_cube", "cross"}
-    with pytest.raises(InvalidValueError, match="an action of agent '(arm|robot)' is NaN"):
+    with pytest.raises(InvalidValueError, match="an action of agent 'arm' is NaN"):
         env.step(actions | {"arm": torch.full((2, 6), float("nan"))})
     env.step(actions)
     env.check()
@@ -74,7 +74,7 @@ def test_a_wrong_action_is_named():
     env = p2c.CatchVectorEnv(p2c.make("single_agent", num_envs=2, task=SHORT))
     with pytest.raises(InvalidValueError, match=r"has shape \(2, 18\); it must be \(2, 19\)"):
         env.step(np.zeros((2, 18)))
-    with pytest.raises(InvalidValueError, match="an action of agent '(arm|robot)' is NaN"):
+    with pytest.raises(InvalidValueError, match="an action of agent 'robot' is NaN"):
         env.step(np.full((2, 19), np.nan))
     assert env.render() is None
     env.close()

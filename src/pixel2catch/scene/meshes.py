@@ -114,7 +114,7 @@ def _simplified(parts: list[Float[ndarray, "_ 3"]]) -> list[ConvexPart]:
     found = next((each for each in tries if _num_corners(each) <= OUTLINE_POINTS), None)
     if found is None:
         raise InvalidValueError(
-            f"{len(parts)} convex parts have a hull of more than {OUTLINE_POINTS} corners; give fewer max_parts."
+            f"{len(parts)} convex parts have a hull of more than {OUTLINE_POINTS} corners; lower max_parts."
         )
     return [ConvexPart(vertices=part) for part in found]
 
