@@ -1,12 +1,11 @@
 """Every script of `examples/` runs as it stands, with tiny settings."""
 
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
-from pixel2catch.own_files import VARIABLE
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.workcells import workcells
 
@@ -33,12 +32,13 @@ PRINTED = {
 
 
 @pytest.fixture
-def catalogues(monkeypatch: pytest.MonkeyPatch) -> None:
+def catalogues() -> Iterator[None]:
     """What an example adds to the catalogues goes again."""
-    monkeypatch.setenv(VARIABLE, "")
-    for values in (OBJECTS, workcells()):
-        for name, value in tuple(values.items()):
-            monkeypatch.setitem(values, name, value)
+    before = [(values, dict(values)) for values in (OBJECTS, workcells())]
+    yield
+    for values, kept in before:
+        values.clear()
+        values.update(kept)
 
 
 def main_of(name: str) -> Callable[..., None]:
