@@ -3,6 +3,7 @@
 import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,7 +35,8 @@ PRINTED = {
 @pytest.fixture
 def catalogues() -> Iterator[None]:
     """What an example adds to the catalogues goes again."""
-    before = [(values, dict(values)) for values in (OBJECTS, workcells())]
+    several: tuple[dict[str, Any], ...] = (OBJECTS, workcells())
+    before = [(values, dict(values)) for values in several]
     yield
     for values, kept in before:
         values.clear()
