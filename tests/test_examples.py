@@ -35,10 +35,10 @@ PRINTED = {
 @pytest.fixture
 def catalogues() -> Iterator[None]:
     """What an example adds to the catalogues goes again."""
-    several: tuple[dict[str, Any], ...] = (OBJECTS, workcells())
-    before = [(values, dict(values)) for values in several]
+    catalogues: list[dict[str, Any]] = [OBJECTS, workcells()]
+    before: list[dict[str, Any]] = [dict(values) for values in catalogues]
     yield
-    for values, kept in before:
+    for values, kept in zip(catalogues, before, strict=True):
         values.clear()
         values.update(kept)
 
