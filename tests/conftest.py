@@ -6,7 +6,8 @@ from jaxtyping import install_import_hook
 # Where tensors are handed over, shapes and types are checked at run time; the tower lets an int stand for a
 # float, as PEP 484 does. Not in what ticks 500 times a second: there the checks take longer than the work.
 ROOMS = (
-    "agents camera envs evaluation identification mdp methods perception policy rendering robots scene sim"
+    "agents api camera envs evaluation identification mdp methods perception policy rendering robots scene "
+    "sim"
 )
 install_import_hook(
     [f"pixel2catch.{room}" for room in ROOMS.split()],

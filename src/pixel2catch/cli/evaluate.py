@@ -6,6 +6,8 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
@@ -26,6 +28,8 @@ class Evaluate:
     #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
     #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: Path | None = None
+    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: evaluate --env.help.
+    env: FieldOptions = ()
     json: bool = False  #: Print all metrics as one JSON object.
     out: Path | None = None  #: File that gets the same JSON object, all of it or nothing.
     #: HTML file that gets a page of it, with charts, a map of the throws and stills of every kind of miss.
@@ -49,13 +53,14 @@ class Evaluate:
 
         prepare(self.device)
         policy, method = load_policy(self.policy, self.device)
+        task = task_of(policy, self.physics_hz, self.dynamics, self.camera)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            task=task_of(policy, self.physics_hz, self.dynamics, self.camera),
+            task=EvaluatedTask(options=self.env, command="evaluate")(task),
         )
         files = {"dynamics": self.dynamics, "camera": self.camera}
         source = {

@@ -6,6 +6,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
 from pixel2catch.viewer.config import PageCfg
 
 
@@ -35,6 +36,8 @@ class Play:
     #: one in ~/.cache/robot_descriptions/mujoco_menagerie. Default: shapes of our own.
     meshes: Path | None = None
     layout: Literal["grid", "sequence"] = "grid"  #: Whether throws are shown side by side or one by one.
+    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: play --env.help.
+    env: FieldOptions = ()
 
     def run(self) -> None:
         """Throw, draw and write; or serve the page."""
@@ -63,6 +66,7 @@ class Play:
         find_gl_backend()
         policy, method = load_policy(self.policy)
         task = task_of(policy, dynamics=self.dynamics, camera=self.camera)
+        task = EvaluatedTask(options=self.env, command="play")(task)
         for remark in camera_remark(policy, task):
             say(remark)
         cfg = EvaluationCfg(

@@ -57,7 +57,7 @@ def assess(
     }
 
 
-def metrics(trials: Trials, object_names: Sequence[str] = tuple(OBJECTS)) -> Metrics:
+def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metrics:
     """Metrics of all trials by name, and the rates of each object under `objects`.
 
     Names of objects are by row of the object table.
@@ -65,6 +65,7 @@ def metrics(trials: Trials, object_names: Sequence[str] = tuple(OBJECTS)) -> Met
     Raises:
         NonFiniteError: If the simulation produced NaN or infinity.
     """
+    names = tuple(OBJECTS) if object_names is None else object_names
     record, num_trials = trials.record, len(trials.is_verified)
     object_id, everything = record.object_id, torch.ones_like(trials.is_verified)
     modes = torch.where(record.is_success, -1, failure(record))
@@ -78,7 +79,7 @@ def metrics(trials: Trials, object_names: Sequence[str] = tuple(OBJECTS)) -> Met
         "mean_penetration": _mean(record.penetration_sum, record.contact_steps),
         **_maxima(record),
         **_rest(record),
-        "objects": {object_names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
+        "objects": {names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
     }
 
 
