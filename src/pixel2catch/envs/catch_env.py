@@ -150,6 +150,11 @@ class CatchEnv:
         """Raise if the simulation lost contacts since the last call; waits for the device."""
         self.world.simulation.check()
 
+    @property
+    def measurement(self) -> Measurement:
+        """What the robot measured last; the next step overwrites it."""
+        return self._senses.history.now
+
     def close(self) -> None:
         """Free the simulation."""
         self.world.simulation.close()
