@@ -11,7 +11,7 @@ from tyro.conf import Positional
 class Play:
     """Write a video of throws: the robot's camera with the policy's box, and a view from outside."""
 
-    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
+    #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
     out: Path = Path("play.mp4")  #: The video file.
     #: What is thrown: seen, unseen, real, names of objects, or several of them.

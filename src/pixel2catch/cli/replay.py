@@ -22,7 +22,7 @@ class Replay:
 
     recording: Positional[Path]  #: What `deploy --record` or `rehearse --record` wrote, with images.
     out: Path  #: New folder for the recording (MCAP) of what was decided now.
-    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
+    #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Path | None = None
     perception_ms: float = 10.0  #: Time that perception takes for an image.
     json: bool = False  #: Print the report as one JSON object.

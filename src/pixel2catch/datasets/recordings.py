@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,24 +17,22 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 
 RUNS = (int(Mode.RAMP), int(Mode.RUN))  #: Modes in which the robot follows the policy.
-LONGEST_GAP = 5.0 * CONTROL_DT  #: Time between two decisions of one episode at most [s]. Source: ours.
 TASK = "Catch the thrown object."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Decisions:
-    """What the policy decided in its runs, on what it knew; times are the recorder's [s]."""
+    """What the policy decided in its runs, on what it knew."""
 
-    time: np.ndarray  #: (num_steps,)
     joint_pos: np.ndarray  #: Newest measured joint positions [rad], (num_steps, num_joints).
     target: np.ndarray  #: Joint targets [rad], (num_steps, num_joints).
     box: np.ndarray  #: Newest box that perception had found [px], (num_steps, 4).
-    episode: np.ndarray  #: Number of the run, (num_steps,).
+    run: np.ndarray  #: A number that every run has of its own, (num_steps,).
     image: np.ndarray  #: Number of the newest image, (num_steps,); -1 for none.
 
 
@@ -48,15 +45,15 @@ def write_recording(recording: Path, profile: Profile, writer: DatasetWriter) ->
         PerceptionError: It cannot be read.
         DeploymentError: The policy never ran in it.
     """
-    runs = _decisions(recording, profile)
-    box = torch.from_numpy(runs.box)
-    before = np.maximum(np.arange(len(runs.time)) - (np.diff(runs.episode, prepend=-1) == 0), 0)
+    decisions = _decisions(recording, profile)
+    run, box = decisions.run, torch.from_numpy(decisions.box)
+    before = np.arange(len(run)) - (np.diff(run, prepend=-1) == 0)
     pixels = pixel_features(box[before], box, RGB_CAMERA).numpy()
-    is_last = np.diff(runs.episode, append=-1) != 0
-    pictures = _pictures(recording, profile, runs.image)
+    is_last = np.diff(run, append=-1) != 0
+    pictures = _pictures(recording, profile, decisions.image)
     for row, picture in enumerate(pictures):
-        step = {STATE: runs.joint_pos[row], ACTION: runs.target[row]}
-        step[SEEN] = np.concatenate((runs.box[row], pixels[row]))
+        step = {STATE: decisions.joint_pos[row], ACTION: decisions.target[row]}
+        step[SEEN] = np.concatenate((decisions.box[row], pixels[row]))
         writer.add(step | {DONE: is_last[row]}, picture)
         if is_last[row]:
             writer.end_episode(TASK)
@@ -65,28 +62,27 @@ def write_recording(recording: Path, profile: Profile, writer: DatasetWriter) ->
 def _decisions(recording: Path, profile: Profile) -> _Decisions:
     """Read all but the images."""
     servo, orders, boxes, images = _read(recording, profile)
-    clock = np.array([status.time for status in servo])
-    newest = np.searchsorted(clock, [order.target_stamp for _, order in orders], side="right") - 1
+    newest = np.searchsorted(
+        [status.time for status in servo], [order.target_stamp for _, order in orders], side="right"
+    )
+    num_others = np.cumsum([status.mode not in RUNS for status in servo])  # a run ends where it grows
     chosen = [
-        (time, order, servo[row])
+        (time, order, servo[row - 1], num_others[row - 1])
         for (time, order), row in zip(orders, newest, strict=True)
-        if row >= 0 and servo[row].mode in RUNS
+        if row > 0 and servo[row - 1].mode in RUNS
     ]
     if not chosen:
         raise DeploymentError(
             f"{recording}: the policy decided nothing there while the robot followed it; name what 'deploy "
             "--record' or 'rehearse --record' wrote, of a throw at least."
         )
-    times = np.array([time for time, _, _ in chosen])
-    gaps = (after - before > LONGEST_GAP for before, after in pairwise(times))
-    box_times = np.array([time for time, _ in boxes])
-    seen = np.minimum(np.searchsorted(box_times, times - 1e-9), len(boxes) - 1)
+    times, decided, known, runs = zip(*chosen, strict=True)
+    seen = np.searchsorted([time for time, _ in boxes], times)  # said of a decision just after it
     return _Decisions(
-        time=times,
-        joint_pos=np.array([status.joint_pos for _, _, status in chosen]),
-        target=np.array([order.joint_pos_target for _, order, _ in chosen]),
-        box=np.array([boxes[row][1] for row in seen]),
-        episode=np.cumsum([0, *gaps]),
+        joint_pos=np.array([status.joint_pos for status in known]),
+        target=np.array([order.joint_pos_target for order in decided]),
+        box=np.array([boxes[min(row, len(boxes) - 1)][1] for row in seen]),
+        run=np.array(runs),
         image=np.searchsorted(images, times, side="right") - 1,
     )
 

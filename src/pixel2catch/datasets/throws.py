@@ -93,7 +93,7 @@ def write_throws(
             is_last = number == len(moments)
             step |= {DONE: is_last, SUCCESS: is_last and is_success}
             writer.add(step, picture)
-        writer.end_episode(f"Catch the thrown {name.replace('_', ' ')}.")
+        writer.end_episode(f"Catch the thrown object: {name}.")
     return int(record.is_success.sum())
 
 
