@@ -1,7 +1,7 @@
 """LeRobot itself loads what is exported: with LEROBOT_PYTHON=/path/to/python, a Python that has lerobot 0.4.
 
 It has requirements that are not those of this package, so it has an environment of its own:
-`python3.11 -m venv lerobot && lerobot/bin/pip install lerobot==0.4.4`, and FFmpeg's libraries for its torchcodec.
+`python3.11 -m venv lerobot && lerobot/bin/pip install lerobot==0.4.4`, with FFmpeg for its torchcodec.
 """
 
 import json

@@ -59,11 +59,8 @@ def record(folder: Path, images: str, *, runs: bool = True) -> Path:
 
 
 def status(time: float, mode: int, value: float) -> ServoStatus:
-    known: dict[str, Any] = dict.fromkeys(("stopped_by", "found", "refused", "clamped"), 0)
-    joints = {"command": np.full(NUM_JOINTS, 9.0), "joint_pos": np.full(NUM_JOINTS, float(value))}
-    return ServoStatus(
-        time=time, duration=0.0, target_stamp=time, image_stamp=time, mode=mode, **known, **joints
-    )
+    row = [time, 0.0, time, time, float(mode), 0.0, 0.0, 0.0, 0.0]
+    return ServoStatus.of(np.array(row + [9.0] * NUM_JOINTS + [value] * NUM_JOINTS))
 
 
 def exported(recording: Path, out: Path) -> dict[str, list[Any]]:
