@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 import torch
@@ -11,11 +12,13 @@ from pyarrow import parquet
 
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.cli.main import main
-from pixel2catch.datasets.features import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS
+from pixel2catch.datasets.features import ACTION, AGE, DONE, IMAGES, REWARD, SEEN, STATE, SUCCESS
 from pixel2catch.datasets.lerobot import DatasetWriter
 from pixel2catch.datasets.throws import write_throws
+from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import TRIAL_STEPS, EvaluationCfg
+from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.workcells import find_workcell
 
@@ -79,7 +82,7 @@ def test_what_was_thrown_is_the_task(folder: Path) -> None:
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One throw with pictures, if this machine draws; the report counts them."""
+    """It counts what it wrote, overwrites nothing, and refuses to throw nothing."""
     out = tmp_path / "set"
     assert main(["export", "--format", "lerobot", "--throws", "1", "--seed", "1", "--out", str(out)]) == 0
     assert "1 throws" in capsys.readouterr().out
@@ -87,3 +90,26 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["export", "--format", "lerobot", "--throws", "1", "--out", str(out)]) == 2
     assert "not an empty folder" in capsys.readouterr().err
     assert main(["export", "--format", "lerobot", "--throws", "0", "--out", str(tmp_path / "none")]) == 2
+
+
+@pytest.mark.slow
+def test_images_show_the_object_where_it_is_one_or_two_steps_later_by_its_box(tmp_path: Path) -> None:
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))
+    args = ["--throws", "1", "--objects", "sphere_l", "--images", "--out", str(tmp_path / "out")]
+    assert main(["export", "--format", "lerobot", *args]) == 0
+    with av.open(str(tmp_path / "out/videos" / IMAGES / "chunk-000/file-000.mp4")) as video:
+        images = [frame.to_ndarray(format="rgb24").astype(int) for frame in video.decode(video=0)]
+    (episode,) = steps_of(tmp_path / "out")
+    assert len(images) == len(episode[DONE])
+    centers = []
+    for red, green, blue in (np.moveaxis(image, -1, 0) for image in images):
+        rows, columns = np.nonzero((red > 120) & (green < 0.5 * red) & (blue < 0.5 * red))
+        centers.append((np.median(columns), np.median(rows)))
+    boxes = 0.5 * (episode[SEEN][:, :2] + episode[SEEN][:, 2:4])
+    errors = {late: np.hypot(*(np.array(centers)[:20] - boxes[late : 20 + late]).T) for late in (0, 1, 2)}
+    medians = {late: float(np.median(error)) for late, error in errors.items()}
+    assert min(medians[1], medians[2]) < 5.0
+    assert medians[0] > min(medians[1], medians[2])
