@@ -1,6 +1,17 @@
 import hypothesis
 import pytest
 import torch
+from jaxtyping import install_import_hook
+
+# Where tensors are handed over, shapes and types are checked at run time; the tower lets an int stand for a
+# float, as PEP 484 does. Not in what ticks 500 times a second: there the checks take longer than the work.
+ROOMS = (
+    "agents camera envs evaluation identification mdp methods perception policy rendering robots scene sim"
+)
+install_import_hook(
+    [f"pixel2catch.{room}" for room in ROOMS.split()],
+    "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
+)
 
 # Shared machines are too uneven for a deadline per example; the same examples in every run.
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)

@@ -10,6 +10,11 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import torch
+from jaxtyping import TypeCheckError
+
+from pixel2catch.camera.boxes import pixel_features
+from pixel2catch.scene.constants import RGB_CAMERA
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "pixel2catch"
@@ -118,3 +123,8 @@ def test_documented_command_exists(command: str):
     _, subcommand, *_ = command.split()
     known = set(re.findall(r"--[\w.-]+", help_text(subcommand)))
     assert set(re.findall(r"--[\w.-]+", command)) <= known
+
+
+def test_shapes_are_checked_while_testing():
+    with pytest.raises(TypeCheckError):
+        pixel_features(torch.zeros(2, 4), torch.zeros(2, 3), RGB_CAMERA)

@@ -34,7 +34,8 @@ class Shown:
         self._status = self.bench.node.publisher(PROFILE.operator.status)
 
     def tell(self, **status: Any) -> None:
-        self._status.publish(messages.text(json.dumps(status)))
+        nothing = {"mode": "", "message": "", "stopped_by": [], "refused": [], "found": []}
+        self._status.publish(messages.text(json.dumps(nothing | status)))
 
     def go_on(self, num_cycles: int = 20) -> None:
         self.bench.cycle(num_cycles)

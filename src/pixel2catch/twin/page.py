@@ -17,7 +17,7 @@ import torch
 import viser
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
-from pixel2catch.deployment.operator import OperatorConsole, newest
+from pixel2catch.deployment.operator import newest
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
@@ -50,8 +50,8 @@ class Page:
         self, port: int, scene: SceneCfg, profile: Profile, transport: Transport, clock: Clock
     ) -> None:
         """Serve the page of a scene, by the clock of twin and deployment."""
-        self._transport, self._topics, self._clock = transport, profile.operator, clock
-        self.console = OperatorConsole(transport, profile.operator, clock)
+        self._operator = RehearsalOperator(transport, profile.operator, clock)
+        self.console = self._operator.console  #: One for the page and its throws: the servo heeds no second.
         self.trial: Thread | None = None  #: The throw that goes on by itself, or did.
         joints = find_workcell(scene.workcell).joints
         self._parts, self._joint_pos = profile.robots, np.array([joint.home for joint in joints])
@@ -79,7 +79,8 @@ class Page:
         while self._wishes:
             self._commands.publish(messages.text(json.dumps(self._wishes.popleft())))
         self._state = newest(self._states, self._state)
-        self.console.watch()
+        if not self._is_in_trial:
+            self._operator.watch()
         for message in self._joints.take():
             reading = messages.read_joint_state(message.data)
             for part in self._parts:
@@ -97,10 +98,13 @@ class Page:
 
     def catch(self) -> None:
         """Do all that an operator does for a throw, beside the page; nothing while that goes on."""
-        if self.trial is None or not self.trial.is_alive():
-            operator = RehearsalOperator(self._transport, self._topics, self._clock)
-            self.trial = Thread(target=run_trial, args=(operator, self._next_seed()), daemon=True)
+        if not self._is_in_trial:
+            self.trial = Thread(target=run_trial, args=(self._operator, self._next_seed()), daemon=True)
             self.trial.start()
+
+    @property
+    def _is_in_trial(self) -> bool:
+        return self.trial is not None and self.trial.is_alive()
 
     def point(self) -> None:
         """Point at the object, if the camera sees it."""
