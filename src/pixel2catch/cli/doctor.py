@@ -6,7 +6,6 @@ A probe says what it found, or raises what is wrong and what to do.
 import importlib
 import importlib.metadata
 import importlib.util
-import json
 import platform
 import shutil
 import subprocess
@@ -25,6 +24,7 @@ from rich.text import Text
 
 from pixel2catch.cli.console import results_console
 from pixel2catch.errors import Pixel2CatchError
+from pixel2catch.files import json_text
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
 """Colour of each state; the word tells without colour, too."""
@@ -307,7 +307,7 @@ class Doctor:
         """
         checks = self._checks()
         if self.json:
-            print(json.dumps({"checks": [asdict(check) for check in checks]}, indent=2))
+            print(json_text({"checks": [asdict(check) for check in checks]}), end="")
         else:
             self._print(checks)
         if any(check.is_needed and check.state == "BAD" for check in checks):

@@ -6,24 +6,27 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import CameraPath, Count, DynamicsPath, Seed, VideoPath
+from pixel2catch.shipped import PolicyPath
+
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
     """Write a video of throws: the robot's camera with the policy's box, and a view from outside."""
 
     #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-    policy: Positional[Path | None] = None
-    out: Path = Path("play.mp4")  #: The video file.
+    policy: Positional[PolicyPath | None] = None
+    out: VideoPath = Path("play.mp4")  #: The video file.
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
-    throws: int = 4  #: Number of throws.
-    seed: int = 0  #: Seed of everything that is drawn.
+    throws: Count = 4  #: Number of throws.
+    seed: Seed = 0  #: Seed of everything that is drawn.
     #: Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy that was
     #: trained with a dynamics file.
-    dynamics: Path | None = None
+    dynamics: DynamicsPath | None = None
     #: Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
     #: exactly.
-    camera: Path | None = None
+    camera: CameraPath | None = None
     view: Literal["rgb", "outside", "both"] = "both"  #: What the pictures show.
 
     def run(self) -> None:
@@ -46,6 +49,7 @@ class Play:
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )
         throws = recorded_throws(cfg, policy, method)
-        say(f"drawing {self.throws} throws ...")
+        say(f"drawing {self.throws} throw{'s' if self.throws > 1 else ''} ...")
+        self.out.parent.mkdir(parents=True, exist_ok=True)
         num_pictures = write_video(self.out, throws, task.scene, self.view)
         print(f"wrote {self.out}: {num_pictures} pictures")

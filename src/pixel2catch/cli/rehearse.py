@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import NewFolder
+from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin.config import RehearsalCfg
 
 if TYPE_CHECKING:
@@ -28,9 +30,9 @@ class Rehearse:
     """
 
     #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-    policy: Positional[str | None] = None
+    policy: Positional[PolicyPath | None] = None
     rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)  #: What is rehearsed, and in what time.
-    out: Path = Path("rehearsal")  #: New or empty folder for report.json and what both processes print.
+    out: NewFolder = Path("rehearsal")  #: New or empty folder for report.json and what both processes print.
     json: bool = False  #: Print the report as one JSON object.
 
     def run(self) -> None:

@@ -1,15 +1,17 @@
 """`pixel2catch replay`: let perception and policy decide once more on a recorded deployment."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import NotNegative, OutputFolder
 from pixel2catch.cli.deploy import Vision
 from pixel2catch.cli.link import Robot
+from pixel2catch.files import json_text
+from pixel2catch.shipped import PolicyPath
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,10 +23,12 @@ class Replay:
     """
 
     recording: Positional[Path]  #: What `deploy --record` or `rehearse --record` wrote, with images.
-    out: Path  #: New folder for the recording (MCAP) of what was decided now.
+    out: Annotated[
+        Path, OutputFolder(is_empty=True)
+    ]  #: New folder for the recording (MCAP) of what was decided now.
     #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-    policy: Path | None = None
-    perception_ms: float = 10.0  #: Time that perception takes for an image.
+    policy: PolicyPath | None = None
+    perception_ms: NotNegative = 10.0  #: Time that perception takes for an image.
     json: bool = False  #: Print the report as one JSON object.
     robot: Robot = field(default_factory=Robot)  #: The robot of then.
     vision: Vision = field(default_factory=Vision)  #: What looks for the object.
@@ -47,7 +51,7 @@ class Replay:
             "deploy": statistics.summary(),
             "decided": compare(then, now, find_workcell(profile.workcell)),
         }
-        print(json.dumps(report) if self.json else "\n".join([*notes, *_lines(report)]))
+        print(json_text(report) if self.json else "\n".join([*notes, *_lines(report)]) + "\n", end="")
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:

@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
+from pixel2catch.shipped import PolicyPath
+
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
     from pixel2catch.evaluation.stress.measuring import Result
@@ -17,19 +20,19 @@ class Stress:
     """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted."""
 
     #: Folders of policies or training runs, or names of shipped policies. Default: all shipped.
-    policies: Positional[tuple[Path, ...]] = ()
+    policies: Positional[tuple[PolicyPath, ...]] = ()
     #: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
     axes: tuple[str, ...] = ()
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
-    num_envs: int = 100  #: Throws in a round.
-    trials: int = 2  #: Rounds.
-    seed: int = 0  #: Seed of everything that is drawn.
-    device: str = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
+    num_envs: Count = 100  #: Throws in a round.
+    trials: Count = 2  #: Rounds.
+    seed: Seed = 0  #: Seed of everything that is drawn.
+    device: Device = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
     #: Policies and settings that are tried at once, each in a process with one thread; on the CPU.
-    jobs: int = 1
-    physics_hz: float = 600.0  #: Physics steps in a second, a multiple of 30.
-    out: Path = Path("stress")  #: Folder of the results; other objects need another one.
+    jobs: Count = 1
+    physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
+    out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
     json: bool = False  #: Print the table as one JSON object.
 
     def run(self) -> None:

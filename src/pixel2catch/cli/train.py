@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from pixel2catch.checks import ResultsFolder
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class Train:
     workcell: str | None = None
     #: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
     preset: Literal["fast", "cpu", "paper"] | None = None
-    out: Path | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
+    out: ResultsFolder | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
     #: Go on from the last checkpoint in that folder, with its configuration and what is given here.
     resume: bool = False
     #: Any field of the task, also as --env.sensing.latency-steps 1 3. All fields: train --env.help.

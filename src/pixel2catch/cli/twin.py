@@ -1,9 +1,10 @@
 """`pixel2catch twin`: the lab on the wire, without a lab."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pixel2catch.checks import Domain
+from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin.config import TwinCfg
 
 if TYPE_CHECKING:
@@ -19,9 +20,9 @@ class Twin:
     for throws on /twin/command, and /twin/state says what is true. See docs/deployment.md.
     """
 
-    policy: Path | None = None  #: Policy whose hand and camera the twin has. Default: catch_alone+fit.
+    policy: PolicyPath | None = None  #: Policy whose hand and camera the twin has. Default: catch_alone+fit.
     twin: TwinCfg = field(default_factory=TwinCfg)  #: How the twin runs.
-    domain: int | None = None  #: DDS domain. Default: ROS_DOMAIN_ID, or 0.
+    domain: Domain | None = None  #: DDS domain. Default: ROS_DOMAIN_ID, or 0.
 
     def run(self) -> None:
         """Serve, and say what happens."""

@@ -34,11 +34,15 @@ def pooled_counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
 
 
 def assess(
-    actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
+    actor: Actor,
+    method: Method,
+    cfg: EvaluationCfg,
+    on_round: Callable[[Trials], None] = lambda _: None,
+    on_share: Callable[[float], None] = lambda _: None,
 ) -> Metrics:
     """Evaluate a policy and return its metrics, with how they were obtained; arguments as of `evaluate`."""
     started = time.perf_counter()
-    trials = evaluate(actor, method, cfg, on_round)
+    trials = evaluate(actor, method, cfg, on_round, on_share)
     return {
         "method": method.name,
         "objects_thrown": list(cfg.objects),

@@ -9,8 +9,10 @@ the hold is verified.
 Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic policy; ours: the tests.
 """
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from math import pi
 from typing import Protocol, runtime_checkable
 
@@ -19,9 +21,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.checks import Count, Device, Seed, require_valid
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.episode import EpisodeRecord
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.actions import JointCommand
 from pixel2catch.mdp.columns import put, take
 from pixel2catch.mdp.masks import select
@@ -55,18 +57,16 @@ class EvaluationCfg:
     """What is thrown at a policy."""
 
     objects: tuple[str, ...]  #: Names of the objects; each throw draws one.
-    num_envs: int = 100  #: Throws in a round. Source: paper.
-    trials: int = 10  #: Rounds. Source: paper.
-    seed: int = 0  #: Seed of everything that is drawn.
-    device: str = "cpu"  #: "cpu" or a CUDA device.
+    num_envs: Count = 100  #: Throws in a round. Source: paper.
+    trials: Count = 10  #: Rounds. Source: paper.
+    seed: Seed = 0  #: Seed of everything that is drawn.
+    device: Device = "cpu"  #: "cpu" or a CUDA device.
     #: The task, with all its noise; objects and endings are set here.
     task: CatchEnvCfg = field(default_factory=CatchEnvCfg)
 
     def __post_init__(self) -> None:
         """Refuse an evaluation of nothing."""
-        for name in ("num_envs", "trials"):
-            if getattr(self, name) < 1:
-                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be at least 1.")
+        require_valid(self)
 
     def make_env(self, method: Method) -> CatchEnv:
         """The environments: like those of training, but only the loss of the object ends an episode."""
@@ -152,10 +152,18 @@ class RoundState:
 
 
 def evaluate(
-    actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
+    actor: Actor,
+    method: Method,
+    cfg: EvaluationCfg,
+    on_round: Callable[[Trials], None] = lambda _: None,
+    on_share: Callable[[float], None] = lambda _: None,
 ) -> Trials:
-    """Evaluate a policy of a method; `on_round` is called with the trials of every round."""
-    return play_rounds(cfg.make_env(method), actor, cfg.trials, on_round)
+    """Evaluate a policy of a method.
+
+    `on_round` is called with the trials of every round, `on_share` after every control step with the share of
+    all rounds that is done.
+    """
+    return play_rounds(cfg.make_env(method), actor, cfg.trials, on_round, on_share)
 
 
 def play_rounds(
@@ -163,6 +171,7 @@ def play_rounds(
     actor: Actor,
     num_rounds: int,
     on_round: Callable[[Trials], None] = lambda _: None,
+    on_share: Callable[[float], None] = lambda _: None,
     seed: int | None = None,
 ) -> Trials:
     """Play rounds in environments of `EvaluationCfg.make_env`, and close them.
@@ -176,11 +185,17 @@ def play_rounds(
         for number in range(num_rounds):
             if seed is not None:
                 env.seed(seed + number)
-            rounds.append(run_round(env, actor))
+            done = itertools.count(number * ROUND_STEPS + 1)
+            rounds.append(run_round(env, actor, partial(_tell_share, on_share, done, num_rounds)))
             on_round(rounds[-1])
+            on_share((number + 1) / num_rounds)
     finally:
         env.close()
     return Trials.concatenate(rounds)
+
+
+def _tell_share(on_share: Callable[[float], None], done: Iterator[int], num_rounds: int, *_: object) -> None:
+    on_share(next(done) / (num_rounds * ROUND_STEPS))
 
 
 def recorded_throws(cfg: EvaluationCfg, actor: Actor, method: Method) -> list[RecordedThrow]:

@@ -21,15 +21,16 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pixel2catch.errors import InvalidValueError, StudyError
-from pixel2catch.evaluation.loading import fingerprint, load_policy, shipped_policies, task_of
+from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_rounds
 from pixel2catch.evaluation.report import differences
 from pixel2catch.evaluation.stress.suite import Setting
-from pixel2catch.files import plain, write_atomically
+from pixel2catch.files import as_json, json_text, write_atomically
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.policy import leaves
+from pixel2catch.shipped import shipped_policies
 
 Json = dict[str, Any]
 Returned = TypeVar("Returned")
@@ -130,7 +131,7 @@ def measure(
         number = missing[index]
         each, content = results[number], origins[number] | {"metrics": found}
         each.file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically({each.file: (json.dumps(content, indent=2) + "\n").encode()})
+        write_atomically({each.file: json_text(content).encode()})
         contents[number] = content
         on_result(number + 1, each, found)
     return tuple(content for content in contents if content is not None)
@@ -185,7 +186,7 @@ def _origin(result: Result, cfg: EvaluationCfg) -> Json:
         "method": method.name,
         "policy_sha256": fingerprint(result.policy.folder),
         "setting": result.setting.name,
-        "evaluation": json.loads(json.dumps(asdict(evaluation), default=plain)),
+        "evaluation": as_json(asdict(evaluation)),
     }
 
 
