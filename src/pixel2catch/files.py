@@ -37,7 +37,7 @@ def write_atomically(contents: Mapping[Path, bytes]) -> None:
         for path, temporary in temporaries.items():
             os.replace(temporary, path)
     except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
+        raise OSError(error.errno, error.strerror, error.filename or str(next(iter(contents)))) from error
     finally:
         for temporary in temporaries.values():
             temporary.unlink(missing_ok=True)

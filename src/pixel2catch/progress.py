@@ -1,7 +1,6 @@
 """How far work is: a bar where a terminal shows it, else a line now and then."""
 
 import time
-from contextlib import AbstractContextManager
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -12,7 +11,7 @@ LONG_SECONDS = 600.0  #: Work that takes longer is announced [s].
 SETTLING_SECONDS = 3.0  #: Time from which on a speed is trusted [s].
 
 
-class ProgressBar(AbstractContextManager["ProgressBar"]):
+class ProgressBar:
     """Percentage, time left and a line of text; use as a context around the work.
 
     On a terminal a bar, which fits into 40 columns and goes away at the end, with the text below it. Else a
@@ -38,7 +37,7 @@ class ProgressBar(AbstractContextManager["ProgressBar"]):
             console=console,
             expand=True,
         )
-        self._task = self._bar.add_task(name, total=total, completed=done, left="")
+        self._task = self._bar.add_task(name, total=total, left="")
         self._live = Live(Group(self._bar, self._text), console=console, transient=True)
 
     def __enter__(self) -> "ProgressBar":

@@ -25,6 +25,7 @@ class Bench:
         """Measure and print."""
         from pixel2catch.cli.device import prepare
         from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+        from pixel2catch.files import json_text
         from pixel2catch.methods import PROPOSED
 
         prepare(self.device)

@@ -18,7 +18,7 @@ class Catch:
 
     def run(self) -> None:
         """Evaluate, print the results beside the paper's, and write the video."""
-        from pixel2catch.cli.console import EvaluationProgress, results_console, say
+        from pixel2catch.cli.console import evaluating, results_console, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.errors import DeviceUnavailableError
         from pixel2catch.evaluation.loading import load_policy, task_of
@@ -42,7 +42,7 @@ class Catch:
         say(f"throwing {self.throws:,} seen and {self.throws:,} unseen objects, on the CPU ...")
         results = {}
         for name in ("seen", "unseen"):
-            with EvaluationProgress(name) as progress:
+            with evaluating(name) as progress:
                 throws = replace(cfg, objects=OBJECT_GROUPS[name])
                 results[name] = assess(policy, method, throws, progress.round, progress.share)
         console = results_console()

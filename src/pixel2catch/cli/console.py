@@ -37,12 +37,12 @@ def say_on_terminal(text: str) -> None:
         say(text)
 
 
-class EvaluationProgress(ProgressBar):
-    """How far an evaluation of something is: in steps within rounds, and the success rate so far."""
+class EvaluationProgress:
+    """How far an evaluation of something is: the steps of its rounds, and the success rate so far."""
 
-    def __init__(self, name: str) -> None:
-        """Begin to show an evaluation."""
-        super().__init__(name, 1.0, console=Console(stderr=True, highlight=False))
+    def __init__(self, bar: ProgressBar) -> None:
+        """Show it in a bar whose total is 1."""
+        self._bar = bar
         self._successes: list[float] = []
 
     def round(self, trials: "Trials") -> None:
@@ -52,7 +52,14 @@ class EvaluationProgress(ProgressBar):
     def share(self, share: float) -> None:
         """Show a share of all rounds as done."""
         mean = 100 * sum(self._successes) / max(len(self._successes), 1)
-        self.show(share, f"success rate so far {mean:.1f} %" if self._successes else "")
+        self._bar.show(share, f"success rate so far {mean:.1f} %" if self._successes else "")
+
+
+@contextmanager
+def evaluating(name: str) -> Iterator[EvaluationProgress]:
+    """Show on standard error how far the evaluation of something is."""
+    with ProgressBar(name, 1.0, console=Console(stderr=True, highlight=False)) as bar:
+        yield EvaluationProgress(bar)
 
 
 @contextmanager

@@ -36,7 +36,7 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate and print."""
-        from pixel2catch.cli.console import EvaluationProgress, results_console, say
+        from pixel2catch.cli.console import evaluating, results_console, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, fingerprint, load_policy, sha256, task_of
         from pixel2catch.evaluation.metrics import assess
@@ -63,7 +63,7 @@ class Evaluate:
         }
         for remark in camera_remark(policy, cfg.task):
             say(remark)
-        with EvaluationProgress(" ".join(self.objects)) as progress:
+        with evaluating(" ".join(self.objects)) as progress:
             result = source | assess(policy, method, cfg, progress.round, progress.share)
         if self.json:
             print(json_text(result), end="", flush=True)

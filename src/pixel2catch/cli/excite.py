@@ -105,11 +105,8 @@ class Excite:
 
     def _require_free(self, files: "Sequence[Path]") -> None:
         """Refuse what would overwrite something, before the work."""
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.files import require_free_file, require_free_folder
 
-        if self.recordings < 1:
-            raise InvalidValueError(f"recordings is {self.recordings}; it must be 1 or more")
         for path in files:
             require_free_file(path)
         if self.rehearse:

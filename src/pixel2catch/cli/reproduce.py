@@ -156,13 +156,9 @@ class Reproduce:
 
     def _plan(self, training: dict[str, Any]) -> "Plan":
         """What is asked, with everything that changes results."""
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.comparison.plan import Plan
         from pixel2catch.methods import find_method
 
-        for name in ("seeds", "num_envs", "trials", "jobs_per_device"):
-            if getattr(self, name) is not None and getattr(self, name) < 1:
-                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be at least 1.")
         evaluation = {
             "num_envs": self.num_envs,
             "trials": self.trials,

@@ -18,11 +18,31 @@ if TYPE_CHECKING:
 else:
     # The fields of the configuration, each None unless it is given: then the preset or the run decides.
     OF_TRAIN = {name: Annotated[Any, tyro.conf.Suppress] for name in ("method", "env")}
+
+    def _default(name: str) -> str:
+        """What a field is without the option, in help: the preset's, where presets differ.
+
+        The machine decides on the device, and what a factory makes is told otherwise, for it loads much.
+        """
+        default = TrainCfg.__dataclass_fields__[name].default
+        if name == "device" or default in (None, dataclasses.MISSING):
+            return ""
+        others = {preset: values[name] for preset, values in PRESETS.items() if name in values}
+        texts = [_text(default), *(f"{preset}: {_text(value)}" for preset, value in others.items())]
+        return f"(default: {'; '.join(texts)})"
+
+    def _text(value: Any) -> str:
+        return " ".join(f"{entry:g}" for entry in value) if isinstance(value, tuple) else str(value)
+
     TrainOptions = dataclasses.make_dataclass(
         "TrainOptions",
         [
-            (name, OF_TRAIN.get(name, kind | None), None)
-            for name, kind in typing.get_type_hints(TrainCfg).items()
+            (
+                name,
+                OF_TRAIN.get(name, Annotated[kind | None, tyro.conf.arg(help_behavior_hint=_default(name))]),
+                None,
+            )
+            for name, kind in typing.get_type_hints(TrainCfg, include_extras=True).items()
         ],
         bases=(TrainCfg,),
         namespace={"__post_init__": lambda _: None},
@@ -81,7 +101,9 @@ class Train:
                 teacher=teacher,
             )
 
-        train(cfg, make_env, contract, self._folder, resume=self.resume, agents=method.agents)
+        result = train(cfg, make_env, contract, self._folder, resume=self.resume, agents=method.agents)
+        if result.status == "interrupted":
+            raise KeyboardInterrupt
 
     @property
     def _folder(self) -> Path:
@@ -96,10 +118,7 @@ class Train:
             InvalidValueError: If no training is possible with the values.
             PolicyMismatchError: If there is no policy to start from, or to imitate.
         """
-        import torch
-
-        from pixel2catch.evaluation.loading import policy_folder
-        from pixel2catch.sim.simulation import require_cuda
+        from pixel2catch.shipped import policy_folder
 
         given = {name: value for name, value in vars(self.options).items() if value is not None}
         if self.method:
@@ -107,6 +126,10 @@ class Train:
         for name in ("start", "teacher"):
             if name in given:
                 given[name] = policy_folder(given[name])
+        import torch
+
+        from pixel2catch.sim.simulation import require_cuda
+
         if self.resume and (self._folder / CONFIG_FILE).exists():
             named = PRESETS[self.preset] if self.preset else {}
             cfg = dataclasses.replace(TrainCfg.of_run(self._folder), **named | given)

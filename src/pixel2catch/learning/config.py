@@ -70,7 +70,7 @@ class TrainCfg:
     the policy is for this camera. Default: the release's camera, known exactly."""
     task: str = "nominal"
     """What it is trained for: nominal, the paper's task; wide, with what laboratories do to it (ours); or
-    wide_sharp, the same with boxes to 2 px. Default: nominal."""
+    wide_sharp, the same with boxes to 2 px."""
     latency_steps: tuple[NotNegative, NotNegative] = dataclasses.field(default_factory=_released_latency)
     """Control steps between image and delivered box in nominal episodes: least and most. Default: 1 2, as the
     release."""
@@ -118,7 +118,7 @@ class TrainCfg:
     gradient_clip: Positive = 1.0
     """Largest norm of an agent's gradient. Source: release."""
     hidden: tuple[Width, ...] = dataclasses.field(default_factory=_paper_layers)
-    """Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E."""
+    """Sizes of the hidden layers of all networks. Default: 512 256 128, as in the paper, Sec. IV-E."""
     recurrent: Annotated[int, Within(0, 65_536)] = 0
     """Size of a recurrent unit (GRU) before the hidden layers of all networks, learnt over whole rollouts; 0
     for none. Source: ours."""
