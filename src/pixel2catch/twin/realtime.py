@@ -16,6 +16,7 @@ import torch
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import DeploymentError
+from pixel2catch.installation import install_command
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
@@ -121,7 +122,7 @@ def _page(cfg: TwinCfg, scene: SceneCfg, profile: Profile) -> Iterator[None]:
         yield
         return
     if find_spec("viser") is None:
-        raise DeploymentError("the page needs viser: pip install 'pixel2catch[twin]', or leave out --web.")
+        raise DeploymentError(f"the page needs viser: {install_command('twin')}, or leave out --web.")
     args = (cfg.web, scene, profile, cfg.clock)
     process = get_context("spawn").Process(target=_serve_page, args=args, daemon=True)
     process.start()
