@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pixel2catch.checks import require_valid
-from pixel2catch.cli.main import COMMANDS, main
+from pixel2catch.cli.main import COMMANDS, main, parse
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.learning.config import PRESETS, preset
 
@@ -110,15 +110,19 @@ def test_one_line_says_what_is_right(
     assert sorted(path for place in places.values() for path in place.parent.rglob("*")) == before
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.__name__)
-def test_the_defaults_of_commands_are_valid(command: type):
-    required = {"file": Path("x.xml"), "trajectory": Path(__file__), "recordings": (), "robot": "ur5e"}
-    names = {field for field in command.__dataclass_fields__}  # noqa: C416
-    given = {name: value for name, value in required.items() if name in names}
-    others = {"out": Path("nowhere"), "recording": Path("r"), "source": "0", "device": Path("d")}
-    missing = {"Record", "Identify", "Replay", "Track", "Operate"}
-    given |= {name: others[name] for name in names & set(others) if command.__name__ in missing}
-    require_valid(command(**given))
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.__name__.lower())
+def test_the_defaults_of_commands_are_valid(command: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    needed = {
+        "scene": "x.xml",
+        "record": f"{__file__} --out new",
+        "identify": "x --robot ur5e --out new",
+        "replay": "x --out new",
+        "track": "0",
+        "operate": "/dev/input/event3",
+    }
+    name = command.__name__.lower()
+    assert type(parse([name, *needed.get(name, "").split()])) is command
 
 
 @pytest.mark.parametrize("task", ["nominal", "wide", "wide_sharp"])
@@ -140,14 +144,32 @@ def started(line: str, folder: Path, **options: object) -> subprocess.Popen[str]
     )
 
 
+STRESS = "stress proposed --axes nominal --trials 500"
+
+
 @pytest.mark.parametrize(
     ("line", "sign", "number", "status", "words"),
     [
         (f"{TRAIN} --report-seconds 0 --out run", "k/s", signal.SIGINT, 130, "interrupted: "),
-        (f"{TRAIN} --report-seconds 0 --out run", "k/s", signal.SIGTERM, 130, "interrupted: "),
-        ("evaluate --num-envs 4 --trials 500", "seen: ", signal.SIGINT, 130, "pixel2catch: interrupted"),
-        ("stress --axes nominal --trials 500", "catch", signal.SIGTERM, 143, "pixel2catch: terminated"),
+        pytest.param(
+            f"{TRAIN} --report-seconds 0 --out run",
+            "k/s",
+            signal.SIGTERM,
+            130,
+            "interrupted: ",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "evaluate --num-envs 4 --trials 500",
+            "seen: ",
+            signal.SIGINT,
+            130,
+            "pixel2catch: interrupted",
+            marks=pytest.mark.slow,
+        ),
+        (STRESS, "stress: ", signal.SIGTERM, 143, "pixel2catch: terminated"),
     ],
+    ids=["train-SIGINT", "train-SIGTERM", "evaluate-SIGINT", "stress-SIGTERM"],
 )
 def test_what_is_stopped_says_so(
     line: str, sign: str, number: signal.Signals, status: int, words: str, tmp_path: Path
@@ -185,10 +207,12 @@ def test_a_full_disk_gives_no_false_comfort(tmp_path: Path):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")
 def test_results_that_nobody_can_read_are_an_error(tmp_path: Path):
     with open("/dev/full", "w") as full:
-        command = [sys.executable, "-m", "pixel2catch", "evaluate", "--num-envs", "1", "--trials", "1", "--json"]
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path)
+        command = [sys.executable, "-m", "pixel2catch", "scene", "scene.xml"]
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path
+        )
     assert done.returncode == 2
-    assert "No space left on device" in done.stderr.splitlines()[-1]
+    assert "pixel2catch: error: No space left on device" in done.stderr
 
 
 def test_results_are_strict_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -1,6 +1,5 @@
 """`pixel2catch stress`: every policy under what the real world does and the training does not."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +36,8 @@ class Stress:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
+        from rich.console import Console
+
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
         from pixel2catch.envs.cfg import CatchEnvCfg
@@ -44,6 +45,8 @@ class Stress:
         from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
+        from pixel2catch.files import json_text
+        from pixel2catch.progress import ProgressBar
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg
 
@@ -63,7 +66,8 @@ class Stress:
             name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
             say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
 
-        table = make_table(results, measure(results, cfg, report, self.jobs))
+        with ProgressBar("stress", 1.0, console=Console(stderr=True, highlight=False)) as bar:
+            table = make_table(results, measure(results, cfg, report, self.jobs, bar.show))
+        print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
         write_report(self.out, table)
-        print(json.dumps(table, indent=2) if self.json else as_markdown(table), end="\n" if self.json else "")
         say(f"wrote {self.out}: table.md, table.tex, table.csv, table.json, heatmap.png")
