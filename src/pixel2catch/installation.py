@@ -32,9 +32,12 @@ def requirement(origin: dict, extra: str) -> str:
 
 
 def _origin() -> dict:
-    """What the installer wrote down; the folder around this file where nothing is installed."""
+    """What the installer wrote down; the folder around this file where none was at work."""
     try:
-        text = importlib.metadata.distribution(PACKAGE).read_text("direct_url.json")
+        installed = importlib.metadata.distribution(PACKAGE)
+        text, installer = (installed.read_text(name) for name in ("direct_url.json", "INSTALLER"))
     except importlib.metadata.PackageNotFoundError:
+        text = installer = None
+    if text is None and installer is None:
         return {"url": Path(__file__).parents[2].as_uri(), "dir_info": {"editable": True}}
     return json.loads(text) if text else {}
