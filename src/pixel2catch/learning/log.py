@@ -49,7 +49,7 @@ class TrainingLog:
 
     def write(self, row: Row) -> None:
         """Show and write a row of metrics."""
-        self._bar.show(row["transitions"], f"{row['transitions'] / 1e6:.2f} M · {describe(row)}")
+        self._bar.show(row["transitions"], f"{row['transitions'] / 1e6:.2f} M transitions · {describe(row)}")
         if self._csv is not None:
             self.attempt("metrics", partial(self._csv.write, row))
         if self._tensorboard is not None:

@@ -222,7 +222,7 @@ class _Training:
         except OSError as error:
             earlier = "There is no earlier checkpoint: free some space and begin anew."
             if self.folder.checkpoint.exists():
-                earlier = "The checkpoint before it is still good: free some space and go on with --resume."
+                earlier = "An earlier checkpoint there is still good: free some space, then --resume."
             raise CheckpointError(
                 f"the end of the training could not be written to '{self.folder.path}': {error}. {earlier}"
             ) from error

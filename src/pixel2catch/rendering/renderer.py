@@ -28,21 +28,7 @@ OBJECT_BODY = "object"
 
 DRAWN_GROUPS = (0, 1, 2, 3)  #: Geom groups in a picture: table and floor, object, what is only seen, robot.
 
-MUJOCO_GL = (
-    "",
-    *GL_BACKENDS,
-    "glfw",
-    "on",
-    "off",
-    "enable",
-    "disable",
-    "true",
-    "false",
-    "1",
-    "0",
-    "cgl",
-    "wgl",
-)
+MUJOCO_GL = ("", *GL_BACKENDS, "glfw", "on", "off", "enable", "disable", "true", "false", "1", "0")
 """What the variable of that name may be. Source: MuJoCo; what is none of `GL_BACKENDS` has no effect here."""
 
 _PROBE = """
