@@ -78,6 +78,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         with raise_on_termination():
             command = parse(args)
+            require_valid(command)
             say_on_terminal(f"{type(command).__name__.lower()}: starting ...")
             import_files()
             command.run()
@@ -118,14 +119,13 @@ def parse(args: Sequence[str]):
 
     Raises:
         UnknownNameError: If there is no such command.
-        Pixel2CatchError: If an option's value is not what its type says.
     """
     args = [part for arg in args for part in (("--env", arg[6:]) if arg.startswith("--env.") else (arg,))]
     commands = {command.__name__.lower(): command for command in COMMANDS}
     if args and not args[0].startswith("-") and args[0] not in commands:
         raise UnknownNameError("command", args[0], commands)
     names = [Annotated[command, tyro.conf.subcommand(name)] for name, command in commands.items()]
-    command = tyro.cli(
+    return tyro.cli(
         Union[*names],  # type: ignore[valid-type]
         prog="pixel2catch",
         description=DESCRIPTION,
@@ -133,8 +133,6 @@ def parse(args: Sequence[str]):
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
         registry=plain_help(),
     )
-    require_valid(command)
-    return command
 
 
 if __name__ == "__main__":
