@@ -62,7 +62,7 @@ class ProgressBar:
         if self._console.is_terminal:
             self._bar.update(self._task, completed=done, left=left)
             self._text.plain = text or self._text.plain
-        elif time.monotonic() >= self._next_line:
+        elif time.monotonic() >= self._next_line or done >= self._total:
             self._next_line = time.monotonic() + self._line_seconds
             parts = [f"{self._name}: {100 * done / self._total:.1f} %", text, left]
             self._console.print(" · ".join(filter(None, parts)), markup=False, soft_wrap=True)

@@ -219,6 +219,8 @@ def _session() -> dict[str, Any]:
 def _options(options: Mapping[str, Any]) -> list[str]:
     args: list[str] = []
     for name, value in options.items():
+        if value is None:
+            continue
         values = value if isinstance(value, tuple | list) else [value]
         args += [f"--{name.replace('_', '-')}", *map(str, values)]
     return args
