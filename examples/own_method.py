@@ -22,8 +22,7 @@ def main(out: Path = Path("runs/size"), transitions: int = 1_000_000, num_envs: 
     result = p2c.train(
         size_and_age, out, transitions=transitions, num_envs=num_envs, hidden=(64, 64), recurrent=32
     )
-    policy = p2c.load_policy(out)
-    print(result.status, policy.contract.method, policy.hidden, policy.recurrent)
+    print(result.status, p2c.load_policy(out).contract.agents)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.errors import PolicyMismatchError, UnknownNameError
+from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.throws import flight_path, launch_velocity
 from pixel2catch.scene.constants import GRAVITY
 from pixel2catch.viewer.disturbances import DISTURBANCES, disturbed, released_at
@@ -108,7 +108,7 @@ def test_a_throw_begins_where_it_is_told_to_and_passes_the_robot(thrower: Throwe
 
 
 def test_unknown_policies_and_objects_are_named(thrower: Thrower):
-    with pytest.raises(PolicyMismatchError, match="no_policy"):
+    with pytest.raises(UnknownNameError, match="no_policy"):
         thrower.task("no_policy")
     with pytest.raises(UnknownNameError, match="teapot"):
         thrower.throw(ThrowOrder(policy="catch_alone+fit", objects="teapot", settings=AS_TRAINED), 0)

@@ -71,7 +71,7 @@ def load_policy(name: str | Path | None = None, device: str = "cpu") -> LoadedPo
 
 
 def evaluate(
-    policy: Policy | str | Path | None = None,
+    policy: LoadedPolicy | str | Path | None = None,
     method: Method | None = None,
     *,
     objects: Objects = "seen",
@@ -98,7 +98,10 @@ def evaluate(
     Raises:
         PolicyMismatchError: If there is no policy, or it does not fit this code.
     """
-    policy = (policy if isinstance(policy, Policy) else load_policy(policy, device)).to(device)
+    if policy is None or isinstance(policy, str | Path):
+        policy = load_policy(policy, device)
+    elif isinstance(policy, Policy):
+        policy = policy.to(device)
     cfg = EvaluationCfg(
         objects=_selected(objects),
         num_envs=num_envs,

@@ -3,12 +3,14 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pixel2catch.checks import Port
+
 
 @dataclass(frozen=True, kw_only=True)
 class PageCfg:
     """Where a page is served."""
 
-    port: int = 8080  #: Port of the page; if it is taken, one of the next.
+    port: Port = 8080  #: Port of the page; if it is taken, one of the next.
     #: Address that it listens on. On any but this machine's own, its address has a token in it.
     host: str = "127.0.0.1"
 
