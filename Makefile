@@ -7,7 +7,7 @@ PINS := requirements.txt requirements-dev.txt pyproject.toml
 
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: setup catch test check format help
+.PHONY: setup catch test check docs format help
 .DELETE_ON_ERROR:
 
 setup: $(READY) ## make .venv from the pinned versions (once; again when they change)
@@ -32,6 +32,9 @@ check: $(READY) ## formatting, lint, types, import rules, spelling
 	@$(BIN)/basedpyright --pythonpath $(BIN)/python
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/codespell
+
+docs: $(READY) ## build the site of docs/ into site/; warnings are errors
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 format: $(READY) ## format the code and mend what ruff can mend
 	@$(BIN)/ruff format --quiet .

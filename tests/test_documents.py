@@ -1,52 +1,110 @@
-"""Numbers in documents are those of the files beside them, and their commands are such that exist."""
+"""Documents are true: numbers are those of the files, commands and messages exist, scripts and notebook run."""
 
+import ast
 import json
 import re
+import runpy
 import shlex
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from pixel2catch.cli.main import parse
+from pixel2catch.cli.main import main, parse
 
 ROOT = Path(__file__).parents[1]
 COMPARISON = ROOT / "experiments" / "results" / "2026-11-21-comparison" / "report" / "table.json"
+LARGEST_FIGURE = 200_000  #: Size of a figure at the most [bytes].
 
-
-PAGES = (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"))
+PAGES = (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))
 COMMANDS = [
-    (page.name, line)
+    (str(page.relative_to(ROOT)), line)
     for page in PAGES
-    for line in re.findall(r"^(?:torchrun .* -m )?(pixel2catch .*)$", page.read_text("utf-8"), re.MULTILINE)
+    for block in re.findall(r"^```sh\n(.*?)^```", page.read_text("utf-8"), re.M | re.S)
+    for line in re.findall(r"^(?:torchrun .* -m )?(pixel2catch .*)$", block, re.M)
 ]
+QUICK = ("pixel2catch doctor", "pixel2catch scene scene.xml", "pixel2catch calibrate --print-marker board.pdf")
+"""Commands of the documents that take a second or two, as they stand there."""
 
 
-def cells() -> dict[str, list[str]]:
-    """Cells of the README's comparison, by method."""
-    rows = re.findall(
-        r"^\| `(\w+)` \| (.+) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
-    )
+def cells(page: str) -> dict[str, list[str]]:
+    """Cells of the rows of a page that begin with a method's name, by method."""
+    rows = re.findall(r"^\| `(\w+)` \| (\d.+) \|$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
     return {method: row.split(" | ") for method, row in rows}
 
 
-def test_the_comparison_is_that_of_its_report():
+@pytest.mark.parametrize("page", ["README.md", "docs/results.md"])
+def test_the_comparison_is_that_of_its_report(page: str):
     results = json.loads(COMPARISON.read_text())["results"]
     by_name = {(result["method"], result["objects"]): result for result in results}
-    columns = [("tracking_rate", "seen"), ("tracking_rate", "unseen"), ("success_rate", "seen")]
-    columns += [("success_rate", "unseen"), ("verified_hold_rate", "seen")]
-    assert set(cells()) == {method for method, _ in by_name}
-    for method, found in cells().items():
+    columns = [("success_rate", "seen"), ("success_rate", "unseen"), ("verified_hold_rate", "seen")]
+    if page != "README.md":
+        columns = [("tracking_rate", "seen"), ("tracking_rate", "unseen"), *columns]
+    found = cells(page)
+    assert set(found) == {method for method, _ in by_name}
+    for method, values in found.items():
         rates = [by_name[method, objects][rate] for rate, objects in columns]
-        assert found[:5] == [f"{100 * r['mean']:.1f} ± {100 * r['deviation']:.1f}" for r in rates]
+        expected = [f"{100 * r['mean']:.1f} ± {100 * r['deviation']:.1f}" for r in rates]
+        assert values[: len(columns)] == expected
 
 
 def test_links_lead_somewhere():
+    made = {"catching.md"}  # from the notebook
     for page in PAGES:
-        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
-            assert (page.parent / target).exists(), f"{page.name}: {target}"
+        for target in re.findall(r"\]\(([^)#:]+)\)", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.S)):
+            is_there = (page.parent / target).exists() or Path(target).name in made
+            assert is_there, f"{page.relative_to(ROOT)}: {target}"
 
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS)
 def test_commands_are_understood(page: str, line: str):
     """Options and their kinds are right; what the commands do is tested where they are."""
     parse(shlex.split(line, comments=True)[1:])
+
+
+@pytest.mark.parametrize("line", QUICK)
+def test_quick_commands_run(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    assert any(shlex.split(line) == shlex.split(command, comments=True) for _, command in COMMANDS)
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split(line)[1:]) == 0
+
+
+@cache
+def messages() -> str:
+    """All text of the package's code, with a gap where a value is filled in, and the Makefile."""
+    found = [(ROOT / "Makefile").read_text("utf-8")]
+    for path in (ROOT / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                parts = (str(v.value) if isinstance(v, ast.Constant) else "…" for v in node.values)
+                found.append("".join(parts))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value)
+    return "\n".join(found)
+
+
+def test_messages_of_the_troubleshooting_page_exist():
+    page = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
+    named = [text for row in re.findall(r"^\| (`[^|]*) \|", page, re.M) for text in re.findall(r"`([^`]+)`", row)]
+    assert len(named) > 10
+    unknown = [text for text in named if text not in messages() and text not in ("doctor",)]
+    assert not unknown
+
+
+def test_figures_are_drawn_and_small(tmp_path: Path):
+    runpy.run_path(str(ROOT / "docs" / "figures.py"))["write"](tmp_path)
+    kept = {path.name for path in (ROOT / "docs" / "figures").iterdir()}
+    drawn = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+    assert set(drawn) == kept
+    assert max(drawn.values()) < LARGEST_FIGURE
+    shown = (ROOT / "docs" / "concepts.md").read_text("utf-8")
+    assert all(f"figures/{name}" in shown for name in kept)
+
+
+def test_the_notebook_runs(tmp_path: Path):
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    notebook = nbformat.read(ROOT / "docs" / "catching.ipynb", as_version=4)
+    said = [output.get("text") for cell in notebook.cells for output in cell.get("outputs", ())]
+    assert any(text and "S.R." in text for text in said), "the notebook keeps its outputs"
+    client = nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}})
+    client.execute()  # raises where a cell does
