@@ -23,7 +23,11 @@ COMMANDS = [
     for block in re.findall(r"^```sh\n(.*?)^```", page.read_text("utf-8"), re.M | re.S)
     for line in re.findall(r"^(?:torchrun .* -m )?(pixel2catch .*)$", block, re.M)
 ]
-QUICK = ("pixel2catch doctor", "pixel2catch scene scene.xml", "pixel2catch calibrate --print-marker board.pdf")
+QUICK = (
+    "pixel2catch doctor",
+    "pixel2catch scene scene.xml",
+    "pixel2catch calibrate --print-marker board.pdf",
+)
 """Commands of the documents that take a second or two, as they stand there."""
 
 
@@ -51,7 +55,9 @@ def test_the_comparison_is_that_of_its_report(page: str):
 def test_links_lead_somewhere():
     made = {"catching.md"}  # from the notebook
     for page in PAGES:
-        for target in re.findall(r"\]\(([^)#:]+)\)", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.S)):
+        for target in re.findall(
+            r"\]\(([^)#:]+)\)", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.S)
+        ):
             is_there = (page.parent / target).exists() or Path(target).name in made
             assert is_there, f"{page.relative_to(ROOT)}: {target}"
 
@@ -85,7 +91,9 @@ def messages() -> str:
 
 def test_messages_of_the_troubleshooting_page_exist():
     page = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
-    named = [text for row in re.findall(r"^\| (`[^|]*) \|", page, re.M) for text in re.findall(r"`([^`]+)`", row)]
+    named = [
+        text for row in re.findall(r"^\| (`[^|]*) \|", page, re.M) for text in re.findall(r"`([^`]+)`", row)
+    ]
     assert len(named) > 10
     unknown = [text for text in named if text not in messages() and text not in ("doctor",)]
     assert not unknown
