@@ -1,7 +1,6 @@
 """The figures of docs/, drawn from the code that they explain: `python docs/figures.py` writes them all."""
 
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -108,16 +107,16 @@ def features() -> Figure:
     rows = ~np.isnan(flight.steps[:, 0])
     time = flight.steps[rows, 0] * CONTROL_DT
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
-    image: Axes = left.subplots()
+    parts: Any = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
+    image: Axes = parts[0].subplots()
     image.plot(*flight.truth[rows, 0].T, color=TRUTH, linewidth=1.0, label="centre of the object")
     for number, (x0, y0, x1, y1) in enumerate(flight.box[rows, 0]):
-        label = {"label": "boxes that the policy gets"} if number == 0 else {}
-        image.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=BOX, **label))
+        label = "boxes that the policy gets" if number == 0 else None
+        image.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=BOX, label=label))
     image.set(xlim=(0, RGB_CAMERA.width), ylim=(RGB_CAMERA.height, 0), xlabel="u [px]", ylabel="v [px]")
     image.set_aspect("equal")
     image.legend(loc="lower left", fontsize=8)
-    panels = right.subplots(3, 1, sharex=True)
+    panels = parts[1].subplots(3, 1, sharex=True)
     groups = (("cx", "cy"), ("dcx", "dcy"), ("dw", "dh"))
     labels = ("share of the image", "change [px]", "change [px]")
     for axes, names, label in zip(panels, groups, labels, strict=True):
@@ -217,14 +216,14 @@ FIGURES: dict[str, Callable[[], Figure]] = {
 }
 
 
-def write(folder: Path = FOLDER) -> None:
-    """Draw every figure into a folder."""
+def write(folder: Path = FOLDER, names: Iterable[str] = FIGURES) -> None:
+    """Draw figures into a folder."""
     folder.mkdir(exist_ok=True)
     torch.set_num_threads(1)
-    for name, figure in FIGURES.items():
+    for name in names:
         with matplotlib.rc_context(SVG):
-            figure().savefig(folder / f"{name}.svg", metadata={"Date": None})
+            FIGURES[name]().savefig(folder / f"{name}.svg", metadata={"Date": None})
 
 
 if __name__ == "__main__":
-    write(*map(Path, sys.argv[1:]))
+    write()
