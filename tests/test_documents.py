@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from pixel2catch.cli.main import main, parse
+from pixel2catch.own_files import VARIABLE, take_option
 
 ROOT = Path(__file__).parents[1]
 COMPARISON = ROOT / "experiments" / "results" / "2026-11-21-comparison" / "report" / "table.json"
@@ -18,11 +19,27 @@ FIGURES = ROOT / "docs" / "figures"
 LARGEST_FIGURE = 200_000  #: Size of a figure at the most [bytes].
 
 PAGES = (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))
+EXAMPLES = tuple(ROOT.glob("examples/*.py"))
+INPUTS = {".csv", ".json", ".mp4", ".npz", ".onnx", ".py", ".yaml"}  #: Endings of files that commands read.
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The code blocks of a page in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def commands(text: str) -> list[str]:
+    """The lines of a text that are commands of ours."""
+    return re.findall(r"^ *(?:torchrun .* -m )?(pixel2catch .*)$", text, re.MULTILINE)
+
+
 COMMANDS = [
-    (str(page.relative_to(ROOT)), line)
-    for page in PAGES
-    for block in re.findall(r"^```sh\n(.*?)^```", page.read_text("utf-8"), re.M | re.S)
-    for line in re.findall(r"^(?:torchrun .* -m )?(pixel2catch .*)$", block, re.M)
+    *(
+        (str(page.relative_to(ROOT)), line)
+        for page in PAGES
+        for line in commands("".join(blocks(page, "sh")))
+    ),
+    *((script.name, line) for script in EXAMPLES for line in commands(script.read_text("utf-8"))),
 ]
 QUICK = (
     "pixel2catch doctor",
@@ -57,16 +74,34 @@ def test_links_lead_somewhere():
     made = {"catching.md"}  # from the notebook
     for page in PAGES:
         for target in re.findall(
-            r"\]\(([^)#:]+)\)", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.S)
+            r"\]\(([^)#:]+)\)", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.DOTALL)
         ):
             is_there = (page.parent / target).exists() or Path(target).name in made
             assert is_there, f"{page.relative_to(ROOT)}: {target}"
 
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS)
-def test_commands_are_understood(page: str, line: str):
+def test_commands_are_understood(page: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Options and their kinds are right; what the commands do is tested where they are."""
-    parse(shlex.split(line, comments=True)[1:])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(VARIABLE, "")
+    args = take_option(shlex.split(line, comments=True)[1:])
+    for option, argument in zip(["", *args], args, strict=False):
+        path = Path(argument)
+        if option != "--out" and path.suffix in INPUTS:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        elif option != "--out" and "/" in argument and not path.is_absolute():
+            path.mkdir(parents=True, exist_ok=True)
+            (path / "policy.json").touch()
+    parse(args)
+
+
+def test_python_in_documents_runs():
+    for page in ROOT.glob("docs/extending/*.md"):
+        for block in blocks(page, "python"):
+            if not block.startswith("--8<--"):
+                exec(compile(block, str(page), "exec"), {})
 
 
 @pytest.mark.parametrize("line", QUICK)
