@@ -36,7 +36,7 @@ class Chaos:
         start = self._pose(0.1)
         follow = np.minimum(limits.dt / limits.joints.lag, 1.0) * self.random.uniform(0.7, 1.4, (num_rows, 1))
         self.robots = _Robots(joint_pos=start, follow=follow)
-        self.target = start.copy()
+        self.target, self.pressed = start.copy(), self.time.copy()
         self.sent = {name: self.time.copy() for name in SENDERS}
         self.silent_until = {name: self.time - 1.0 for name in SENDERS}
 
@@ -45,6 +45,7 @@ class Chaos:
         self.time = self.time + self.limits.dt * self.random.uniform(0.5, 1.5, self.rows)
         self._decide()
         self._send()
+        self.pressed = np.where(self.random.random(self.rows) < 0.02, self.time, self.pressed)
         now = self._wrong(self.time, WRONG_STAMPS)
         joint_stamp = np.tile(self.sent["joint_stamp"][:, None], len(JOINTS))
         return ServoInputs(
@@ -55,11 +56,13 @@ class Chaos:
             target_stamp=self._wrong(self.sent["target_stamp"], WRONG_STAMPS),
             image_stamp=self._wrong(self.sent["image_stamp"], WRONG_STAMPS),
             dead_man_stamp=self._wrong(self.sent["dead_man_stamp"], WRONG_STAMPS),
+            pressed_stamp=self.pressed,
             arm_stamp=self._requests(),
             is_stop_requested=self._happens(),
             is_safe=~self._happens(),
             speed_scaling=np.where(self._happens(), self.random.choice([0.0, 0.9, np.nan], self.rows), 1.0),
             has_other_publisher=self._happens(),
+            has_other_operator=self._happens(),
         )
 
     def follow(self, command: np.ndarray) -> None:

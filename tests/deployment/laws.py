@@ -26,9 +26,11 @@ class Laws:
         self.limits = limits
         self.mode = np.zeros(num_rows, dtype=np.int64)
         self.command: np.ndarray | None = None
+        self.is_silent = np.ones(num_rows, dtype=np.bool_)
         self.change: np.ndarray | None = None
         self.last_tick = np.full(num_rows, np.nan)
         self.newest_request = np.full(num_rows, -np.inf)
+        self.used_press = np.full(num_rows, -np.inf)
         self.stopped_ticks = np.zeros(num_rows, dtype=np.int64)
         self.ticks_in = np.zeros(len(Mode), dtype=np.int64)
         self.stops_by = {fault: 0 for fault in Fault}
@@ -52,10 +54,13 @@ class Laws:
         assert is_asked[is_armed].all(), "armed without a fresh request of its own"
         is_late = self.stopped_ticks * self.limits.dt >= STOP_TIME - ROUNDING
         assert is_late[is_armed & (self.mode == Mode.STOPPED)].all(), "armed in the middle of a stop"
+        is_pressed = inputs.pressed_stamp > self.used_press
+        assert is_pressed[is_armed].all(), "armed with a switch that was not pressed anew"
         is_left = (output.mode == Mode.IDLE) & (self.mode == Mode.STOPPED)
         assert is_late[is_left].all(), "given up in the middle of a stop"
         if self.command is not None:
-            away = np.abs(inputs.joint_pos - self.command)[is_left] > self.limits.joints.moved_error
+            is_told = is_left & ~self.is_silent
+            away = np.abs(inputs.joint_pos - self.command)[is_told] > self.limits.joints.moved_error
             assert away.any(axis=-1).all(), "given up though nobody moved it"
         np.testing.assert_array_equal(output.stopped_by != 0, output.mode == Mode.STOPPED)
 
@@ -73,6 +78,9 @@ class Laws:
             & inputs.is_safe
             & (inputs.speed_scaling >= 1.0)
             & ~inputs.has_other_publisher
+            & ~inputs.has_other_operator
+            & (inputs.joint_pos > limits.joints.least).all(axis=-1)
+            & (inputs.joint_pos < limits.joints.most).all(axis=-1)
         )
         assert is_well[np.isin(output.mode, ACTIVE)].all()
         sees = (now - inputs.image_stamp <= limits.image_age) & (
@@ -83,32 +91,36 @@ class Laws:
 
     def _check_motion(self, inputs: ServoInputs, output: Output) -> None:
         limits, joints, command = self.limits, self.limits.joints, output.command
-        is_sent = output.mode != Mode.IDLE
+        is_silent = (output.stopped_by & Fault.OTHER_PUBLISHER) != 0
+        is_sent = (output.mode != Mode.IDLE) & ~is_silent
         assert np.isnan(command[~is_sent]).all()
         assert ((command >= joints.lower - ROUNDING) & (command <= joints.upper + ROUNDING))[is_sent].all()
         wider = widened(limits.workspace)
         assert wider.contains(command[is_sent][:, :6]).all()
-        first = is_sent & (self.mode == Mode.IDLE)
+        was_silent = self.is_silent
+        first = is_sent & was_silent
         assert (np.abs(command - inputs.joint_pos) <= joints.start_error + ROUNDING)[first].all()
         if self.command is None or self.change is None:
             return
-        change = np.where((self.mode == Mode.IDLE)[:, None], 0.0, command - self.command)
+        change = np.where(was_silent[:, None], 0.0, command - self.command)
         largest = np.minimum(joints.speed * limits.dt, joints.step)
         assert (np.abs(change) <= largest + ROUNDING)[is_sent].all()
-        before = np.where((self.mode == Mode.IDLE)[:, None], 0.0, self.change)
+        before = np.where(was_silent[:, None], 0.0, self.change)
         change_of_change = np.abs(change - before)
         assert (change_of_change <= joints.acceleration * limits.dt**2 + ROUNDING)[is_sent].all()
-        is_over = (output.mode == Mode.STOPPED) & (self.stopped_ticks * limits.dt >= STOP_TIME)
+        is_over = (output.mode == Mode.STOPPED) & is_sent & (self.stopped_ticks * limits.dt >= STOP_TIME)
         assert not np.abs(change[is_over]).any(), "a stop that still moves"
 
     def _remember(self, inputs: ServoInputs, output: Output) -> None:
         begun = (output.mode == Mode.STOPPED) & (self.mode != Mode.STOPPED)
+        self.used_press = np.where(begun, inputs.pressed_stamp, self.used_press)
         for fault in Fault:
             self.stops_by[fault] += int((begun & ((output.stopped_by & fault) != 0)).sum())
             self.refusals_by[fault] += int(((output.refused & fault) != 0).sum())
         self.num_clamps |= int(np.bitwise_or.reduce(output.clamped))
         previous = output.command if self.command is None else self.command
-        is_new = (self.mode == Mode.IDLE) | (output.mode == Mode.IDLE)
+        is_new = np.logical_or.reduce(np.isnan(previous) | np.isnan(output.command), axis=-1)
+        self.is_silent = np.logical_or.reduce(np.isnan(output.command), axis=-1)
         self.change = np.where(is_new[:, None], 0.0, output.command - previous)
         self.command = output.command
         is_still = output.mode == Mode.STOPPED

@@ -21,6 +21,11 @@ def elbow(value: float, field: str) -> Callable[[ServoInputs], np.ndarray]:
     return lambda good: np.where(ELBOW, value, getattr(good, field))
 
 
+def finger(value: float) -> Callable[[ServoInputs], np.ndarray]:
+    """A finger's joint that is measured where none can be."""
+    return lambda good: np.where(np.arange(len(JOINTS)) == 8, value, good.joint_pos)
+
+
 def always(value: float | bool) -> Callable[[ServoInputs], np.ndarray]:
     """One value in every row."""
     return lambda good: np.full(len(good.now), value)
@@ -35,11 +40,15 @@ MISHAPS: tuple[tuple[Fault, str, Callable[[ServoInputs], np.ndarray]], ...] = (
     (Fault.TARGET_NOT_FINITE, "joint_pos_target", elbow(-np.inf, "joint_pos_target")),
     (Fault.JOINTS_STALE, "joint_stamp", lambda good: good.joint_stamp - 0.021 * ELBOW),
     (Fault.JOINTS_NOT_FINITE, "joint_pos", elbow(np.nan, "joint_pos")),
-    (Fault.TRACKING_ERROR, "joint_pos", lambda good: good.joint_pos + 0.3 * ELBOW),
+    (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", lambda good: good.joint_pos + 0.1 * ELBOW),
+    (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", finger(100.0)),
+    (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", finger(-7.0)),
+    (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", finger(1e308)),
     (Fault.SAFETY_MODE, "is_safe", always(False)),
     (Fault.SPEED_SCALING, "speed_scaling", always(0.99)),
     (Fault.SPEED_SCALING, "speed_scaling", always(np.nan)),
     (Fault.OTHER_PUBLISHER, "has_other_publisher", always(True)),
+    (Fault.OTHER_OPERATOR, "has_other_operator", always(True)),
     (Fault.DEAD_MAN, "dead_man_stamp", aged(0.21)),
     (Fault.STOP_REQUEST, "is_stop_requested", always(True)),
     (Fault.CLOCK, "now", always(np.nan)),

@@ -35,8 +35,9 @@ class Lab:
         self.time = 100.0
         self.target = np.tile(HOME, (num_rows, 1))
         self.joint_pos = self.target.copy()
+        self.lag = limits.joints.lag
         self.is_held_fast = np.zeros(len(JOINTS), dtype=bool)
-        self._target_stamp = self.time
+        self._target_stamp = self.pressed = self.time
         self.outputs: list[Output] = []
         self.told = self.inputs()
 
@@ -52,11 +53,13 @@ class Lab:
             target_stamp=np.full(self.rows, self._target_stamp),
             image_stamp=now - 0.03,
             dead_man_stamp=now,
+            pressed_stamp=np.full(self.rows, self.pressed),
             arm_stamp=np.full(self.rows, -np.inf),
             is_stop_requested=np.zeros(self.rows, dtype=bool),
             is_safe=np.ones(self.rows, dtype=bool),
             speed_scaling=np.ones(self.rows),
             has_other_publisher=np.zeros(self.rows, dtype=bool),
+            has_other_operator=np.zeros(self.rows, dtype=bool),
         )
 
     def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:
@@ -66,7 +69,7 @@ class Lab:
         self.told = distort(good) if distort else good
         self.state, output = self.core.tick(self.state, self.told)
         self.outputs.append(output)
-        follow = np.minimum(self.limits.dt / self.limits.joints.lag, 1.0)
+        follow = np.minimum(self.limits.dt / self.lag, 1.0)
         command = np.where(np.isnan(output.command), self.joint_pos, output.command)
         self.joint_pos += np.where(self.is_held_fast, 0.0, follow * (command - self.joint_pos))
         return output
@@ -83,7 +86,8 @@ class Lab:
         return self.ask()
 
     def ask(self) -> Output:
-        """A tick in which the operator asks to arm."""
+        """A tick in which the operator, who has just pressed the switch anew, asks to arm."""
+        self.pressed = self.time
         return self.tick(lambda good: replace(good, arm_stamp=good.now))
 
     def swung(self) -> "Lab":

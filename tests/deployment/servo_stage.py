@@ -47,7 +47,8 @@ class Stage:
         self.clock, self.broker = ClockOfScript(), Broker()
         loop, end = ends
         setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
-        self.servo = Servo(end, self.broker.node(self.clock), setup, self.clock)
+        self.node = self.broker.node(self.clock)
+        self.servo = Servo(end, self.node, setup, self.clock)
         self.lab = WireLab(self.broker.node(self.clock), loop, profile, self.clock)
 
     def play(self, script: Iterator[None]) -> None:
@@ -70,6 +71,12 @@ class Stage:
         yield from wait(num_ticks)
         assert self.mode in (Mode.ARMED, Mode.RAMP, Mode.RUN)
 
+    def pressed_anew(self) -> Iterator[None]:
+        """The operator lets go of the switch, and presses it again."""
+        for is_held in (False, True):
+            self.lab.is_held = is_held
+            yield from wait(26)
+
     @property
     def mode(self) -> int:
         return self.lab.servo_statuses[-1].mode
@@ -78,6 +85,15 @@ class Stage:
     def modes(self) -> list[int]:
         """The modes in their order."""
         return [mode for mode, _ in groupby(servo_status.mode for servo_status in self.lab.servo_statuses)]
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Why the last request to arm was refused that was."""
+        return next(
+            tuple(flag_names(Fault, each.refused))
+            for each in reversed(self.lab.servo_statuses)
+            if each.refused
+        )
 
     @property
     def stopped_by(self) -> tuple[str, ...]:

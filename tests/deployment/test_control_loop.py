@@ -210,9 +210,19 @@ def test_a_dead_servo_is_an_error():
             led.step()
 
 
-@pytest.mark.parametrize(
-    "text", ["", "{}", '{"box": [1, 2, 3]}', '{"box": [9, 9, 1, 1]}', '{"box": null}', "[1, 2, 3, 4]"]
-)
+BAD_PROMPTS = {
+    **{text: text for text in ("", "{}", '{"box": [1, 2, 3]}', '{"box": [9, 9, 1, 1]}', "[1, 2, 3, 4]")},
+    "null": '{"box": null}',
+    "400 digits": '{"box": [0, 0, ' + 400 * "9" + ", 9]}",
+    "5,000 digits": '{"box": [0, 0, ' + 5000 * "9" + ", 9]}",
+    "deep": 20_000 * "[" + 20_000 * "]",
+    "long": '{"box": [0, 0, 9, 9], "more": "' + 100_000 * " " + '"}',
+    "endless": '{"box": [0, 0, Infinity, 9]}',
+    "no number": '{"box": [0, 0, NaN, 9]}',
+}
+
+
+@pytest.mark.parametrize("text", BAD_PROMPTS.values(), ids=BAD_PROMPTS.keys())
 def test_a_bad_prompt_is_told_and_begins_nothing(text: str):
     with pytest.raises(DeploymentError, match="prompt"):
         read_prompt(messages.text(text))

@@ -85,10 +85,12 @@ class Watcher:
         return self.statuses[-1] if self.statuses else {"mode": "", "found": ["nothing yet"]}
 
     def run(self) -> None:
-        """All is well, the operator arms, and the robot is commanded.
+        """All is well, the operator presses the switch and arms, and the robot is commanded.
 
         On a machine that is busy with tests the laboratory may itself be late: then it is armed anew.
         """
+        self.say("switch let go")
+        self.until(lambda: "dead man" in self.status["found"])
         self.say("none")
         self.until(lambda: self.status["mode"] in ("idle", "stopped"))
         asked = [-1.0]

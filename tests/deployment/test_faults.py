@@ -95,7 +95,9 @@ class Watcher:
         return self.statuses[-1] if self.statuses else {"mode": ""}
 
     def run(self) -> None:
-        """All is well, the operator arms and points, and the policy moves the arm."""
+        """All is well, the operator presses the switch, arms and points, and the policy moves the arm."""
+        self.say("switch let go")
+        self.wait(0.1)
         self.say("none")
         self.wait(0.3)
         self.say("arm")
@@ -192,4 +194,8 @@ def test_somebody_else_who_commands_the_robot_stops_it(watcher: Watcher):
     watcher.run()
     other = watcher.broker.node(watcher.clock).publisher(ARM)
     other.publish(messages.float_array(watcher.commands[-1][1]))
-    assert "other publisher" in watcher.stopped_by()
+    watcher.until(lambda: watcher.status["mode"] == "stopped")
+    assert "other publisher" in watcher.status["stopped_by"]
+    num_commands = len(watcher.commands)
+    watcher.wait(STOP_TIME)
+    assert len(watcher.commands) == num_commands  # it does not fight

@@ -67,3 +67,8 @@ def test_limits_that_are_none_are_refused():
         ServoLimits(
             joints=replace(limits, acceleration=0.0 * limits.acceleration + 40.0), workspace=WORKSPACE
         )
+
+
+def test_without_identified_dynamics_commands_are_as_slow_as_joints_may_be():
+    joints = JointLimits.of(UR5E_ALLEGRO, 0.5, is_identified=False)
+    np.testing.assert_allclose(joints.speed, [0.5 * 0.9 * joint.velocity_limit for joint in JOINTS])

@@ -13,12 +13,13 @@ from rosbags.highlevel import AnyReader
 
 from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
 from pixel2catch.deployment import recorder
-from pixel2catch.deployment.recorder import BagRecorder
+from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
 from pixel2catch.errors import DeploymentError
 from pixel2catch.identification.importers import Names, read_rosbag
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Topic
+from pixel2catch.ros2.transport import RealClock, Topic
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 IMAGE = Topic(name="/image", type=messages.IMAGE)
@@ -139,6 +140,12 @@ def test_a_full_disk_is_said_and_stops_nothing(tmp_path: Path):
     assert "File too large" in bag.problem
     assert bag.num_dropped["/image"] > 0
     assert sum(bag.num_dropped.values()) + sum(bag.num_written.values()) == 10
+    clock = RealClock()
+    recording = DeploymentRecorder(
+        bag, Broker().node(clock), Profile.load("ur5e_allegro_v4"), clock, images="raw"
+    )
+    with pytest.raises(DeploymentError, match=r"lacks [0-9]+ messages .*File too large.* record anew"):
+        recording.require_whole()
 
 
 def test_after_a_kill_all_but_the_last_chunk_is_on_the_disk(tmp_path: Path):

@@ -96,6 +96,9 @@ def test_every_stop_stands_still_in_time_near_where_the_joints_are():
     lab = Lab(len(MISHAPS)).swung()
     assert (np.abs(lab.state.motion.velocity[:, :3]) > 3.0).all()
     commands = np.stack([lab.tick(all_at_once).command, *(lab.tick().command for _ in range(2 * STOP_TICKS))])
+    is_silent = np.array([fault == Fault.OTHER_PUBLISHER for fault, _, _ in MISHAPS])
+    np.testing.assert_array_equal(np.isnan(commands), np.broadcast_to(is_silent[:, None], commands.shape))
+    commands[:, is_silent] = lab.state.motion.position[is_silent]
     assert not np.diff(commands[STOP_TICKS:], axis=0).any()
     assert (np.abs(lab.joint_pos - commands[-1]) < 0.02).all()
 
@@ -127,6 +130,7 @@ def test_a_stopped_robot_that_somebody_moves_is_left_to_them_and_armed_where_it_
     lab.run(2.0 * STOP_TIME)
     homed = lab.joint_pos.copy()
     homed[0, 2] -= 0.1
+    assert lab.tick(given(joint_pos=homed)).found == Fault.JOINTS_IMPLAUSIBLE  # so far in a tick
     assert lab.tick(given(joint_pos=homed)).mode == Mode.IDLE
     assert np.isnan(lab.outputs[-1].command).all()
     assert lab.run(0.1, given(joint_pos=homed)).mode == Mode.IDLE
@@ -234,3 +238,42 @@ def test_rows_do_not_know_of_each_other():
         one, several = alone.tick(), three.tick()
         assert several.mode.tolist() == [Mode.RUN, Mode.STOPPED, Mode.RUN]
         np.testing.assert_array_equal(several.command[[0, 2]], np.repeat(one.command, 2, axis=0))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.25])
+@pytest.mark.parametrize("lag", [0.02, 0.03, 0.06, 0.1, 0.14])
+def test_no_joint_of_an_unidentified_arm_is_faster_than_it_may_be(lag: float, share: float):
+    """Whatever its lag, and though the policy swings it from end to end."""
+    joints = JointLimits.of(UR5E_ALLEGRO, share, is_identified=False)
+    lab = Lab(limits=replace(LIMITS, joints=joints)).started()
+    lab.lag = np.full(len(JOINTS), lag)
+    fastest = np.zeros(len(JOINTS))
+    for swing in range(20):
+        lab.target[0, [0, 3, 4, 5]] = HOME[[0, 3, 4, 5]] + (0.5 if swing % 2 else -0.5)
+        for _ in range(60):
+            before = lab.joint_pos.copy()
+            lab.tick()
+            fastest = np.maximum(fastest, np.abs(lab.joint_pos - before)[0] / LIMITS.dt)
+        if lab.outputs[-1].mode == Mode.STOPPED:  # by its tracking: it follows otherwise than was told
+            lab.run(STOP_TIME)
+            lab.target = lab.joint_pos.copy()
+            lab.ask()
+            lab.run(LIMITS.ramp_time + 0.05)
+    limits = np.array([joint.velocity_limit for joint in JOINTS])
+    assert (fastest[:6] <= share * limits[:6]).all(), fastest
+    assert fastest[0] > 0.5 * share * limits[0]
+
+
+def test_an_arm_that_is_faster_than_was_identified_is_stopped():
+    """A third of the lag that was told: three times the speed, for less than a tenth of a second."""
+    lab = Lab().started()
+    lab.lag = lab.limits.joints.lag / 3.0
+    limit, ticks_over = JOINTS[0].velocity_limit, 0
+    lab.target[0, 0] += 1.0
+    for _ in range(100):
+        before = lab.joint_pos.copy()
+        lab.tick()
+        ticks_over += bool((np.abs(lab.joint_pos - before)[0, 0] / LIMITS.dt) > limit)
+    assert lab.outputs[-1].mode == Mode.STOPPED
+    assert lab.outputs[-1].stopped_by & (Fault.JOINT_SPEED | Fault.TRACKING_ERROR)
+    assert 0 < ticks_over * LIMITS.dt < 0.1

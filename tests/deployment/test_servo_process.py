@@ -16,10 +16,12 @@ from pixel2catch.ros2.profile import Profile, StatusTopics
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import LoopEnd, ServoEnd, link
+from pixel2catch.servo.process import ARM_PAUSE
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)
+ARM_TICKS = round(ARM_PAUSE / LIMITS.dt)
 
 
 @pytest.fixture
@@ -276,9 +278,94 @@ def test_the_operator_stops_and_goes_on(stage: Stage):
         assert stage.mode == Mode.STOPPED
         lab.target = lab.joint_pos.copy()
         yield from wait(STOP_TICKS + 20)
+        lab.ask_to_arm()
+        yield from wait(2)
+        assert stage.mode == Mode.STOPPED
+        assert stage.refused == ("switch not pressed",)
+        yield from stage.pressed_anew()
+        yield from wait(ARM_TICKS)
         yield from stage.armed(80)
         assert stage.mode == Mode.RUN
         raise Cut
 
     stage.play(script())
     assert stage.stopped_by == ("stop request",)
+
+
+def test_a_request_to_arm_that_never_ends_is_one(stage: Stage):
+    """Somebody asks 500 times a second; after a stop, and with the switch pressed anew, it stays stopped."""
+    lab = stage.lab
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(80)
+        for tick in range(STOP_TICKS + 2 * ARM_TICKS):
+            lab.ask_to_arm()
+            if tick == 10:
+                lab.say(lab.profile.operator.stop, messages.boolean(True))
+            lab.is_held = not 20 < tick < 60
+            yield
+        raise Cut
+
+    stage.play(script())
+    assert stage.modes == [Mode.IDLE, Mode.ARMED, Mode.RAMP, Mode.RUN, Mode.STOPPED]
+
+
+@pytest.mark.parametrize("name", ["dead_man", "arm"])
+def test_a_second_operator_stops_the_robot_and_keeps_it_from_being_armed(name: str, stage: Stage):
+    """A pedal that was killed, and another node that goes on saying that the switch is held."""
+    lab = stage.lab
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(80)
+        lab.silent.add(lab.profile.operator.dead_man.name)
+        other = stage.broker.node(stage.clock)
+        topic = getattr(lab.profile.operator, name)
+        publisher = other.publisher(topic)
+        for tick in range(2 * STOP_TICKS):
+            if tick % 10 == 0:
+                publisher.publish(messages.boolean(True))
+            yield
+        other.publisher(topic)
+        raise Cut
+
+    stage.play(script())
+    assert stage.mode == Mode.STOPPED
+    assert "other operator" in stage.stopped_by or "dead man" in stage.stopped_by
+    found = {name for each in lab.servo_statuses for name in flag_names(Fault, each.found)}
+    assert "other operator" in found
+
+
+@pytest.mark.parametrize("age", [10.0, 0.3, -10.0])
+def test_a_message_of_the_switch_that_took_too_long_says_nothing(age: float, stage: Stage):
+    lab, topic = stage.lab, stage.lab.profile.operator.dead_man
+    (switch,) = [queue for listened, queue in stage.node.listeners if listened == topic]
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(80)
+        lab.silent.add(topic.name)
+        for _ in range(120):
+            switch.put(messages.boolean(True), age=age)
+            yield
+        raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == ("dead man",)
+
+
+def test_nothing_is_sent_against_somebody_else_who_commands(stage: Stage):
+    lab = stage.lab
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(80)
+        lab.target = HOME + 0.1
+        yield from wait(20)
+        rivalled(stage)
+        yield from wait(110)
+        assert stage.mode == Mode.STOPPED
+        num_commands = len(lab.commands["arm"])
+        yield from wait(STOP_TICKS)
+        assert len(lab.commands["arm"]) == num_commands
+        raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == ("other publisher",)

@@ -1,5 +1,6 @@
 """Keys of an input device as the operator's switches: a pipe that speaks as Linux's devices do."""
 
+import json
 import os
 import signal
 import subprocess
@@ -204,3 +205,17 @@ def until(queue: Subscription, num: int) -> list[bool]:
         said += taken(queue)
         time.sleep(0.01)
     return said
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", 20_000 * "[", '{"mode": 5}', '{"mode": "run", "message": "", "found": "all"}']
+)
+def test_a_status_that_is_none_changes_nothing(text: str):
+    clock, broker = StepClock(lambda _: None), Broker()
+    console = OperatorConsole(broker.node(clock), PROFILE.operator, clock)
+    status = broker.node(clock).publisher(PROFILE.operator.status)
+    good = {"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": ["dead man"]}
+    for said in (json.dumps(good), text):
+        status.publish(messages.text(said))
+        console.watch()
+        assert console.status == good

@@ -98,6 +98,8 @@ class Deploy:
             if self.json
             else "\n".join(lines(control_loop.statistics.summary()))
         )
+        if connection.recording:
+            connection.recording.require_whole()
 
     def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""

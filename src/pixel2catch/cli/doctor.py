@@ -327,7 +327,7 @@ class Doctor:
             check("rosbags", partial(optional, "rosbags", "rosbags", "identification")),
             check("cyclonedds", partial(optional, "cyclonedds", "cyclonedds", "deployment")),
             check("DDS", dds),
-            check("viser", partial(optional, "viser", "viser", "twin")),
+            check("viser", partial(optional, "viser", "viser", "viewer")),
             check("transformers", partial(optional, "transformers", "transformers", "sam2")),
             check("torchvision", torchvision),
             check("SAM 2", partial(sam2, self.checkpoint), is_needed=self.checkpoint is not None),

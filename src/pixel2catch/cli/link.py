@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from pixel2catch.deployment.recorder import Connection, Images
     from pixel2catch.ros2.profile import Profile
     from pixel2catch.ros2.transport import Clock, Transport
+    from pixel2catch.servo.limits import ServoLimits
 
 NODE = "pixel2catch"  #: Name of the node; the servo's has `_servo` behind it.
 
@@ -54,6 +55,9 @@ class Link(Network):
     """How the robot is reached, and how fast it may be."""
 
     speed: float = 1.0  #: Share of the full speed, up to 1.
+    #: Dynamics file of this robot, as `identify` writes it. Without one, commands to a robot are no faster
+    #: than its joints may be, whatever its lag, and no policy catches at full speed; the twin needs none.
+    dynamics: Path | None = None
     dry_run: bool = False  #: Send nothing to the robot: nobody announces a command.
 
     def connect(
@@ -65,11 +69,9 @@ class Link(Network):
         """
         from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
         from pixel2catch.ros2.transport import make_transport
-        from pixel2catch.servo.limits import ServoLimits
         from pixel2catch.servo.process import ServoSetup, start_servo
-        from pixel2catch.workcells import find_workcell
 
-        limits = ServoLimits.of(find_workcell(profile.workcell), self.speed)
+        limits = self._limits(profile)
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)
         join = partial(make_transport, self.transport, f"{NODE}_servo", self.loopback)
         recorder = stack.enter_context(BagRecorder(record)) if record else None
@@ -79,3 +81,20 @@ class Link(Network):
         return Connection(
             transport=transport, servo=servo.link, servo_dt=limits.dt, clock=clock, recording=recording
         )
+
+    def _limits(self, profile: "Profile") -> "ServoLimits":
+        """What the servo keeps to with this robot."""
+        from pixel2catch.cli.console import say
+        from pixel2catch.mdp.dynamics_file import DynamicsFile
+        from pixel2catch.robots.joint_dynamics import JointDynamics
+        from pixel2catch.servo.limits import ServoLimits
+        from pixel2catch.workcells import find_workcell
+
+        workcell = find_workcell(profile.workcell)
+        dynamics = JointDynamics.nominal(specs=workcell.joints)
+        if self.dynamics:
+            dynamics = DynamicsFile.load(self.dynamics, workcell).dynamics.over(dynamics)
+        elif not self.loopback:
+            say("no --dynamics: commands are no faster than the joints may be; identify the robot to catch")
+        is_identified = self.loopback or self.dynamics is not None
+        return ServoLimits.of(workcell, self.speed, dynamics, is_identified=is_identified)

@@ -14,6 +14,7 @@ from pixel2catch.cli.deploy import Deploy
 from pixel2catch.cli.doctor import Doctor
 from pixel2catch.cli.evaluate import Evaluate
 from pixel2catch.cli.excite import Excite
+from pixel2catch.cli.export import Export
 from pixel2catch.cli.identify import Identify
 from pixel2catch.cli.operate import Operate
 from pixel2catch.cli.play import Play
@@ -47,6 +48,7 @@ COMMANDS = (
     Rehearse,
     Replay,
     Scene,
+    Export,
     Bench,
     Doctor,
 )

@@ -1,10 +1,12 @@
 """`pixel2catch play`: a video of throws."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from tyro.conf import Positional
+
+from pixel2catch.viewer.config import PageCfg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +27,8 @@ class Play:
     #: exactly.
     camera: Path | None = None
     view: Literal["rgb", "outside", "both"] = "both"  #: What the pictures show.
+    web: bool = False  #: Whether to serve a page with throws to play with, instead of writing a video.
+    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
 
     def run(self) -> None:
         """Throw, draw and write."""
@@ -37,6 +41,16 @@ class Play:
         from pixel2catch.scene.objects import select_objects
 
         prepare("cpu")
+        if self.web:
+            from pixel2catch.cli.extras import needs_extra
+            from pixel2catch.viewer.config import PlayCfg
+
+            with needs_extra("viewer"):
+                from pixel2catch.viewer.play import PlayPage
+                from pixel2catch.viewer.process import serve_until_interrupted
+            args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page}
+            cfg = PlayCfg(**args, dynamics=self.dynamics, camera=self.camera)
+            return serve_until_interrupted(lambda: PlayPage(cfg))
         find_gl_backend()
         policy, method = load_policy(self.policy)
         task = task_of(policy, dynamics=self.dynamics, camera=self.camera)

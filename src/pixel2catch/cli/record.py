@@ -46,6 +46,8 @@ class Record:
             follower = TrajectoryFollower(targets, trajectory.duration, ServoLimits.ramp_time, connection)
             say(f"{trajectory.duration:.0f} s of motion; waiting to be armed")
             self._follow(follower)
+        if connection.recording:
+            connection.recording.require_whole()
         done = "followed to its end" if follower.is_done else "not followed to its end"
         print(f"{self.trajectory}: {done}; wrote {self.out}; several of them are identified with")
         for part in profile.robots:

@@ -4,12 +4,17 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
 from pixel2catch.cli.deploy import Vision
 from pixel2catch.cli.link import Robot
+from pixel2catch.viewer.config import PageCfg
+
+if TYPE_CHECKING:
+    from pixel2catch.ros2.profile import Profile
+    from pixel2catch.scene.constants import CameraSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +26,10 @@ class Replay:
     """
 
     recording: Positional[Path]  #: What `deploy --record` or `rehearse --record` wrote, with images.
-    out: Path  #: New folder for the recording (MCAP) of what was decided now.
+    #: New folder for the recording (MCAP) of what was decided now; needed but with --web.
+    out: Path | None = None
+    web: bool = False  #: Whether to serve a page that shows the recording, instead of deciding once more.
+    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Path | None = None
     perception_ms: float = 10.0  #: Time that perception takes for an image.
@@ -32,13 +40,20 @@ class Replay:
     def run(self) -> None:
         """Replay, compare and report."""
         from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.errors import InvalidValueError
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.replay import compare, recorded_targets, replay
             from pixel2catch.workcells import find_workcell
-        self.vision.perception.prepare()
         notes: list[str] = []
         profile, camera = self.robot.load(), self.vision.perception.camera_spec(notes)
+        if self.web:
+            return self._show(profile, camera)
+        if self.out is None:
+            raise InvalidValueError(
+                "there is no folder to write to: add --out FOLDER, or --web to look at the recording."
+            )
+        self.vision.perception.prepare()
         pipeline = self.vision.make_pipeline(self.policy, profile, camera)
         perception_time = 1e-3 * self.perception_ms
         statistics = replay(self.recording, self.out, profile, camera, pipeline, perception_time)
@@ -48,6 +63,15 @@ class Replay:
             "decided": compare(then, now, find_workcell(profile.workcell)),
         }
         print(json.dumps(report) if self.json else "\n".join([*notes, *_lines(report)]))
+
+    def _show(self, profile: "Profile", camera: "CameraSpec") -> None:
+        """Show the recording until Ctrl-C."""
+        from pixel2catch.cli.extras import needs_extra
+
+        with needs_extra("viewer"):
+            from pixel2catch.viewer.process import serve_until_interrupted
+            from pixel2catch.viewer.replay import RecordingPage
+        serve_until_interrupted(lambda: RecordingPage(self.page, self.recording, profile, camera))
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:

@@ -1,7 +1,9 @@
 """`pixel2catch train`: learn a policy."""
 
 import dataclasses
+import os
 import typing
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -9,6 +11,7 @@ import tyro
 from tyro.conf import Positional
 
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
+from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
@@ -49,6 +52,8 @@ class Train:
     out: Path | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
     #: Go on from the last checkpoint in that folder, with its configuration and what is given here.
     resume: bool = False
+    web: bool = False  #: Whether to serve a page with curves and with throws of the newest policy.
+    page: PageCfg = dataclasses.field(default_factory=PageCfg)  #: Where that page is served.
     #: Any field of the task, also as --env.sensing.latency-steps 1 3. All fields: train --env.help.
     env: Annotated[FieldOptions, tyro.conf.arg(metavar="FIELD VALUE ...")] = ()
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrainOptions)
@@ -80,7 +85,19 @@ class Train:
                 teacher=teacher,
             )
 
-        train(cfg, make_env, contract, self._folder, resume=self.resume, agents=method.agents)
+        with self._page(cfg):
+            train(cfg, make_env, contract, self._folder, resume=self.resume, agents=method.agents)
+
+    def _page(self, cfg: TrainCfg) -> AbstractContextManager[None]:
+        """The page of this training, if there is to be one; of several processes the first has it."""
+        if not self.web or os.environ.get("RANK", "0") != "0":
+            return nullcontext()
+        from pixel2catch.cli.extras import needs_extra
+
+        with needs_extra("viewer"):
+            from pixel2catch.viewer.process import page_process
+            from pixel2catch.viewer.train import serve_training
+        return page_process(serve_training, self.page, self._folder.resolve(), cfg.transitions)
 
     @property
     def _folder(self) -> Path:

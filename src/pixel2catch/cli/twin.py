@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pixel2catch.twin.config import TwinCfg
+from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
     from pixel2catch.twin.lab_node import LabNode
@@ -22,18 +23,23 @@ class Twin:
     policy: Path | None = None  #: Policy whose hand and camera the twin has. Default: catch_alone+fit.
     twin: TwinCfg = field(default_factory=TwinCfg)  #: How the twin runs.
     domain: int | None = None  #: DDS domain. Default: ROS_DOMAIN_ID, or 0.
+    web: bool = False  #: Whether to serve a page that shows the twin and has buttons to throw.
+    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
 
     def run(self) -> None:
         """Serve, and say what happens."""
         import os
+        from contextlib import nullcontext
 
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
         from pixel2catch.cli.extras import needs_extra
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.interruption import StopRequest
+        from pixel2catch.workcells import find_workcell
 
         with needs_extra("twin"):
+            from pixel2catch.twin.lab_node import twin_profile
             from pixel2catch.twin.realtime import serve
         prepare("cpu")
         if self.domain is not None:
@@ -50,7 +56,14 @@ class Twin:
             return not stop.is_set
 
         say(f"opening the lab; clock {self.twin.clock:g}; Ctrl-C ends it")
-        with StopRequest() as stop:
+        page = nullcontext()
+        if self.web:
+            with needs_extra("viewer"):
+                from pixel2catch.viewer.process import page_process
+                from pixel2catch.viewer.twin import serve_page
+            profile = twin_profile(find_workcell(task.scene.workcell))
+            page = page_process(serve_page, self.page, task.scene, profile, self.twin.clock)
+        with StopRequest() as stop, page:
             stats = serve(self.twin, task, report)
         late = f"{stats.num_late:,} of them late, the worst by {1000 * stats.worst:.0f} ms"
         say(f"{stats.num_cycles:,} cycles, {late}")

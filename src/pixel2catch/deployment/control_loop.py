@@ -125,7 +125,7 @@ class ControlLoop:
         """Go from control step to control step, with the status of each, until it is over.
 
         Raises:
-            DeploymentError: The servo process is gone, or the camera is another one.
+            DeploymentError: The servo process is gone.
             PerceptionError: The first image has the wrong size.
         """
         while not is_over():
@@ -211,7 +211,10 @@ class ControlLoop:
         end, seen = self._clock.now(), self._seen
         if self._mode in ACTIVE:
             self.statistics.count_step(took=end - began, is_missed=is_missed)
-        message = self._message or self._images.message or complaint or (seen.message if seen else "")
+        trouble = self._recording.trouble if self._recording else ""
+        message = (
+            self._message or self._images.message or complaint or (seen.message if seen else "") or trouble
+        )
         status = self.statistics.status(seen, self._images.take_notice() or message)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
@@ -235,11 +238,11 @@ def read_prompt(data: bytes) -> Prompt:
         DeploymentError: It is no box of an image.
     """
     try:
-        xmin, ymin, xmax, ymax = map(float, json.loads(messages.read_text(data))["box"])
-    except (ValueError, TypeError, KeyError) as error:
+        xmin, ymin, xmax, ymax = map(float, messages.read_json(data)["box"])
+    except (DeploymentError, ValueError, TypeError, KeyError, OverflowError) as error:
         raise DeploymentError(
             f'a prompt is not {{"box": [xmin, ymin, xmax, ymax]}} in pixels ({error}).'
         ) from error
-    if not (xmin < xmax and ymin < ymax):
-        raise DeploymentError(f"the prompt's box {xmin:g} {ymin:g} {xmax:g} {ymax:g} is empty.")
+    if not (-inf < xmin < xmax < inf and -inf < ymin < ymax < inf):
+        raise DeploymentError(f"the prompt's box {xmin:g} {ymin:g} {xmax:g} {ymax:g} is empty, or endless.")
     return BoxPrompt(box=(xmin, ymin, xmax, ymax))

@@ -48,7 +48,8 @@ class TrajectoryFollower:
         while not (is_over() or self.is_done):
             self._hear()
             self._command(clock.now())
-            on_status(self.statistics.status(None, ""))
+            recording = self._connection.recording
+            on_status(self.statistics.status(None, recording.trouble if recording else ""))
             due = max(due + PERIOD, clock.now())
             clock.sleep_until(due)
         self._rest()

@@ -46,6 +46,7 @@ class ImageSubscriber:
         self._lens = transport.subscription(profile.info) if profile.info else None
         self._joints: deque[tuple[float, Joints]] = deque()
         self.received: list[Message] = []  #: What the last call of `newest` took, for a recording.
+        self._other_lens = ""
         self.message = ""  #: Why the last image was no good; empty if it was.
         self.stamp = -inf  #: When the newest good image was taken [s].
         self._assumes_age, self._is_stamped, self._notices = assumes_age, False, list[str]()
@@ -59,8 +60,7 @@ class ImageSubscriber:
     def newest(self) -> CameraFrame | None:
         """The newest image, if one has arrived since the last call and is good; stamps are of `Clock.now`.
 
-        Raises:
-            DeploymentError: The camera has another lens than the one that it was calibrated with.
+        None is, as long as the camera says that it has another lens than the one that it was calibrated with.
         """
         self._check_lens()
         self.received = self._images.take()
@@ -69,6 +69,8 @@ class ImageSubscriber:
         try:
             reading = messages.read_image(self.received[-1].data)
             self._profile.require(reading)
+            if self._other_lens:
+                raise DeploymentError(self._other_lens)
         except DeploymentError as error:
             self.message = str(error)
             return None
@@ -105,16 +107,24 @@ class ImageSubscriber:
     def _check_lens(self) -> None:
         """Compare what the camera says of its lens with the calibration."""
         for message in self._lens.take() if self._lens else ():
-            lens, camera = messages.read_camera_info(message.data).camera, self._camera
+            try:
+                lens, camera = messages.read_camera_info(message.data).camera, self._camera
+            except DeploymentError as error:
+                self._other_lens = str(error)
+                continue
             found = np.array((lens.fx, lens.fy, lens.cx, lens.cy))
             known = np.array((camera.fx, camera.fy, camera.cx, camera.cy))
             scale = np.array((camera.fx, camera.fy, camera.width, camera.width))
-            if (np.abs(found - known) > LENS_TOLERANCE * scale).any():
-                raise DeploymentError(
+            is_same = bool((np.abs(found - known) <= LENS_TOLERANCE * scale).all())
+            self._other_lens = (
+                ""
+                if is_same
+                else (
                     f"the camera says fx, fy, cx, cy are {lens.fx:.1f}, {lens.fy:.1f}, {lens.cx:.1f}, "
                     f"{lens.cy:.1f}, the policy's are {camera.fx:.1f}, {camera.fy:.1f}, {camera.cx:.1f}, "
                     f"{camera.cy:.1f}: calibrate the camera, and train with 'train --camera'."
                 )
+            )
 
 
 def _no_stamps(topic: str, has_one: bool, age: float) -> str:

@@ -2,10 +2,12 @@
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from math import inf
 from typing import Any
 
 from pixel2catch.deployment.switches import Keys, Press, Switches
+from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.ros2.transport import Clock, Subscription, Transport
@@ -53,13 +55,23 @@ class OperatorConsole:
         if self.holds != self._said or (self.holds and now >= self._next_switch):
             self._switch.publish(messages.boolean(self.holds))
             self._said, self._next_switch = self.holds, now + SWITCH_TIME
-        self.status = newest(self._statuses, self.status)
+        said = newest(self._statuses, self.status)
+        self.status = said if _is_status(said) else self.status
 
 
 def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
-    """The newest message of a topic of JSON; the known one before where there is none."""
-    received = subscription.take()
-    return json.loads(messages.read_text(received[-1].data)) if received else known
+    """The newest message of a topic of JSON that is one; the known one before where there is none."""
+    for message in reversed(subscription.take()):
+        with suppress(DeploymentError):
+            return messages.read_json(message.data)
+    return known
+
+
+def _is_status(said: dict[str, Any]) -> bool:
+    """Whether it is the status of a deployment, as far as an operator needs it."""
+    lists = [said.get(name) for name in ("stopped_by", "refused", "found")]
+    texts = [said.get("mode"), said.get("message"), *(text for each in lists for text in each or ())]
+    return all(isinstance(each, list) for each in lists) and all(isinstance(text, str) for text in texts)
 
 
 POLL = 0.005  #: Time between two looks at the keys [s]. Source: ours.

@@ -140,6 +140,26 @@ class DeploymentRecorder:
         topics |= {topic for topic in vars(profile.status).values() if topic}
         self._subscriptions = [(topic, transport.subscription(topic, DEPTH)) for topic in topics]
 
+    @property
+    def trouble(self) -> str:
+        """What keeps the recording from being whole, in words; empty if nothing does."""
+        recorder, num_lost = self._recorder, sum(self._recorder.num_dropped.values())
+        if not (num_lost or recorder.problem):
+            return ""
+        reason = recorder.problem or "the disk is too slow, or a message is damaged"
+        return (
+            f"the recording lacks {num_lost} messages ({reason}): free or change the disk, and record anew."
+        )
+
+    def require_whole(self) -> None:
+        """Complain of a recording that has ended and is not whole.
+
+        Raises:
+            DeploymentError: Messages are missing.
+        """
+        if self.trouble:
+            raise DeploymentError(self.trouble)
+
     def record_messages(self) -> None:
         """Record what has arrived since the last call."""
         for topic, subscription in self._subscriptions:

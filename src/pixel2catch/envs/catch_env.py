@@ -124,6 +124,11 @@ class CatchEnv:
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}
         self.state_size = observation.state.shape[1]
 
+    @property
+    def episode(self) -> Episode:
+        """The present episode of each environment; the next step overwrites its tensors."""
+        return self._episode
+
     def seed(self, seed: int) -> None:
         """Begin the draws anew: the next `reset` begins the episodes that belong to this seed."""
         self._generator.manual_seed(seed)

@@ -9,7 +9,7 @@ the hold is verified.
 Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic policy; ours: the tests.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import pi
 from typing import Protocol, runtime_checkable
@@ -218,6 +218,15 @@ def run_round(
 
     After every control step `watch` is called; it must copy what it keeps, the next step overwrites it.
     """
+    state = _round_start(env)
+    for step, state in round_steps(env, actor):
+        watch(step, state)
+    env.world.simulation.check()
+    return Trials(record=state.record, is_verified=state.is_verified)
+
+
+def round_steps(env: CatchEnv, actor: Actor) -> Iterator[tuple[Step, RoundState]]:
+    """The control steps of a round, one after the other; the next overwrites what one returned."""
     observation = env.reset()
     actor.reset()
     state = _round_start(env)
@@ -229,11 +238,9 @@ def run_round(
         actor.reset(step.terminated)
         state = state.advanced(step, action, number)
         observation = step.observation
-        watch(step, state)
+        yield step, state
         if number >= TRIAL_STEPS and not state.is_testing.any():
             break
-    env.world.simulation.check()
-    return Trials(record=state.record, is_verified=state.is_verified)
 
 
 def shake_action(

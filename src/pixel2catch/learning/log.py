@@ -104,7 +104,7 @@ class CsvLog:
     def __init__(self, path: Path, transitions: int = 0) -> None:
         """Open the file. Rows that it holds are kept up to `transitions`: what came later is repeated."""
         self._path = path
-        self._rows = [row for row in _read_rows(path) if float(row["transitions"]) <= transitions]
+        self._rows = [row for row in read_rows(path) if float(row["transitions"]) <= transitions]
         self._columns: list[str] = []
         self._num_written = -1
 
@@ -131,7 +131,8 @@ def _add_scalars(writer: SummaryWriter, row: Row) -> None:
         writer.add_scalar(name, value, int(row["transitions"]))
 
 
-def _read_rows(path: Path) -> list[dict[str, str]]:
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The whole rows of a file of metrics; none if there is no file."""
     if not path.exists():
         return []
     with open(path, newline="") as file:

@@ -178,19 +178,31 @@ def velocity_through_air(
     """
     duration = flight_time(lin_vel, aim[:, 2] - pos[:, 2])[:, None]
     for _ in range(NUM_CORRECTIONS):
-        missed = aim - _arrival(pos, lin_vel, drag[:, None], duration)
+        missed = aim - flight_path(pos, lin_vel, drag, duration[:, 0])[-1]
         lin_vel = lin_vel + missed / duration
     return lin_vel
 
 
-def _arrival(pos: Tensor, lin_vel: Tensor, drag: Tensor, duration: Tensor) -> Tensor:
-    """Where an object is after a flight through air [m]."""
-    step = duration / NUM_STEPS
+def flight_path(
+    pos: Float[Tensor, "num_envs 3"],
+    lin_vel: Float[Tensor, "num_envs 3"],
+    drag: Float[Tensor, " num_envs"],
+    duration: Float[Tensor, " num_envs"],
+) -> Float[Tensor, "num_points num_envs 3"]:
+    """Points of a flight through air from the release on, evenly spread over the time of the flight [m].
+
+    Args:
+        pos: Where the object is released [m].
+        lin_vel: Its velocity there [m/s].
+        drag: Deceleration over the square of the speed [1/m].
+        duration: Time of the flight [s].
+    """
+    step, path = duration[:, None] / NUM_STEPS, [pos]
     for _ in range(NUM_STEPS):
-        middle = lin_vel + 0.5 * step * _acceleration(lin_vel, drag)
-        pos = pos + step * middle
-        lin_vel = lin_vel + step * _acceleration(middle, drag)
-    return pos
+        middle = lin_vel + 0.5 * step * _acceleration(lin_vel, drag[:, None])
+        path.append(path[-1] + step * middle)
+        lin_vel = lin_vel + step * _acceleration(middle, drag[:, None])
+    return torch.stack(path)
 
 
 def _acceleration(lin_vel: Tensor, drag: Tensor) -> Tensor:

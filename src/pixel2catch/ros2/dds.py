@@ -282,9 +282,11 @@ class _DdsSubscription(Subscription):
         samples = [each for each in self._reader.take(N=self._most) if not isinstance(each, InvalidSample)]
         now, stamp, before = self._clock.now(), self._clock.stamp(), self._taken
         self._taken = now
-        sent = (1e-9 * self._clock.rate * sample.sample_info.source_timestamp for sample in samples)
-        arrivals = (min(max(now - (stamp - each), before), now) for each in sent)
-        return [Message(data=each.cdr, arrival=time) for each, time in zip(samples, arrivals, strict=True)]
+        ages = [stamp - 1e-9 * self._clock.rate * each.sample_info.source_timestamp for each in samples]
+        return [
+            Message(data=sample.cdr, arrival=min(max(now - age, before), now), age=age)
+            for sample, age in zip(samples, ages, strict=True)
+        ]
 
 
 def _qos(topic: Topic, depth: int, *policies: object) -> Qos:

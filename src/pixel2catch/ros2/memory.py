@@ -17,10 +17,10 @@ class MessageQueue(Subscription):
         self._clock, self._arrived = clock, arrived
         self._waiting: deque[Message] = deque(maxlen=depth)
 
-    def put(self, data: bytes) -> None:
-        """Keep a message that has just arrived; any thread may call this."""
+    def put(self, data: bytes, age: float = 0.0) -> None:
+        """Keep a message that has just arrived, some time [s] after it was sent; any thread may call this."""
         with self._arrived:
-            self._waiting.append(Message(data=data, arrival=self._clock.now()))
+            self._waiting.append(Message(data=data, arrival=self._clock.now(), age=age))
             self._arrived.notify_all()
 
     def take(self) -> list[Message]:

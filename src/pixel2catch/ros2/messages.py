@@ -3,6 +3,7 @@
 Stamps are seconds since the epoch; a decoded message is checked for what its type alone does not say.
 """
 
+import json
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -237,6 +238,29 @@ def _single(
 boolean, read_boolean = _single(BOOLEAN, bool)
 number, read_number = _single(NUMBER, float)
 text, read_text = _single(TEXT, str)
+
+
+MOST_TEXT = 65_536  #: Characters of a JSON text that is read; ours have some hundreds. Source: ours.
+
+
+def read_json(data: bytes) -> dict[str, Any]:
+    """Decode a text that is a JSON object.
+
+    Raises:
+        DeploymentError: It is another text, or too long, or too deep.
+    """
+    written = read_text(data)
+    try:
+        content = json.loads(written) if len(written) <= MOST_TEXT else None
+    except (ValueError, RecursionError) as error:
+        raise DeploymentError(f"a text is no JSON ({error}): look at what publishes it.") from error
+    if not isinstance(content, dict):
+        raise DeploymentError(
+            f"a text of {len(written)} characters is no JSON object of {MOST_TEXT} at most."
+        )
+    return content
+
+
 safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
 robot_mode, read_robot_mode = _single(ROBOT_MODE, int, "mode")
 FORMAT = "rgb8; jpeg compressed bgr8"  #: What was compressed, and how. Source: image_transport.

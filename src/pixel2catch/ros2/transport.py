@@ -71,6 +71,7 @@ class Message:
 
     data: bytes  #: CDR, with its header of four bytes.
     arrival: float  #: When it was received, `Clock.now` [s].
+    age: float = 0.0  #: How long before it was sent, by the sender's clock [s]; 0 where that is not told.
 
 
 class Publisher(ABC):

@@ -32,7 +32,15 @@ from pixel2catch.servo.motion import (
     towards,
     wished,
 )
-from pixel2catch.servo.watchdogs import Fault, ServoInputs, bits, faults_of_policy, faults_of_robot, is_recent
+from pixel2catch.servo.watchdogs import (
+    Fault,
+    JointTrack,
+    ServoInputs,
+    bits,
+    faults_of_policy,
+    faults_of_robot,
+    is_recent,
+)
 
 ROUNDING = 1e-6  #: Excess of a limit that is rounding: policies are of single precision [rad, rad/s].
 
@@ -70,6 +78,8 @@ class ServoState:
     hold: Rows  #: The commands when the mode last changed to armed or stopped [rad].
     interpolator: TargetInterpolator  #: The way of the policy's targets.
     expected: Rows  #: Where the joints should be, by the lag of their servos [rad].
+    track: JointTrack  #: What has been measured.
+    used_press: Times  #: When the switch was pressed that was held at the last stop [s].
 
     @classmethod
     def idle(cls, num_rows: int, num_joints: int) -> "ServoState":
@@ -85,6 +95,8 @@ class ServoState:
             hold=zeros,
             interpolator=TargetInterpolator.resting(zeros),
             expected=zeros,
+            track=JointTrack.unknown(num_rows, num_joints),
+            used_press=np.full(num_rows, -np.inf),
         )
 
     def is_in(self, first: Mode, last: Mode | None = None) -> Flags:
@@ -108,7 +120,9 @@ class ServoState:
 class Output:
     """What the servo says in a tick."""
 
-    command: Rows  #: Commands for the robot [rad]; NaN while idle, when nothing is to be sent.
+    #: Commands for the robot [rad]; NaN where nothing is to be sent: while idle, and after a stop because
+    #: somebody else commands the robot, whom it must not fight.
+    command: Rows
     mode: Bits  #: A `Mode`.
     stopped_by: Bits  #: `Fault` bits that a stop is for.
     found: Bits  #: `Fault` bits found in this tick, be the robot armed or not.
@@ -118,7 +132,7 @@ class Output:
 
 _LATE = int(Fault.POLICY_LATE)
 _SENSELESS = int(Fault.TARGET_NOT_FINITE | Fault.TARGET_FAR)
-_NOT_MEASURED = int(Fault.JOINTS_STALE | Fault.JOINTS_NOT_FINITE)
+_NOT_MEASURED = int(Fault.JOINTS_STALE | Fault.JOINTS_NOT_FINITE | Fault.JOINTS_IMPLAUSIBLE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,20 +142,31 @@ class Findings:
     joint_pos: Rows  #: Measured joint positions [rad]; the command where there is no number.
     robot: Bits  #: `Fault` bits of robot, operator and clock.
     policy: Bits  #: `Fault` bits of what the policy sees and says.
+    track: JointTrack  #: What has been measured up to now.
 
     @classmethod
     def of(cls, state: ServoState, inputs: ServoInputs, limits: ServoLimits) -> "Findings":
         """Look at everything."""
         joints = limits.joints
+        track, is_jump = state.track.continued(inputs.joint_pos, inputs.joint_stamp, joints.jump_speed)
+        is_beyond = ((inputs.joint_pos < joints.least) | (inputs.joint_pos > joints.most)).any(axis=-1)
+        is_fast = (np.abs(track.speed) > joints.joint_speed).any(axis=-1)
         joint_pos = np.where(np.isfinite(inputs.joint_pos), inputs.joint_pos, state.motion.position)
         is_off = (np.abs(joint_pos - state.expected) > joints.tracking_error).any(axis=-1)
         is_far = (np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance).any(axis=-1)
         return cls(
             joint_pos=joint_pos,
             robot=faults_of_robot(inputs, limits, state.now)
-            | bits({Fault.TRACKING_ERROR: is_off & state.is_active}),
+            | bits(
+                {
+                    Fault.JOINTS_IMPLAUSIBLE: is_beyond | is_jump,
+                    Fault.JOINT_SPEED: is_fast & state.is_active,
+                    Fault.TRACKING_ERROR: is_off & state.is_active,
+                }
+            ),
             policy=faults_of_policy(inputs, limits)
             | bits({Fault.TARGET_FAR: is_far & state.is_in(Mode.ARMED)}),
+            track=track,
         )
 
     @property
@@ -166,6 +191,8 @@ def changed(
         ticks=np.where(mode == state.mode, state.ticks + 1, 0),
         stopped_by=np.where(is_stop, stop, state.stopped_by * (mode == int(Mode.STOPPED))),
         now=inputs.now,
+        track=found.track,
+        used_press=np.where(is_stop, np.fmax(inputs.pressed_stamp, state.used_press), state.used_press),
         hold=np.where(is_stop[:, None], state.motion.position, state.hold),
     )
     is_new = inputs.arm_stamp > state.arm_stamp
@@ -175,7 +202,9 @@ def changed(
     asked = is_new & ~state.is_active
     turned = replace(turned, arm_stamp=np.where(is_new, inputs.arm_stamp, state.arm_stamp))
     first = _first_command(state, found, limits)
-    refused = np.where(asked, _refusals(state, first, found, limits), 0)
+    refused = _refusals(state, first, found, limits)
+    refused |= bits({Fault.SWITCH_NOT_PRESSED: ~(inputs.pressed_stamp > state.used_press)})
+    refused = np.where(asked, refused, 0)
     return _armed(turned, asked & (refused == 0), first, found.joint_pos), refused
 
 
@@ -257,9 +286,10 @@ class ServoCore:
             goal, beyond_lead = self._goal(state, found)
             state, held_back = self._moved(state, goal)
         is_idle = state.is_in(Mode.IDLE)
+        is_silent = is_idle | ((state.stopped_by & int(Fault.OTHER_PUBLISHER)) != 0)
         clamped = held_back | bits({Clamp.POSITION: beyond_limits, Clamp.LEAD: beyond_lead})
         return state, Output(
-            command=np.where(is_idle[:, None], np.nan, state.motion.position),
+            command=np.where(is_silent[:, None], np.nan, state.motion.position),
             mode=state.mode,
             stopped_by=state.stopped_by,
             found=found.robot | found.policy,

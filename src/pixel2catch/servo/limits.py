@@ -14,6 +14,12 @@ from pixel2catch.servo.workspace import Workspace
 
 STOP_TIME = 0.3  #: Time after which the commands of a stop stand still [s]. Source: ours.
 RETURN_TIME = 0.2  #: Part of it to go back to where the joints are [s]; the rest is to brake. Source: ours.
+BEYOND_TRAVEL = 0.3
+"""Distance beyond the ends of its travel at which a joint cannot be [rad].
+
+Source: ours; fingers give way, and encoders have offsets.
+"""
+
 TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
 
@@ -39,18 +45,28 @@ class JointLimits:
     lead: Joints  #: How far a command goes ahead of its joint [rad].
     tracking_error: Joints  #: Distance of a joint from where its servo should have it that is a fault [rad].
     moved_error: Joints  #: Distance from a stopped command from which somebody has moved the joint [rad].
+    least: Joints  #: Lowest position that a joint can have [rad].
+    most: Joints  #: Highest position that a joint can have [rad].
+    joint_speed: Joints  #: Speed of a joint that is a fault [rad/s].
+    jump_speed: Joints  #: Speed that a joint cannot have [rad/s].
     start_error: Joints  #: Largest distance of a joint from the first command [rad].
     start_distance: Joints  #: Largest distance of the policy's first target from the first command [rad].
     position_age: Joints  #: Age of a measured position that is a fault [s].
 
     @classmethod
     def of(
-        cls, workcell: WorkcellSpec, share: float = 1.0, dynamics: JointDynamics | None = None
+        cls,
+        workcell: WorkcellSpec,
+        share: float = 1.0,
+        dynamics: JointDynamics | None = None,
+        *,
+        is_identified: bool = True,
     ) -> "JointLimits":
         """The limits of the robots of a work cell, at a share of the full speed, more than 0 and up to 1.
 
         Joints of one role have the same limits where the spec does not say more. The lag is that of the
-        dynamics of all joints, nominal if absent.
+        dynamics of all joints, nominal if absent. Where it has not been identified, commands are no faster
+        than joints may be: a joint with a shorter lag than told would otherwise be faster than it may.
 
         Sources:
             lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
@@ -60,6 +76,8 @@ class JointLimits:
                 and 94. A command stops in 36 ms. With 4 rad/s and 100 rad/s² `proposed` loses 8.
             step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
             lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
+            joint_speed: ours; an arm's own limit, and what the estimate of a speed may be wrong by.
+            jump_speed: ours; nothing is faster.
             tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
             moved_error: ours; three times `start_error`.
             start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
@@ -77,19 +95,25 @@ class JointLimits:
             return np.array([arm if role == "arm" else hand for role in roles])
 
         lag = steady_lag(dynamics or JointDynamics.nominal(specs=workcell.joints))
-        lead = share * SPEED_MARGIN * np.array([joint.velocity_limit for joint in workcell.joints]) * lag
+        own_speed = np.array([joint.velocity_limit for joint in workcell.joints])
+        even_speed = share * SPEED_MARGIN * own_speed
+        lead, speed = even_speed * lag, share * each(10.0, 20.0)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
         margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
         return cls(
             lower=ends[0] + margin[0],
             upper=ends[1] - margin[1],
-            speed=share * each(10.0, 20.0),
+            speed=speed if is_identified else even_speed,
             acceleration=each(300.0, 2000.0),
             step=each(0.03, 0.04),
             lag=lag,
             lead=lead,
             tracking_error=0.75 * lead * each(1.0, np.inf),
             moved_error=each(0.06, np.inf),
+            least=ends[0] - BEYOND_TRAVEL,
+            most=ends[1] + BEYOND_TRAVEL,
+            joint_speed=each(1.15, np.inf) * own_speed,
+            jump_speed=1.2 * own_speed,
             start_error=each(0.02, 0.2),
             start_distance=each(0.5, np.inf),
             position_age=each(0.02, 0.05),
@@ -99,7 +123,7 @@ class JointLimits:
         """Refuse limits that are none."""
         if not (self.lower < self.upper).all():
             raise InvalidValueError("a joint's lower limit is not below its upper limit")
-        for name in {entry.name for entry in fields(self)} - {"lower", "upper"}:
+        for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
             if not (getattr(self, name) > 0.0).all():
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
 
@@ -131,9 +155,17 @@ class ServoLimits:
     ramp_time: float = 1.0
 
     @classmethod
-    def of(cls, workcell: WorkcellSpec, share: float = 1.0) -> "ServoLimits":
-        """Those of a work cell, at a share of the full speed."""
-        return cls(joints=JointLimits.of(workcell, share), workspace=Workspace(workcell=workcell))
+    def of(
+        cls,
+        workcell: WorkcellSpec,
+        share: float = 1.0,
+        dynamics: JointDynamics | None = None,
+        *,
+        is_identified: bool = True,
+    ) -> "ServoLimits":
+        """Those of a work cell, at a share of the full speed; see `JointLimits.of`."""
+        joints = JointLimits.of(workcell, share, dynamics, is_identified=is_identified)
+        return cls(joints=joints, workspace=Workspace(workcell=workcell))
 
     def __post_init__(self) -> None:
         """Refuse limits under which a stop takes too long."""

@@ -44,6 +44,9 @@ def set_niceness(niceness: int) -> None:
 
 PATIENCE = 10.0  #: Real time in which a servo process ends after its link is closed [s]. Source: ours.
 DEPTH = 16  #: Messages kept from one tick to the next: several senders may share a topic. Source: ours.
+ARM_PAUSE = 0.5
+"""Time without a request to arm after which the next one counts [s]: not one of many. Source: ours."""
+
 POLL_TIME = 0.2  #: Time between two counts of the other publishers [s]. Source: ours.
 SCALING_DIGITS = 3  #: Digits of a share of the speed: the driver multiplies two fractions. Source: ours.
 
@@ -109,34 +112,45 @@ class _DriverStatus:
 
 
 class _OperatorRequests:
-    """What the operator does: stamps of the dead-man's switch, none if it was let go, and of requests [s]."""
+    """What the operator does: stamps of the dead-man's switch, none if it was let go, and of requests [s].
 
-    def __init__(self, transport: Transport, topics: OperatorTopics) -> None:
-        self.dead_man_stamp = self.arm_stamp = -np.inf
+    A message that was under way for longer than the switch may be silent says nothing of now, nor does one of
+    the future.
+    """
+
+    def __init__(self, transport: Transport, topics: OperatorTopics, operator_age: float) -> None:
+        self._operator_age = operator_age
+        self.dead_man_stamp = self.pressed_stamp = self.arm_stamp = self._last_arm = -np.inf
         self.is_stop_requested = False
         self._dead_man, self._arm, self._stop = (
             transport.subscription(topic, DEPTH) for topic in (topics.dead_man, topics.arm, topics.stop)
         )
 
     def hear(self) -> None:
-        for is_held, arrival in _read(self._dead_man, messages.read_boolean):
+        for is_held, arrival in _read(self._dead_man, messages.read_boolean, self._operator_age):
+            if is_held and arrival - self.dead_man_stamp > self._operator_age:
+                self.pressed_stamp = arrival
             self.dead_man_stamp = arrival if is_held else -np.inf
-        for asks, arrival in _read(self._arm, messages.read_boolean):
-            self.arm_stamp = arrival if asks else self.arm_stamp
+        for asks, arrival in _read(self._arm, messages.read_boolean, self._operator_age):
+            if asks and arrival - self._last_arm > ARM_PAUSE:
+                self.arm_stamp = arrival
+            self._last_arm = arrival if asks else self._last_arm
         self.is_stop_requested = any(asks for asks, _ in _read(self._stop, messages.read_boolean))
 
 
 class ServoSubscriptions:
     """All that the servo hears over the network."""
 
-    def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
+    def __init__(self, transport: Transport, profile: Profile, limits: ServoLimits) -> None:
         """Begin to listen to all that a profile names."""
         self._transport = transport
-        self._joints = _JointStates(transport, profile, num_joints)
+        self._joints = _JointStates(transport, profile, limits.num_joints)
         self._status = _DriverStatus(transport, profile.status)
-        self._operator = _OperatorRequests(transport, profile.operator)
+        self._operator = _OperatorRequests(transport, profile.operator, limits.operator_age)
         self._commands = [part.command_topic for part in profile.robots]
-        self._has_other_publisher, self._next_poll = True, -np.inf
+        self._switches = (profile.operator.dead_man, profile.operator.arm)
+        self._has_other_publisher = self._has_other_operator = True
+        self._next_poll = -np.inf
 
     def hear(self, now: float) -> None:
         """Take what has arrived."""
@@ -145,8 +159,9 @@ class ServoSubscriptions:
         self._operator.hear()
         if now >= self._next_poll:
             self._next_poll = now + POLL_TIME
-            others = (self._transport.num_other_publishers(topic) for topic in self._commands)
-            self._has_other_publisher = any(others)
+            num_publishers = self._transport.num_other_publishers
+            self._has_other_publisher = any(num_publishers(topic) for topic in self._commands)
+            self._has_other_operator = any(num_publishers(topic) > 1 for topic in self._switches)
 
     def inputs(self, now: float, policy_command: PolicyCommand) -> ServoInputs:
         """What the servo is told in a tick, with what the control loop has ordered last."""
@@ -159,17 +174,23 @@ class ServoSubscriptions:
             target_stamp=np.array([policy_command.target_stamp]),
             image_stamp=np.array([policy_command.image_stamp]),
             dead_man_stamp=np.array([operator.dead_man_stamp]),
+            pressed_stamp=np.array([operator.pressed_stamp]),
             arm_stamp=np.array([operator.arm_stamp]),
             is_stop_requested=np.array([operator.is_stop_requested or policy_command.is_stop_requested]),
             is_safe=np.array([status.is_safe]),
             speed_scaling=np.array([status.speed_scaling]),
             has_other_publisher=np.array([self._has_other_publisher]),
+            has_other_operator=np.array([self._has_other_operator]),
         )
 
 
-def _read(subscription: Subscription, read: Callable[[bytes], T]) -> Iterator[tuple[T, float]]:
-    """What has arrived and can be read, with its time of arrival [s]."""
+def _read(
+    subscription: Subscription, read: Callable[[bytes], T], longest: float = np.inf
+) -> Iterator[tuple[T, float]]:
+    """What has arrived and can be read, with its time of arrival [s], if it was not too long under way."""
     for message in subscription.take():
+        if abs(message.age) > longest:
+            continue
         try:
             yield read(message.data), message.arrival
         except DeploymentError:
@@ -219,7 +240,7 @@ class Servo:
             anywhere = np.full(num_joints, np.inf)
             limits = replace(limits, joints=replace(limits.joints, tracking_error=anywhere))
         self._end, self._clock, self._core = end, clock, ServoCore(limits)
-        self._subscriptions = ServoSubscriptions(transport, setup.profile, num_joints)
+        self._subscriptions = ServoSubscriptions(transport, setup.profile, limits)
         self._commands = CommandPublisher(transport, setup, clock)
         self._state, self._policy_command = ServoState.idle(1, num_joints), PolicyCommand.none(num_joints)
         self._is_ending = False

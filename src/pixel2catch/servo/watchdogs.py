@@ -12,8 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.motion import Bits, Flags, Rows, Times
+from pixel2catch.servo.motion import Bits, Flags, Joints, Rows, Times
 
+JITTER = 0.015  #: How much earlier or later a position may arrive than others do [s]. Source: ours.
+SMOOTHING = 0.04  #: Time over which the speed of a joint is estimated [s]. Source: ours.
 CLOCK_ERROR = 1e-3  #: How far ahead a stamp may be [s]. Source: ours; processes read the clock in turn.
 
 AnyFlag = TypeVar("AnyFlag", bound=IntFlag)
@@ -38,6 +40,10 @@ class Fault(IntFlag):
     START_POSE = 8192
     WORKSPACE = 16384
     STILL_STOPPING = 32768
+    JOINTS_IMPLAUSIBLE = 65536
+    JOINT_SPEED = 131072
+    OTHER_OPERATOR = 262144
+    SWITCH_NOT_PRESSED = 524288
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,11 +57,47 @@ class ServoInputs:
     target_stamp: Times  #: When they were decided [s].
     image_stamp: Times  #: When the newest image was taken [s].
     dead_man_stamp: Times  #: When the operator last held the dead-man switch [s].
+    #: When the switch was last pressed after it had been let go, or silent for too long [s].
+    pressed_stamp: Times
     arm_stamp: Times  #: When the operator last asked to arm [s].
     is_stop_requested: Flags  #: Whether the operator, or anything else, asks to stop.
     is_safe: Flags  #: Whether the robot's program runs in its normal safety mode.
     speed_scaling: Times  #: Share of the full speed at which the robot runs its program; 1 is full.
     has_other_publisher: Flags  #: Whether anybody else sends commands to the robot.
+    has_other_operator: Flags  #: Whether several hold the switch, or ask to arm.
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointTrack:
+    """What has been measured of every joint so far."""
+
+    position: Rows  #: Newest position that was a number [rad].
+    stamp: Rows  #: When it was measured [s].
+    speed: Rows  #: Estimated speed [rad/s].
+
+    @classmethod
+    def unknown(cls, num_rows: int, num_joints: int) -> "JointTrack":
+        """Before the first measurement."""
+        none = np.full((num_rows, num_joints), np.nan)
+        return cls(position=none, stamp=none, speed=0.0 * np.nan_to_num(none))
+
+    def continued(self, position: Rows, stamp: Rows, most: Joints) -> tuple["JointTrack", Flags]:
+        """What is known with new positions [rad] of some time [s], and whether one went as none can.
+
+        No joint is faster than `most` [rad/s].
+        """
+        is_known, is_new = np.isfinite(self.stamp), np.isfinite(position) & ~(stamp <= self.stamp)
+        elapsed = np.where(is_known & is_new, stamp - self.stamp, 0.0)
+        moved = np.where(is_known & is_new, position - self.position, 0.0)
+        is_jump = np.abs(moved) > most * (elapsed + JITTER)
+        share = np.minimum(elapsed / SMOOTHING, 1.0)
+        speed = (1.0 - share) * self.speed + np.where(is_jump, 0.0, moved / np.maximum(elapsed, SMOOTHING))
+        track = JointTrack(
+            position=np.where(is_new, position, self.position),
+            stamp=np.where(is_new, stamp, self.stamp),
+            speed=speed,
+        )
+        return track, np.logical_or.reduce(is_jump, axis=-1)
 
 
 def is_recent(
@@ -90,6 +132,7 @@ def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) 
             Fault.SAFETY_MODE: ~inputs.is_safe,
             Fault.SPEED_SCALING: ~(inputs.speed_scaling >= 1.0),
             Fault.OTHER_PUBLISHER: inputs.has_other_publisher,
+            Fault.OTHER_OPERATOR: inputs.has_other_operator,
             Fault.DEAD_MAN: ~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
             Fault.STOP_REQUEST: inputs.is_stop_requested,
         }

@@ -32,7 +32,6 @@ class TwinCfg:
     task: TaskArgs = field(default_factory=TaskArgs)  #: What is thrown at which robot.
     clock: float = 1.0  #: Seconds of the twin in a real second, at most 1; `deploy` must be given the same.
     seed: int = 0  #: Seed of the room and of all noise; a throw has a seed of its own.
-    web: int | None = None  #: Port of a page that shows the twin and has buttons to throw. Default: no page.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -238,7 +238,7 @@ class LabNode:
     def _heed(self, data: bytes) -> None:
         """Do what the operator asks for, or remember why not."""
         try:
-            match json.loads(messages.read_text(data)):
+            match messages.read_json(data):
                 case {"do": "prepare", "seed": int(seed)} if 0 <= seed < 2**63:
                     self.lab.prepare(seed)
                     self._hold()
@@ -251,7 +251,7 @@ class LabNode:
                 case other:
                     raise DeploymentError(f"{other} is none of {REQUESTS}")
             self._refused = ""
-        except (DeploymentError, ValueError) as error:
+        except DeploymentError as error:
             self._refused = str(error)
 
     def _hold(self) -> None:

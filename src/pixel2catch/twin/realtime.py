@@ -9,17 +9,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from multiprocessing import get_context
 
 import torch
 
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.errors import DeploymentError
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
-from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, make_transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.process import set_niceness
@@ -29,7 +26,7 @@ from pixel2catch.twin.lab_node import LabNode, twin_profile
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells import find_workcell
 
-FIRST, SECOND, LAST = -10, -5, 10  #: Niceness of physics and wires, of camera, and of page. Source: ours.
+FIRST, SECOND = -10, -5  #: Niceness of physics and wires, and of camera. Source: ours.
 
 
 def obey_parent(niceness: int) -> None:
@@ -100,42 +97,17 @@ def serve(cfg: TwinCfg, task: CatchEnvCfg, on_cycle: OnCycle) -> ClockStats:
 
     Raises:
         DeviceUnavailableError: If no OpenGL back end works.
-        DeploymentError: If DDS cannot be started, or the page lacks a package.
+        DeploymentError: If DDS cannot be started.
     """
     clock, scene = RealClock(cfg.clock), task.scene
     profile = twin_profile(find_workcell(scene.workcell))
     set_niceness(FIRST)
     with (
-        _page(cfg, scene, profile),
         drawing_process(scene, cfg.seed) as draw,
         make_transport("dds", "pixel2catch_twin", loopback=True, clock=clock) as node,
         SimulatedLab(task, cfg.seed) as lab,
     ):
         return run(LabNode(lab, profile, node, Camera(draw)), clock, on_cycle)
-
-
-@contextmanager
-def _page(cfg: TwinCfg, scene: SceneCfg, profile: Profile) -> Iterator[None]:
-    """The process that serves the web page as long as the context lasts, if there is to be one."""
-    if cfg.web is None:
-        yield
-        return
-    if find_spec("viser") is None:
-        raise DeploymentError("the page needs viser: pip install 'pixel2catch[twin]', or leave out --web.")
-    args = (cfg.web, scene, profile, cfg.clock)
-    process = get_context("spawn").Process(target=_serve_page, args=args, daemon=True)
-    process.start()
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.join()
-
-
-def _serve_page(port: int, scene: SceneCfg, profile: Profile, rate: float) -> None:
-    from pixel2catch.twin.page import serve_page  # where viser is not installed, nobody comes here
-
-    serve_page(port, scene, profile, rate)
 
 
 def run(lab_node: LabNode, clock: Clock, on_cycle: OnCycle) -> ClockStats:

@@ -32,14 +32,13 @@ END_TIME = 120.0  #: Real time in which a process must have ended [s].
 
 
 class RehearsalOperator:
-    """Watches twin and deployment over the network, and asks both for things; the switch is held."""
+    """Watches twin and deployment over the network, and asks both for things."""
 
     def __init__(self, transport: Transport, topics: OperatorTopics, clock: Clock) -> None:
         """Announce and listen."""
         self._clock, self.console = clock, OperatorConsole(transport, topics, clock)
         self._request = transport.publisher(COMMAND)
         self._states = transport.subscription(STATE, DEPTH)
-        self.console.holds = True
         self.truth: dict[str, Any] = {}  #: Newest state of the twin.
         self.stops: list[str] = []  #: Reasons of the stops that the deployment told of, newest last.
 
@@ -58,7 +57,7 @@ class RehearsalOperator:
         self._request.publish(messages.text(json.dumps(request)))
 
     def watch(self) -> None:
-        """Look at the network, and hold the switch."""
+        """Look at the network, and go on holding the switch, if it is held."""
         self.truth = newest(self._states, self.truth)
         before = self.mode
         self.console.watch()
@@ -128,11 +127,16 @@ def run_trial(operator: RehearsalOperator, seed: int) -> Outcome:
 
 
 def _prepare(operator: RehearsalOperator, seed: int) -> None:
-    """Robot at its start and armed, the object held out and pointed at, the policy in its run."""
+    """Robot at its start and armed, the object held out and pointed at, the policy in its run.
+
+    The switch is pressed anew for every throw, as the servo wants it after a stop.
+    """
     operator.ask_twin(do="prepare", seed=seed)
     operator.until(lambda: operator.phase == "empty", STEP_TIME, "the empty room")
     operator.until(lambda: operator.phase == "held" and operator.truth["box"], STEP_TIME, "the object")
     operator.until(lambda: operator.mode == "idle", STEP_TIME, "an idle servo")
+    operator.console.holds = True
+    operator.until(lambda: "dead man" not in operator.console.status["found"], STEP_TIME, "a held switch")
     operator.console.arm()
     operator.until(lambda: operator.mode == "armed", STEP_TIME, "an armed servo")
     operator.console.point(operator.truth["box"])
@@ -144,6 +148,7 @@ def _stop(operator: RehearsalOperator) -> None:
     if operator.mode in ("armed", "ramp", "run"):
         operator.console.stop()
         operator.until(lambda: operator.mode not in ("armed", "ramp", "run"), STEP_TIME, "the stop")
+    operator.console.holds = False
     operator.rest(STOP_TIME)
 
 

@@ -58,9 +58,9 @@ class SteppedRehearsal:
         self._lab_node = LabNode(self.lab, profile, broker.node(clock), camera)
         self._open = ExitStack()
         node = broker.node(clock)
-        recording = None
+        self._recording = recording = None
         if cfg.record:
-            recording = DeploymentRecorder(
+            self._recording = recording = DeploymentRecorder(
                 self._open.enter_context(BagRecorder(cfg.record)), node, profile, clock, "jpeg"
             )
         nodes = Nodes(servo=broker.node(clock), loop=node, clock=clock, recording=recording)
@@ -71,10 +71,16 @@ class SteppedRehearsal:
         self.operator = RehearsalOperator(broker.node(clock), profile.operator, clock)
 
     def close(self) -> None:
-        """Free the simulation, and end the recording."""
+        """Free the simulation, and end the recording.
+
+        Raises:
+            DeploymentError: The recording lacks messages.
+        """
         self._open.close()
         self.lab.close()
         self._robot.close()
+        if self._recording:
+            self._recording.require_whole()
 
     def _wait(self, moment: float) -> None:
         """Let happen what happens until a moment [s], or shortly after."""

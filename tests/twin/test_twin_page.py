@@ -1,6 +1,7 @@
 """The web page: what it shows is what is on the wire, and its buttons ask the twin."""
 
 import json
+import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from typing import Any
@@ -10,17 +11,22 @@ import numpy as np
 import pytest
 import torch
 from twin_bench import PROFILE, Bench
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from domains import PATIENCE, free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.rendering.video import BOX_COLOR
 from pixel2catch.robots.geometry import bare_model, first_chain
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock
 from pixel2catch.twin.config import RehearsalCfg
-from pixel2catch.twin.page import BOX_COLOR, Page, with_box
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.twin.stepped import in_step
+from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer.twin import TwinPage
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 
@@ -30,11 +36,14 @@ class Shown:
     def __init__(self) -> None:
         task, clock = CatchEnvCfg(), RealClock()
         self.bench = Bench(task)
-        self.page = Page(free_port(), task.scene, PROFILE, self.bench.broker.node(clock), clock)
+        self.page = TwinPage(
+            PageCfg(port=free_port()), task.scene, PROFILE, self.bench.broker.node(clock), clock
+        )
         self._status = self.bench.node.publisher(PROFILE.operator.status)
 
     def tell(self, **status: Any) -> None:
-        self._status.publish(messages.text(json.dumps(status)))
+        nothing = {"mode": "", "message": "", "stopped_by": [], "refused": [], "found": []}
+        self._status.publish(messages.text(json.dumps(nothing | status)))
 
     def go_on(self, num_cycles: int = 20) -> None:
         self.bench.cycle(num_cycles)
@@ -55,9 +64,23 @@ def test_the_page_is_there_for_this_machine(shown: Shown):
         assert b"<html" in answer.read()
 
 
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", None])
+def test_another_page_cannot_press_a_button(shown: Shown, origin: str | None):
+    address = shown.page.address.replace("http://", "ws://")
+    with (
+        pytest.raises(InvalidStatus, match="403"),
+        connect(address, origin=Origin(origin) if origin else None),
+    ):
+        pass
+    request = urllib.request.Request(shown.page.address, headers={"Host": "evil.example"})
+    with pytest.raises(urllib.error.HTTPError, match="403") as refused:
+        urllib.request.urlopen(request, timeout=PATIENCE)
+    refused.value.close()
+
+
 def test_the_robot_is_shown_where_the_joint_states_have_it(shown: Shown):
     shown.go_on()
-    palm, joints = shown.page.bodies["palm"], shown.bench.lab.joints.position
+    palm, joints = shown.page.wire.view.bodies["palm"], shown.bench.lab.joints.position
     turned = np.zeros(3)
     mujoco.mju_rotVecQuat(turned, bare_model(UR5E_ALLEGRO).site("palm").pos, np.array(palm.wxyz))
     expected, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joints)[None, :6])
@@ -66,17 +89,19 @@ def test_the_robot_is_shown_where_the_joint_states_have_it(shown: Shown):
 
 def test_buttons_prepare_and_throw(shown: Shown):
     shown.go_on()
-    assert not shown.page.thrown.visible
+    assert not shown.page.wire.view.thrown.visible
     shown.page.ask("prepare")
     shown.page.update()
     shown.go_on(300)
     assert shown.bench.lab.phase is Phase.HELD
-    assert shown.page.thrown.visible
-    assert shown.page.thrown.position == pytest.approx(shown.bench.lab.episode.throw.pos[0].numpy(), abs=1e-3)
+    assert shown.page.wire.view.thrown.visible
+    assert shown.page.wire.view.thrown.position == pytest.approx(
+        shown.bench.lab.episode.throw.pos[0].numpy(), abs=1e-3
+    )
     shown.page.ask("throw")
     shown.page.update()
     shown.go_on(30)
-    assert "| twin: phase | flying |" in shown.page.text.content
+    assert "| twin: phase | flying |" in shown.page.wire.text.content
 
 
 def test_the_operator_holds_arms_points_and_stops(shown: Shown):
@@ -109,7 +134,7 @@ def test_one_button_throws_and_catches():
     task = task_of(policy, physics_hz=120.0)
     with in_step(RehearsalCfg(throws=1, plain=True), task, policy) as rehearsal:
         node = rehearsal.broker.node(rehearsal.clock)
-        page = Page(free_port(), task.scene, PROFILE, node, rehearsal.clock)
+        page = TwinPage(PageCfg(port=free_port()), task.scene, PROFILE, node, rehearsal.clock)
         page.seed.value = 3
         page.catch()
         assert page.trial is not None
@@ -118,24 +143,15 @@ def test_one_button_throws_and_catches():
         page.close()
         assert rehearsal.lab.outcome == "caught"
         assert page.seed.value == 4
-        assert "| deploy: mode | stopped |" in page.text.content
+        assert "| deploy: mode | stopped |" in page.wire.text.content
 
 
 def test_what_the_deployment_sees_is_in_the_picture_and_its_state_in_the_table(shown: Shown):
     for box in ([100, 50, 120, 80], [110, 50, 130, 80]):
         shown.tell(mode="run", box=box)
         shown.go_on(30)
-    assert "| deploy: mode | run |" in shown.page.text.content
-    assert "| dcx | 10.00 |" in shown.page.text.content
-    assert "| cx | 0.19 |" in shown.page.text.content  # 120 of 640
-    green = np.argwhere((shown.page.picture.image == BOX_COLOR).all(axis=-1))
+    assert "| deploy: mode | run |" in shown.page.wire.text.content
+    assert "| dcx | 10.00 |" in shown.page.wire.text.content
+    assert "| cx | 0.19 |" in shown.page.wire.text.content  # 120 of 640
+    green = np.argwhere((shown.page.wire.picture.image == BOX_COLOR).all(axis=-1))
     assert (green.min(axis=0).tolist(), green.max(axis=0).tolist()) == ([50, 110], [79, 129])
-
-
-def test_a_box_is_an_outline_and_the_image_is_left_alone():
-    image = np.zeros((480, 640, 3), dtype=np.uint8)
-    marked = with_box(image, [10.0, 20.0, 30.0, 32.0])
-    # 20 by 12 pixels, less the inside of 16 by 8.
-    assert (marked == BOX_COLOR).all(axis=-1).sum() == 20 * 12 - 16 * 8
-    assert not image.any()
-    assert with_box(image, None) is image

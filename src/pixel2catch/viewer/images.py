@@ -1,0 +1,97 @@
+"""The camera's image on a page, with the box that the policy gets, drawn beside the simulation."""
+
+import base64
+import contextlib
+import io
+import time
+from queue import Empty, Full, Queue
+from threading import Thread
+
+import numpy as np
+import viser
+from PIL import Image
+
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.rendering.camera import RoomCamera
+from pixel2catch.rendering.video import draw_box
+from pixel2catch.scene.constants import CameraSpec
+from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.viewer.throws import Frame
+
+PERIOD = 1 / 15  #: Least time between two images [s]. Source: ours, to leave the physics its core.
+REST = 2.0  #: Least rest after an image, over the time that it took: the physics goes first.
+DARK = 40  #: Level of an image where nothing can be drawn but the box.
+
+
+QUALITY = 80  #: Of the JPEG images of a page.
+
+
+class Picture:
+    """An image on a page that may change often.
+
+    Not viser's own: that one frees an image before a busy browser has loaded it, which is an error there.
+    """
+
+    def __init__(self, gui: viser.GuiApi, camera: CameraSpec) -> None:
+        """A dark picture of the camera's size."""
+        self._style = f"width:100%;display:block;aspect-ratio:{camera.width}/{camera.height}"
+        self._html = gui.add_html("")
+        self.show(np.full((camera.height, camera.width, 3), DARK, np.uint8))
+
+    def show(self, image: np.ndarray) -> None:
+        """Show an image, red, green, blue."""
+        self.image = image  #: What is shown.
+        buffer = io.BytesIO()
+        Image.fromarray(image).save(buffer, "jpeg", quality=QUALITY)
+        data = base64.b64encode(buffer.getvalue()).decode()
+        self._html.content = (
+            f'<img alt="the camera\'s image" decoding="sync" style="{self._style}" '
+            f'src="data:image/jpeg;base64,{data}">'
+        )
+
+
+class CameraImages:
+    """Draws the newest frame that it was given, in a thread of its own; close it."""
+
+    def __init__(self, picture: Picture, scene: SceneCfg, room_seed: int = 0) -> None:
+        """Draw into a picture of the page. The seed is of the room's looks."""
+        self._picture, self._scene, self._seed = picture, scene, room_seed
+        self._frames: Queue[Frame | None] = Queue(maxsize=1)
+        self.num_drawn = 0  #: Images so far.
+        self._thread = Thread(target=self._run, name="camera images", daemon=True)
+        self._thread.start()
+
+    def show(self, frame: Frame) -> None:
+        """Draw this frame next, instead of any that waits."""
+        self._put(frame)
+
+    def close(self) -> None:
+        """End the thread."""
+        while self._thread.is_alive():
+            self._put(None)
+            self._thread.join(timeout=0.05)
+
+    def _put(self, frame: Frame | None) -> None:
+        with contextlib.suppress(Empty):
+            self._frames.get_nowait()
+        with contextlib.suppress(Full):
+            self._frames.put_nowait(frame)
+
+    def _run(self) -> None:
+        with contextlib.ExitStack() as stack:
+            try:
+                camera = stack.enter_context(RoomCamera(self._scene, self._seed))
+            except DeviceUnavailableError:
+                camera = None
+            while (frame := self._frames.get()) is not None:
+                begin = time.monotonic()
+                self._picture.show(self._drawn(camera, frame))
+                self.num_drawn += 1
+                spent = time.monotonic() - begin
+                time.sleep(max(PERIOD - spent, REST * spent))
+
+    def _drawn(self, camera: RoomCamera | None, frame: Frame) -> np.ndarray:
+        size = (self._scene.camera.height, self._scene.camera.width, 3)
+        image = np.full(size, DARK, np.uint8) if camera is None else camera.image(frame.exposure)
+        draw_box(image, frame.box)
+        return image

@@ -1,0 +1,235 @@
+"""`pixel2catch play --web`: throws to play with. One process, and no network but the page's own."""
+
+from collections import Counter
+from collections.abc import Callable
+from threading import Event
+from typing import Any
+
+import numpy as np
+import torch
+import viser
+
+from pixel2catch.errors import Pixel2CatchError
+from pixel2catch.evaluation.loading import DEFAULT_POLICY, shipped_policies
+from pixel2catch.evaluation.metrics import wilson_interval
+from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
+from pixel2catch.scene.scene import OBJECT_START
+from pixel2catch.viewer.config import PlayCfg
+from pixel2catch.viewer.disturbances import DISTURBANCES, Setting
+from pixel2catch.viewer.playback import Playback
+from pixel2catch.viewer.server import PageServer, open_server
+from pixel2catch.viewer.stage import Stage
+from pixel2catch.viewer.throws import PlayedThrow, Thrower, ThrowOrder
+
+NUM_KEPT = 50  #: Throws that can be looked at again.
+BETWEEN_THROWS = 0.7  #: Time from the end of a throw to the next, if there is one after the other [s].
+RELEASE_LIMITS = ((1.2, 3.6), (-1.0, 1.0), (0.4, 1.6))  #: Where the release point can be dragged to [m].
+GREEN, RED = (47, 158, 68), (224, 49, 49)  #: Colours of throws that were caught, and that were not.
+
+
+class PlayPage:
+    """The page; `run` plays until it is closed."""
+
+    def __init__(self, cfg: PlayCfg, server: PageServer | None = None) -> None:
+        """Serve the page, on a server that is there if one is given.
+
+        Raises:
+            Pixel2CatchError: If the policy, an object or a file does not do, or the page cannot be served.
+        """
+        self._cfg, self._closed, self._wanted = cfg, Event(), Event()
+        self._thrower = Thrower(cfg.dynamics, cfg.camera)
+        select_objects(cfg.objects)  # refused before the page is there
+        self._policy = str(cfg.policy or DEFAULT_POLICY)
+        self._task = self._thrower.task(self._policy)
+        self.playback = Playback()  #: How time goes.
+        self.throws: dict[int, PlayedThrow] = {}  #: Throws that can be looked at again, by number.
+        self._counts: Counter[tuple[ThrowOrder, bool]] = Counter()
+        self._again: PlayedThrow | None = None  #: What shall be looked at again.
+        self.server = server or open_server(cfg.page, "Pixel2Catch")
+        viser = self.server.viser
+        viser.on_client_connect(lambda _: self._welcome())
+        self.stage = Stage(viser, self._task.scene, self.playback)  #: What the page shows of a throw.
+        with self.stage.controls:
+            self._add_controls(viser.gui)
+        self._add_release_point(viser)
+
+    @property
+    def order(self) -> ThrowOrder:
+        """What the next throw shall be like, as the page has it now."""
+        x, y, z = (float(value) for value in self.release.position)
+        return ThrowOrder(
+            policy=self.policy.value,
+            objects=self.objects.value,
+            settings=tuple(_setting(slider.value) for slider in self.sliders),
+            release_pos=(x, y, z) if self.is_release_set.value else None,
+        )
+
+    def run(self) -> None:
+        """Throw, or show again, as it is asked for; a first throw comes with the first visitor."""
+        torch.set_num_threads(1)
+        while not self._closed.is_set():
+            self._wanted.wait()
+            if self._closed.is_set():
+                return
+            self._wanted.clear()
+            self.playback.begin()
+            again, self._again = self._again, None
+            try:
+                if again is None:
+                    self._throw()
+                else:
+                    self.stage.replay(again)
+            except Pixel2CatchError as error:
+                self.stage.tell(f"**{error}**")
+                continue
+            if again is None and self.is_repeated.value and self.server.viser.get_clients():
+                self.playback.wait(BETWEEN_THROWS * self.playback.speed)
+                self._wanted.set()
+
+    def throw(self) -> None:
+        """Begin a throw now; one that goes on is forgotten."""
+        self._begin(None)
+
+    def look_again(self, number: int) -> None:
+        """Show a throw again."""
+        self.is_repeated.value = False
+        self._begin(self.throws[number])
+
+    def close(self) -> None:
+        """End the page, and `run`."""
+        self._closed.set()
+        self._begin(None)
+
+    def free(self) -> None:
+        """Free what the page holds, after `run`."""
+        self.stage.close()
+        self._thrower.close()
+        self.server.close()
+
+    def _welcome(self) -> None:
+        """Throw for a visitor, if nothing is thrown by itself any more or yet."""
+        if self.is_repeated.value or not self._thrower.num_throws:
+            self._wanted.set()
+
+    def _begin(self, again: PlayedThrow | None) -> None:
+        self._again = again
+        self.playback.interrupt()
+        self._wanted.set()
+
+    def _throw(self) -> None:
+        """A throw, from its beginning to its end."""
+        order, renewed = self.order, self._thrower.num_renewed
+        task = self._thrower.task(order.policy)
+        self.stage.set_scene(task.scene)
+        throwing = self._thrower.throw(order, self._cfg.seed + self._thrower.num_throws)
+        if self._thrower.num_renewed != renewed:
+            self._counts.clear()
+        for frame in throwing.run():
+            if len(throwing.frames) == 1:
+                self.stage.begin(throwing.path, throwing.flight_time)
+                self.stage.tell(f"throw {throwing.number}: {throwing.object_name}")
+            if not self.stage.show(frame):
+                return
+        played = throwing.played()
+        self.stage.end()
+        self.stage.tell(f"throw {played.number}: {played.object_name} **{played.outcome}**")
+        self._keep(played)
+
+    def _keep(self, played: PlayedThrow) -> None:
+        """Count a throw, and put it on the list."""
+        self._counts[played.order, played.is_success] += 1
+        self._tell_rates()
+        self.throws[played.number] = played
+        label = f"{played.number}  {played.object_name}: {played.outcome}"
+        with self.list:
+            button = self.server.viser.gui.add_button(
+                label,
+                color=GREEN if played.is_success else RED,
+                order=-played.number,
+                hint=f"policy {played.order.policy}: show it again",
+            )
+        button.on_click(lambda _: self.look_again(played.number))
+        self._buttons.append(button)
+        if len(self._buttons) > NUM_KEPT:
+            self._buttons.pop(0).remove()
+            del self.throws[min(self.throws)]
+
+    def _tell_rates(self) -> None:
+        """Show how often throws like those to come were caught."""
+        caught, missed = (self._counts[self.order, is_success] for is_success in (True, False))
+        self.rates.content = rates_text(caught, caught + missed)
+
+    def _add_controls(self, gui: viser.GuiApi) -> None:
+        self.rates = gui.add_markdown(rates_text(0, 0))
+        gui.add_button("throw", color="green").on_click(lambda _: self.throw())
+        self.is_repeated = gui.add_checkbox("one throw after the other", True)
+        self.is_repeated.on_update(lambda _: self._wanted.set() if self.is_repeated.value else None)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("What is thrown"):
+            policies = list(dict.fromkeys((self._policy, *shipped_policies())))
+            self.policy = gui.add_dropdown("policy", policies, initial_value=self._policy)
+            objects = ", ".join(self._cfg.objects)
+            choices = list(dict.fromkeys((objects, *OBJECT_GROUPS, *OBJECTS)))
+            self.objects = gui.add_dropdown("object", choices, initial_value=objects)
+            self.is_release_set = gui.add_checkbox(
+                "release at the handle",
+                False,
+                hint="Else the release point is drawn; drag the handle to set it.",
+            )
+        with tabs.add_tab("Made harder"):
+            self.sliders = [self._add_slider(gui, i) for i in range(len(DISTURBANCES))]
+            gui.add_button("as in training").on_click(lambda _: self._reset_sliders())
+        self.list = tabs.add_tab("Throws")
+        self._buttons: list[viser.GuiButtonHandle] = []
+        for handle in (self.policy, self.objects, self.is_release_set, *self.sliders):
+            handle.on_update(lambda _: self._tell_rates())
+
+    def _add_slider(self, gui: viser.GuiApi, number: int) -> Any:
+        """A slider with one handle for a number, or two for a range."""
+        disturbance = DISTURBANCES[number]
+        setting = disturbance.of(self._task)
+        add: Callable[..., Any] = gui.add_multi_slider if isinstance(setting, tuple) else gui.add_slider
+        return add(
+            disturbance.label,
+            min=0.0,
+            max=disturbance.largest,
+            step=disturbance.step,
+            initial_value=setting,
+            hint=disturbance.hint,
+        )
+
+    def _reset_sliders(self) -> None:
+        for slider, disturbance in zip(self.sliders, DISTURBANCES, strict=True):
+            slider.value = disturbance.of(self._task)
+        self._tell_rates()
+
+    def _add_release_point(self, viser: viser.ViserServer) -> None:
+        """A handle to drag; dragging it sets the release point."""
+        self.release = viser.scene.add_transform_controls(
+            "/release",
+            scale=0.35,
+            disable_rotations=True,
+            translation_limits=RELEASE_LIMITS,
+            position=np.array(OBJECT_START),
+            depth_test=False,
+        )
+
+        def dragged(_: object) -> None:
+            self.is_release_set.value = True
+            self._tell_rates()
+
+        self.release.on_update(dragged)
+
+
+def rates_text(caught: int, throws: int) -> str:
+    """The success rate so far, with its 95 % interval."""
+    if not throws:
+        return "**S.R.** no throw like this yet"
+    low, high = wilson_interval(caught, throws)
+    rate, interval = f"{100 * caught / throws:.0f} %", f"{100 * low:.0f} to {100 * high:.0f} %"
+    return f"**S.R. {rate}** ({interval}): {caught} of {throws}"
+
+
+def _setting(value: Any) -> Setting:
+    """A slider's value; the handles of a range may have passed each other."""
+    return (float(min(value)), float(max(value))) if isinstance(value, tuple) else float(value)

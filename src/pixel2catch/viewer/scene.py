@@ -1,0 +1,180 @@
+"""The scene in its room as nodes of a page: robot, table, thrower, and an object with its path."""
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import viser
+from jaxtyping import Float
+from mujoco import mjtGeom
+
+from pixel2catch.rendering.camera import Exposure, room_positions
+from pixel2catch.rendering.room import FLOOR_LEVEL, WALL_LEVEL, Bystanders, build_room
+from pixel2catch.scene import shapes
+from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.scene.scene import OBJECT_RGBA, OBJECT_START, SceneCfg
+from pixel2catch.scene.shapes import ConvexPart
+from pixel2catch.workcells import find_workcell
+
+MAKERS: dict[int, Callable[[float, float, float], ConvexPart]] = {
+    mjtGeom.mjGEOM_BOX.value: lambda x, y, z: shapes.box(2 * x, 2 * y, 2 * z),
+    mjtGeom.mjGEOM_CAPSULE.value: lambda x, y, _: shapes.capsule(x, 2 * y),
+    mjtGeom.mjGEOM_CYLINDER.value: lambda x, y, _: shapes.cylinder(x, 2 * y),
+}
+"""Shapes of the scene's geoms by their types, from their sizes."""
+
+PLANE_SIZE = 5.0  #: Half a side of a plane without end [m].
+PLANE_LEVELS = {"floor": FLOOR_LEVEL, "wall": WALL_LEVEL}  #: Colours of planes, by their materials.
+BYSTANDERS = ("thrower", "thrower_arm", "ball")  #: Bodies that are in the room, and not in a laboratory.
+LEAST_MOVE = 1e-5  #: Least change of a position [m] or quaternion that is sent.
+SKY_LEVEL = (226, 232, 238)  #: What is behind everything.
+SUN = (1.6, -2.2, 3.4)  #: Where the light is that casts shadows [m]; it shines towards the origin.
+VIEW_POS, VIEW_AT = (0.2, -4.6, 2.6), (1.5, 0.0, 0.9)  #: From where and whereto one looks at first [m].
+ROOT = "/scene"  #: What all nodes of the scene hang on.
+PATH_COLOR, CAMERA_COLOR = (255, 150, 30), (40, 90, 200)
+
+Path = Float[np.ndarray, "num_points 3"]
+
+
+class SceneView:
+    """What is shown of one scene; `show` moves it."""
+
+    def __init__(self, server: viser.ViserServer, scene: SceneCfg, room_seed: int = 0) -> None:
+        """Add the scene to the page; the seed is of the room's looks."""
+        self._nodes, self._model = server.scene, build_room(scene, next(iter(OBJECTS)), room_seed)
+        self._data = mujoco.MjData(self._model)
+        self._root = self._nodes.add_frame(ROOT, show_axes=False)
+        self._light()
+        server.initial_camera.position, server.initial_camera.look_at = VIEW_POS, VIEW_AT
+        server.initial_camera.fov = np.radians(50.0)
+        self.bodies: dict[str, viser.FrameHandle] = {}  #: What is shown of every body, by its name.
+        for geom in range(self._model.ngeom):
+            self._add_geom(geom)
+        #: The object, whichever it is.
+        self.thrown = self._nodes.add_frame(f"{ROOT}/object", show_axes=False, visible=False)
+        self._looks = {
+            name: self._nodes.add_frame(f"{ROOT}/object/{name}", show_axes=False) for name in OBJECTS
+        }
+        for name, spec in OBJECTS.items():
+            for i, part in enumerate(spec.parts):
+                self._add_part(
+                    f"{ROOT}/object/{name}/{i}", part, OBJECT_RGBA[:3], is_smooth=name.startswith("ball")
+                )
+        home = [joint.home for joint in find_workcell(scene.workcell).joints]
+        waiting = Bystanders(release_pos=np.array(OBJECT_START), phase=0.0).joint_pos(-1.0)
+        self._place(np.concatenate((home, self._model.qpos0[len(home) : -len(waiting)], waiting)))
+        camera = scene.camera
+        self._nodes.add_camera_frustum(
+            f"{ROOT}/camera",
+            fov=2.0 * np.arctan(0.5 * camera.height / camera.fy),
+            aspect=camera.width / camera.height,
+            scale=0.12,
+            color=CAMERA_COLOR,
+            position=camera.pos,
+            wxyz=camera.quat,
+        )
+
+    def show(self, exposure: Exposure, before: Exposure | None = None, share: float = 1.0) -> None:
+        """Move everything to where it is, or was at a share of the way from an exposure before."""
+        now = self._positions(exposure)
+        if before is not None and share < 1.0:
+            way, start = np.zeros(self._model.nv), self._positions(before)
+            mujoco.mj_differentiatePos(self._model, way, 1.0, start, now)
+            mujoco.mj_integratePos(self._model, start, way, share)
+            now = start
+        self._place(now)
+        self.thrown.visible = exposure.object_name is not None
+        if exposure.object_name is not None:
+            body = self._data.body("object")
+            _move(self.thrown, body.xpos, body.xquat)
+            for name, look in self._looks.items():
+                if look.visible != (name == exposure.object_name):
+                    look.visible = name == exposure.object_name
+
+    def show_bystanders(self, are_there: bool) -> None:
+        """Show thrower and hanging ball, or not."""
+        for name in BYSTANDERS:
+            self.bodies[name].visible = are_there
+
+    def remove(self) -> None:
+        """Take the scene off the page."""
+        self._root.remove()
+
+    def show_path(self, path: Path) -> None:
+        """Draw where the object should fly, as dashes; nothing where it has fewer than two points."""
+        dashes = np.stack([path[:-1], 0.4 * path[:-1] + 0.6 * path[1:]], axis=1)
+        self._nodes.add_line_segments(f"{ROOT}/path", points=dashes, colors=PATH_COLOR, thickness=0.012)
+
+    def _place(self, qpos: np.ndarray) -> None:
+        """Move all bodies but the object."""
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        for name, frame in self.bodies.items():
+            body = self._data.body(name)
+            _move(frame, body.xpos, body.xquat)
+
+    def _positions(self, exposure: Exposure) -> np.ndarray:
+        return room_positions(self._model, exposure.moment, 0.0, exposure.thrower)
+
+    def _light(self) -> None:
+        """A sun with shadows, and light from everywhere."""
+        nodes = self._nodes
+        nodes.configure_default_lights(enabled=False)
+        nodes.configure_environment_map(None)
+        nodes.set_background_image(np.full((1, 1, 3), SKY_LEVEL, np.uint8), format="png")
+        nodes.add_light_hemisphere(
+            f"{ROOT}/sky", sky_color=(255, 255, 255), ground_color=(150, 140, 130), intensity=2.0
+        )
+        nodes.add_light_directional(f"{ROOT}/sun", position=SUN, intensity=2.2, cast_shadow=True)
+
+    def _add_geom(self, geom: int) -> None:
+        """Add a geom to its body; not the object's, which changes."""
+        model = self._model
+        body = model.body(int(model.geom_bodyid[geom])).name
+        if body not in self.bodies and body != "object":
+            self.bodies[body] = self._nodes.add_frame(f"{ROOT}/{body}", show_axes=False)
+        name, kind, size = f"{ROOT}/{body}/{geom}", int(model.geom_type[geom]), model.geom_size[geom]
+        pose = {"position": model.geom_pos[geom], "wxyz": model.geom_quat[geom]}
+        if kind == mjtGeom.mjGEOM_PLANE:
+            material = model.mat(int(model.geom_matid[geom])).name
+            self._add_plane(name, size, np.array(PLANE_LEVELS[material]) / 255.0, pose)
+        elif kind in MAKERS:
+            is_smooth = kind == mjtGeom.mjGEOM_CAPSULE
+            self._add_part(name, MAKERS[kind](*size), model.geom_rgba[geom][:3], is_smooth=is_smooth, **pose)
+
+    def _add_part(
+        self,
+        name: str,
+        part: ConvexPart,
+        rgb: tuple[float, ...] | np.ndarray,
+        *,
+        is_smooth: bool,
+        **pose: Any,
+    ) -> None:
+        corners, faces = np.unique(part.faces.reshape(-1, 3), axis=0, return_inverse=True)
+        faces = faces.reshape(-1, 3)
+        self._nodes.add_mesh_simple(
+            name, corners, faces, color=_levels(rgb), flat_shading=not is_smooth, **pose
+        )
+
+    def _add_plane(self, name: str, size: np.ndarray, rgb: np.ndarray, pose: dict[str, Any]) -> None:
+        x, y = (half or PLANE_SIZE for half in size[:2])
+        corners = np.array(((-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)), dtype=float)
+        faces = np.array(((0, 1, 2), (0, 2, 3)))
+        self._nodes.add_mesh_simple(
+            name, corners, faces, color=_levels(rgb), side="double", cast_shadow=False, **pose
+        )
+
+
+def _levels(rgb: tuple[float, ...] | np.ndarray) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * float(value)) for value in rgb)
+    return red, green, blue
+
+
+def _move(frame: viser.FrameHandle, pos: np.ndarray, quat: np.ndarray) -> None:
+    """Move a node, if it is not there yet."""
+    if np.abs(frame.position - pos).max() > LEAST_MOVE:
+        frame.position = pos.copy()
+    if np.abs(frame.wxyz - quat).max() > LEAST_MOVE:
+        frame.wxyz = quat.copy()

@@ -1,0 +1,168 @@
+"""The page to play with, as its visitors use it: in a browser, and started from the command line."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from domains import PATIENCE, free_port
+from pixel2catch.cli.main import main
+from pixel2catch.errors import UnknownNameError
+from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.viewer.config import PageCfg, PlayCfg
+from pixel2catch.viewer.play import PlayPage, rates_text
+
+FLAGS = [
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+WAIT_MS = 1000 * PATIENCE
+
+
+class Visited:
+    """A page that runs."""
+
+    def __init__(self, pool: ThreadPoolExecutor) -> None:
+        self.page = PlayPage(PlayCfg(page=PageCfg(port=free_port()), objects=("cube_s",), seed=3))
+        self.page.playback.set_speed(100.0)  # as fast as it goes
+        self.playing: Future[None] = pool.submit(self.page.run)
+
+    def wait_for(self, is_true: Callable[[], Any]) -> None:
+        """Wait until something is true, while the page plays."""
+        end = time.monotonic() + PATIENCE
+        while not is_true():
+            assert not self.playing.done(), self.playing.exception()
+            assert time.monotonic() < end
+            time.sleep(0.02)
+
+
+@pytest.fixture
+def visited() -> Iterator[Visited]:
+    with ThreadPoolExecutor(1) as pool:
+        visited = Visited(pool)
+        yield visited
+        visited.page.close()
+        visited.playing.result(PATIENCE)
+        visited.page.free()
+
+
+@pytest.fixture
+def browser_page() -> Iterator[Any]:
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("there is no Chromium; on Debian: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=chromium, args=FLAGS)
+        page = browser.new_page(viewport={"width": 900, "height": 700})
+        page.set_default_timeout(WAIT_MS)
+        yield page
+        browser.close()
+
+
+def test_rates():
+    assert "no throw" in rates_text(0, 0)
+    # Wilson 1927 for 9 of 10: (0.9 + 0.192 ± 1.96 √(0.009 + 0.0096)) / 1.384 = 0.596, 0.982.
+    assert rates_text(9, 10) == "**S.R. 90 %** (60 to 98 %): 9 of 10"
+
+
+def test_a_throw_is_shown_counted_kept_and_shown_again(visited: Visited):
+    page = visited.page
+    page.is_repeated.value = False
+    page.throw()
+    visited.wait_for(lambda: page.throws)
+    assert page.throws[1].outcome in page.stage.text.content
+    assert "1 of 1" in page.rates.content
+    num_frames = len(page.throws[1].frames)
+    visited.wait_for(lambda: page.stage.num_pictures >= num_frames)
+    page.look_again(1)
+    visited.wait_for(lambda: page.stage.num_pictures >= 2 * num_frames)
+    assert "again: throw 1" in page.stage.text.content
+    assert len(page.throws) == 1
+    caught = page.throws[1].frames[-1]
+    palm = np.array(page.stage.view.bodies["palm"].position)
+    assert np.linalg.norm(palm - caught.object_pos) < 0.2
+    page.sliders[0].value = (5.0, 3.0)
+    page.release.position, page.is_release_set.value = (2.2, 0.5, 1.1), True
+    assert page.order.settings[0] == (3.0, 5.0)
+    assert page.order.release_pos == (2.2, 0.5, 1.1)
+    page.stage.set_scene(SceneCfg(workcell="fr3_allegro"))
+    assert "fr3_link7" in page.stage.view.bodies
+
+
+def test_a_visitor_plays(visited: Visited, browser_page: Any):
+    """Loads, throws, catches; sliders, pause and steps act; nothing is wrong in the browser."""
+    page, wrong = visited.page, []
+    browser_page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+    browser_page.on("pageerror", lambda error: wrong.append(str(error)))
+    browser_page.goto(page.server.address)
+    browser_page.get_by_text(re.compile("S.R. 100 %")).wait_for()
+    assert browser_page.get_by_text("1 of 1").count() == 1
+    assert len(np.unique(np.frombuffer(browser_page.locator("canvas").first.screenshot(), np.uint8))) > 100
+
+    browser_page.get_by_text("pause", exact=True).click()
+    visited.wait_for(lambda: page.playback.is_paused)
+    browser_page.get_by_role("button", name="throw", exact=True).click()
+    visited.wait_for(lambda: page.stage.is_playing)
+    before = page.stage.num_pictures
+    for count in (1, 2):
+        browser_page.get_by_text("one step", exact=True).click()
+        visited.wait_for(lambda count=count: page.stage.num_pictures == before + count)
+
+    browser_page.get_by_role("tab", name="Made harder").click()
+    slider = browser_page.get_by_role("slider").first  # those of ranges have no such role
+    slider.focus()
+    slider.press("ArrowRight")
+    visited.wait_for(lambda: page.order.settings[1] == 6.0)
+    browser_page.get_by_text("no throw like this yet").wait_for()
+
+    browser_page.get_by_text("go on", exact=True).click()
+    browser_page.get_by_role("button", name="throw", exact=True).click()
+    visited.wait_for(lambda: any(each.order.settings[1] == 6.0 for each in page.throws.values()))
+    browser_page.get_by_role("tab", name="Throws").click()
+    browser_page.get_by_role("button", name=re.compile("^1 ")).click()
+    browser_page.get_by_text("again: throw 1").wait_for()
+    assert not wrong
+
+
+def test_unknown_objects_are_refused_before_there_is_a_page():
+    with pytest.raises(UnknownNameError, match="teapot"):
+        PlayPage(PlayCfg(objects=("teapot",)))
+
+
+def test_the_command_says_where_and_ends_with_ctrl_c(tmp_path: Path):
+    command = [sys.executable, "-m", "pixel2catch", "play", "--web", "--port", str(free_port())]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    with process:
+        line = process.stdout.readline()
+        match = re.search(r"http://127\.0\.0\.1:\d+", line)
+        assert match, line
+        with urllib.request.urlopen(match[0], timeout=PATIENCE) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+    assert not os.listdir(tmp_path)  # no video
+
+
+def test_a_host_of_nobody_is_refused(capsys: pytest.CaptureFixture[str]):
+    assert main(["play", "--web", "--host", "192.0.2.1"]) == 2
+    assert "192.0.2.1" in capsys.readouterr().err

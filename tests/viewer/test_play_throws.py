@@ -1,0 +1,114 @@
+"""Throws one by one, and what makes them harder."""
+
+from collections.abc import Iterator
+from itertools import islice
+from math import radians
+
+import numpy as np
+import pytest
+import torch
+
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.errors import PolicyMismatchError, UnknownNameError
+from pixel2catch.mdp.throws import flight_path, launch_velocity
+from pixel2catch.scene.constants import GRAVITY
+from pixel2catch.viewer.disturbances import DISTURBANCES, disturbed, released_at
+from pixel2catch.viewer.throws import Thrower, ThrowOrder
+
+TASK = CatchEnvCfg()
+AS_TRAINED = tuple(disturbance.of(TASK) for disturbance in DISTURBANCES)
+
+
+def order(**settings: float | tuple[float, float]) -> ThrowOrder:
+    by_field = {disturbance.name: i for i, disturbance in enumerate(DISTURBANCES)}
+    values = list(AS_TRAINED)
+    for name, value in settings.items():
+        values[by_field[name]] = value
+    return ThrowOrder(policy="catch_alone+fit", objects="cube_s", settings=tuple(values))
+
+
+@pytest.fixture
+def thrower() -> Iterator[Thrower]:
+    thrower = Thrower()
+    yield thrower
+    thrower.close()
+
+
+def test_a_task_is_left_alone_by_its_own_settings():
+    assert disturbed(TASK, AS_TRAINED) is TASK
+
+
+def test_settings_are_fields_of_the_task_in_its_units():
+    task = disturbed(TASK, order(latency_steps=(2.5, 4.0), drop_rate=20.0, camera_turn=2.0).settings)
+    assert task.sensing.latency_steps == (2.5, 4.0)
+    assert task.sensing.latency_grid == 0.5
+    assert task.sensing.drop_rate == pytest.approx(0.2)
+    assert task.sensing.camera_turn == pytest.approx(radians(2.0))
+    assert task.randomization == TASK.randomization
+
+
+@pytest.mark.parametrize("disturbance", DISTURBANCES, ids=lambda each: each.name)
+def test_what_is_set_is_read_back(disturbance):
+    largest = disturbance.largest
+    setting = (largest, largest) if isinstance(disturbance.of(TASK), tuple) else largest
+    assert disturbance.of(disturbance.applied(TASK, setting)) == pytest.approx(setting)
+
+
+def test_a_path_without_air_is_a_parabola():
+    pos, aim = torch.tensor([[2.6, 0.1, 0.8]]), torch.tensor([[0.7, -0.2, 1.0]])
+    lin_vel = launch_velocity(pos, aim, torch.tensor([1.8]))
+    path = flight_path(pos, lin_vel, torch.zeros(1), torch.tensor([0.8]))[:, 0]
+    time = torch.linspace(0.0, 0.8, len(path))[:, None]
+    expected = pos + time * lin_vel
+    expected[:, 2] -= 0.5 * GRAVITY * time[:, 0] ** 2
+    assert torch.allclose(path, expected, atol=1e-5)
+
+
+def test_a_throw_flies_along_its_path_is_caught_and_comes_again_from_its_seed(thrower: Thrower):
+    throwing = thrower.throw(order(air_density=1.2), seed=3)
+    for _ in throwing.run():
+        pass
+    first = throwing.played()
+    assert first.outcome == "caught and held"
+    assert first.is_success
+    flight = [frame for frame in first.frames if 0.0 <= frame.time < 0.7 * first.flight_time]
+    times = np.linspace(0.0, first.flight_time, len(first.path))
+    for frame in flight[::4]:
+        on_path = [np.interp(frame.time, times, first.path[:, axis]) for axis in range(3)]
+        assert frame.object_pos == pytest.approx(on_path, abs=0.02)  # the path has corners
+    again = thrower.throw(order(air_density=1.2), seed=3)
+    assert again.number == first.number + 1
+    for frame, same in zip(islice(again.run(), 15), first.frames, strict=False):
+        assert (frame.exposure.moment.qpos == same.exposure.moment.qpos).all()
+
+
+def test_boxes_come_later_with_more_latency(thrower: Thrower):
+    seen = []
+    for latency in (1.0, 5.0):
+        ordered = order(corner_noise=0.0, latency_steps=(latency, latency))
+        frames = thrower.throw(ordered, seed=3).run()
+        first = next(frames)
+        moved = next(frame for frame in frames if np.abs(frame.box - first.box).max() > 1.0)
+        seen.append(moved.time)
+    assert seen[1] - seen[0] == pytest.approx(4 / 30)
+
+
+def test_a_throw_begins_where_it_is_told_to_and_passes_the_robot(thrower: Thrower):
+    task = released_at(TASK, (2.2, 0.5, 1.1))
+    assert task.throws.aim_x == TASK.throws.aim_x
+    ordered = ThrowOrder(
+        policy="catch_alone+fit", objects="cube_s", settings=AS_TRAINED, release_pos=(2.2, 0.5, 1.1)
+    )
+    throwing = thrower.throw(ordered, 0)
+    frame = next(throwing.run())
+    assert frame.object_pos == pytest.approx((2.2, 0.5, 1.1), abs=1e-3)
+    (low, high), height = TASK.throws.aim_x, TASK.throws.aim_z
+    assert low < throwing.path[-1, 0] < high
+    assert height[0] < throwing.path[-1, 2] < height[1]
+
+
+def test_unknown_policies_and_objects_are_named(thrower: Thrower):
+    with pytest.raises(PolicyMismatchError, match="no_policy"):
+        thrower.task("no_policy")
+    with pytest.raises(UnknownNameError, match="teapot"):
+        thrower.throw(ThrowOrder(policy="catch_alone+fit", objects="teapot", settings=AS_TRAINED), 0)
