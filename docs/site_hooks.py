@@ -16,6 +16,14 @@ DOCS = ROOT / "docs"
 SOURCE = ROOT / "src" / "pixel2catch"
 NOTEBOOK = DOCS / "catching.ipynb"
 REFERENCE = "API reference"  #: Entry of the navigation that gets a page for each part of the package.
+OVERVIEW = """# API reference
+
+Made from the docstrings of the package. Units are in brackets, shapes in the annotations. What most programs
+need is on the page of `api` and in [Extending](../extending/index.md).
+
+| part of `pixel2catch` | what it is for |
+| --- | --- |
+"""
 OUTSIDE = "repository"  #: Folder of the site for files that lie outside docs/.
 LINK = re.compile(r"\[([^\[\]]*)\]\(([^)#:\s]+)(#[^)]*)?\)")
 
@@ -30,7 +38,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what is no file of docs/."""
-    overview = "# API reference\n\n" + (DOCS / "reference.txt").read_text("utf-8")
+    overview = OVERVIEW
     for name, summary in parts().items():
         content = f"# `pixel2catch.{name}`\n\n::: pixel2catch.{name}\n"
         files.append(File.generated(config, f"reference/{name}.md", content=content))
