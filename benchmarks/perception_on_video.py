@@ -28,7 +28,7 @@ from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.segmenter import Segmenter
 from pixel2catch.rendering.camera import OBJECT_POS, CameraCfg, Moment
-from pixel2catch.rendering.video import RecordedThrow
+from pixel2catch.rendering.storyboard import RecordedThrow
 from pixel2catch.scene.objects import select_objects
 
 RED = ColorRange(hue=(350.0, 16.0), saturation=(0.55, 1.0))

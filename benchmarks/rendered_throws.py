@@ -25,7 +25,7 @@ from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL, CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
-from pixel2catch.rendering.video import RecordedThrow
+from pixel2catch.rendering.storyboard import RecordedThrow
 from pixel2catch.robots.geometry import first_chain
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg

@@ -6,7 +6,8 @@ from jaxtyping import install_import_hook
 # Where tensors are handed over, shapes and types are checked at run time; the tower lets an int stand for a
 # float, as PEP 484 does. Not in what ticks 500 times a second: there the checks take longer than the work.
 ROOMS = (
-    "agents camera envs evaluation identification mdp methods perception policy rendering robots scene sim"
+    "agents api camera envs evaluation identification mdp methods perception policy rendering robots scene "
+    "sim"
 )
 install_import_hook(
     [f"pixel2catch.{room}" for room in ROOMS.split()],
@@ -25,3 +26,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("gpu"):
             item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
+
+
+@pytest.fixture
+def opengl() -> None:
+    """Skip what draws where no OpenGL back end works."""
+    from pixel2catch.errors import DeviceUnavailableError
+    from pixel2catch.rendering.renderer import find_gl_backend
+
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))

@@ -1,1 +1,87 @@
-"""Catch thrown objects with an arm and a hand from one RGB camera."""
+"""Catch thrown objects with an arm and a hand from one RGB camera: what other Python code builds on.
+
+    import pixel2catch as p2c
+
+    env = p2c.make("proposed", num_envs=64)
+    policy = p2c.load_policy("proposed-seed0")
+    actions = policy.act(env.reset().policy)
+
+Everything is imported where it is first used: `import pixel2catch` alone loads nothing.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pixel2catch.agents import AgentSpec, agents_of, sharing, together
+    from pixel2catch.api.calls import evaluate, load_policy, make, train
+    from pixel2catch.api.parallel import CatchParallelEnv
+    from pixel2catch.api.single import CatchSingleEnv
+    from pixel2catch.api.vector import CatchVectorEnv
+    from pixel2catch.envs.catch_env import CatchEnv
+    from pixel2catch.envs.cfg import CatchEnvCfg
+    from pixel2catch.envs.tasks import find_task
+    from pixel2catch.evaluation.stress.suite import Axis, Level
+    from pixel2catch.mdp.rewards import RewardTerm
+    from pixel2catch.methods import Method, find_method
+    from pixel2catch.policy.policy import Policy
+    from pixel2catch.scene.meshes import mesh_object
+    from pixel2catch.scene.objects import make_object
+    from pixel2catch.workcells import find_workcell
+
+_WHERE = {
+    "agents": ("AgentSpec", "agents_of", "sharing", "together"),
+    "api.calls": ("evaluate", "load_policy", "make", "train"),
+    "api.parallel": ("CatchParallelEnv",),
+    "api.single": ("CatchSingleEnv",),
+    "api.vector": ("CatchVectorEnv",),
+    "envs.catch_env": ("CatchEnv",),
+    "envs.cfg": ("CatchEnvCfg",),
+    "envs.tasks": ("find_task",),
+    "evaluation.stress.suite": ("Axis", "Level"),
+    "mdp.rewards": ("RewardTerm",),
+    "methods": ("Method", "find_method"),
+    "policy.policy": ("Policy",),
+    "scene.meshes": ("mesh_object",),
+    "scene.objects": ("make_object",),
+    "workcells": ("find_workcell",),
+}
+
+__all__ = [
+    "AgentSpec",
+    "Axis",
+    "CatchEnv",
+    "CatchEnvCfg",
+    "CatchParallelEnv",
+    "CatchSingleEnv",
+    "CatchVectorEnv",
+    "Level",
+    "Method",
+    "Policy",
+    "RewardTerm",
+    "agents_of",
+    "evaluate",
+    "find_method",
+    "find_task",
+    "find_workcell",
+    "load_policy",
+    "make",
+    "make_object",
+    "mesh_object",
+    "sharing",
+    "together",
+    "train",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the module that defines a name."""
+    for module, names in _WHERE.items():
+        if name in names:
+            return getattr(importlib.import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    """What there is, imported or not."""
+    return sorted({*globals(), *__all__})

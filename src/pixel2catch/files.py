@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -125,6 +125,20 @@ def require_free_folder(folder: Path, option: str = "--out") -> None:
     there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
         raise InvalidValueError(f"'{folder}' cannot be made in '{there}'; choose another {option}.")
+
+
+def require_file(path: Path, endings: Sequence[str]) -> None:
+    """Refuse a file that cannot be written, or whose name ends otherwise, before the work that fills it.
+
+    Raises:
+        InvalidValueError: If the ending is another, or there is no folder for it that may be written.
+    """
+    if path.suffix.lower() not in endings:
+        raise InvalidValueError(f"cannot write '{path}': its name must end in {' or '.join(endings)}.")
+    if not path.parent.is_dir():
+        raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InvalidValueError(f"cannot write '{path}': it is a folder or may not be written.")
 
 
 def require_free_file(path: Path) -> None:

@@ -1,5 +1,7 @@
 """The methods that are compared, as values of one type. No code asks for a method by name."""
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from jaxtyping import Float
@@ -7,7 +9,7 @@ from torch import Tensor
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_of, sharing, together
 from pixel2catch.camera.box_history import NUM_BOXES
-from pixel2catch.errors import UnknownNameError
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.observations import (
     JOURNAL_TERMS,
     PROPRIOCEPTION,
@@ -21,6 +23,7 @@ from pixel2catch.mdp.observations import (
     pixel_columns,
 )
 from pixel2catch.mdp.snapshot import History
+from pixel2catch.own_files import catalogue
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -38,6 +41,22 @@ class Method:
     def knows_age(self) -> bool:
         """Whether its agents know how old the boxes are that they see."""
         return any(agent.memory for agent in self.agents)
+
+    def with_weights(self, weights: Mapping[str, float]) -> "Method":
+        """The method with other weights of reward terms, by names such as `arm.success`; 0 for none.
+
+        Raises:
+            UnknownNameError: If no agent has such a term.
+        """
+        names = {
+            f"{part.name}.{term.name}"
+            for agent in self.agents
+            for part in agent.parts
+            for term in part.reward
+        }
+        for name in set(weights) - names:
+            raise UnknownNameError("reward term", name, sorted(names))
+        return replace(self, agents=tuple(agent.with_weights(weights) for agent in self.agents))
 
     def observe(self, history: History) -> dict[str, Float[Tensor, "num_envs _"]]:
         """What each agent sees, by name."""
@@ -65,10 +84,23 @@ MEMORIES: dict[str, Memory] = {
 what the images have shown of a flight is in more than two of them."""
 
 
+def find_memory(name: str) -> Memory:
+    """The memory of that name; a number behind it is how many boxes it holds, such as `boxes5`.
+
+    Raises:
+        UnknownNameError: With the valid names.
+    """
+    found = re.fullmatch(r"([a-z_]*)([1-9]\d?)?", name)
+    if not found or found[1] not in MEMORIES:
+        raise UnknownNameError("memory", name, [*MEMORIES, "the same with a number of boxes, such as boxes5"])
+    memory = MEMORIES[found[1]]
+    return replace(memory, num_boxes=int(found[2])) if found[2] else memory
+
+
 def remembering(method: Method, memory: str) -> Method:
     """The method with a memory; one that sees no pixel features gets no more than the age of the images."""
-    name = memory if method.pixel_features else "age"
-    kept = MEMORIES[name]
+    kept = find_memory(memory)
+    kept = kept if method.pixel_features else MEMORIES["age"]
     agents = tuple(replace(agent, memory=kept.terms) for agent in method.agents)
     return replace(method, name=f"{method.name}+{memory}", agents=agents, num_boxes=kept.num_boxes)
 
@@ -114,7 +146,8 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     return {method.name: method for method in methods}
 
 
-METHODS = methods_of(UR5E_ALLEGRO)  #: The methods for the paper's robot.
+METHODS = catalogue(Method, methods_of(UR5E_ALLEGRO))
+"""The methods for the paper's robot, and those of files of one's own."""
 
 PROPOSED = METHODS["proposed"]
 
@@ -124,11 +157,18 @@ def find_method(name: str, workcell: WorkcellSpec = UR5E_ALLEGRO) -> Method:
 
     Raises:
         UnknownNameError: With the valid names.
+        InvalidValueError: If it is one's own and for other robots.
     """
     base, *memories = name.split("+")
     if base not in METHODS:
         raise UnknownNameError("method", base, METHODS)
-    if memories and (len(memories) > 1 or memories[0] not in MEMORIES):
-        raise UnknownNameError("memory", "+".join(memories), MEMORIES)
-    method = METHODS[base] if workcell == UR5E_ALLEGRO else methods_of(workcell)[base]
-    return remembering(method, memories[0]) if memories else method
+    method = METHODS[base]
+    if workcell != UR5E_ALLEGRO:
+        method = methods_of(workcell).get(base, method)
+    num_joints = sum(agent.num_joints for agent in method.agents)
+    if num_joints != len(workcell.joints):
+        raise InvalidValueError(
+            f"method '{base}' moves {num_joints} joints, and work cell '{workcell.name}' has "
+            f"{len(workcell.joints)}; make its agents by agents_of(WORKCELL)."
+        )
+    return remembering(method, "+".join(memories)) if memories else method

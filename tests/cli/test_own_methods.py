@@ -17,14 +17,22 @@ from pixel2catch.policy import contract_of, method_of
 FILE = """
 from dataclasses import replace
 from pixel2catch.mdp.observations import PAPER_TERMS
-from pixel2catch.methods import METHODS, PROPOSED
+from pixel2catch.evaluation.stress.suite import Axis, Level
+from pixel2catch.methods import PROPOSED
+from pixel2catch.scene.objects import make_object
+from pixel2catch.scene.shapes import box
 
 def palm_height(frame):
     return frame.now.palm_pos[:, 0, 2:]
 
-METHODS["size_alone"] = replace(PROPOSED, name="size_alone", pixel_features=("w", "h"))
+size_alone = replace(PROPOSED, name="size_alone", pixel_features=("w", "h"))
 seeing = tuple(replace(agent, observation=(*PAPER_TERMS, palm_height)) for agent in PROPOSED.agents)
-METHODS["with_height"] = replace(PROPOSED, name="with_height", agents=seeing)
+def heavier(task):
+    return replace(task, randomization=replace(task.randomization, mass_scale=(2.0, 2.0)))
+
+brick = make_object("brick", box(0.04, 0.05, 0.06), mass=0.1)
+heavy = Axis(name="heavy", unit="g", levels=(Level(label="60", change=heavier, source="ours"),))
+with_height = replace(PROPOSED, name="with_height", agents=seeing)
 """
 SIZE = ("--num-envs", "4", "--rollout-steps", "2", "--mini-batches", "2", "--transitions", "16")
 TRAINING = (*SIZE, "--hidden", "8", "--device", "cpu")
@@ -58,8 +66,10 @@ def test_how_many_boxes_an_own_memory_holds_is_not_told():
 def test_the_option_is_taken_wherever_it_stands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(VARIABLE, "")
-    assert take_option(["--import", "a.py", "evaluate", "run", "--import=b.py"]) == ["evaluate", "run"]
-    assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / name) for name in ("a.py", "b.py"))
+    given = ["--import", "a.py", "evaluate", "run", "--import=b.py", "c.py:mine+fit", "--objects=./b.py:mug"]
+    assert take_option(given) == ["evaluate", "run", "mine+fit", "--objects=mug"]
+    assert take_option(["C:/a.py", "--workcell", "cell.py"]) == ["C:/a.py", "--workcell", "cell.py"]
+    assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / f"{name}.py") for name in ("a", "b", "c"))
 
 
 def pixel2catch(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
@@ -73,7 +83,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
     (folder / "my_methods.py").write_text(FILE)
     for name in ("size_alone", "with_height"):
-        done = pixel2catch(folder, "train", name, "--import", "my_methods.py", *TRAINING, "--out", name)
+        done = pixel2catch(folder, "train", f"my_methods.py:{name}", *TRAINING, "--out", name)
         assert done.returncode == 0, done.stderr
     return folder
 
@@ -107,11 +117,16 @@ def test_with_its_file_a_term_of_ones_own_is_evaluated_and_filmed(runs: Path):
 
 
 def test_child_processes_know_the_file(runs: Path):
-    options = ("--axes", "nominal", "--jobs", "2", "--out", "stress", "--json")
-    command = ("stress", "size_alone", "with_height", *THROWS, *options, "--import", "my_methods.py")
-    result = pixel2catch(runs, *command)
+    """Of methods, of an object, and of a disturbance, which is sent to them."""
+    thrown = (*THROWS[:-1], "my_methods.py:brick")
+    options = ("--axes", "my_methods.py:heavy", "--jobs", "2", "--out", "stress", "--json")
+    result = pixel2catch(runs, "stress", "size_alone", "with_height", *thrown, *options)
     assert result.returncode == 0, result.stderr
-    policies = json.loads(result.stdout)["policies"]
+    table = json.loads(result.stdout)
+    policies = table["policies"]
+    cell = json.loads((runs / "stress" / "cells" / "with_height" / "heavy-60.json").read_text())
+    assert cell["evaluation"]["objects"] == ["brick"]
+    assert cell["evaluation"]["task"]["randomization"]["mass_scale"] == [2.0, 2.0]
     assert {name: each["method"] for name, each in policies.items()} == {
         name: name for name in ("size_alone", "with_height")
     }

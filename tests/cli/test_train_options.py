@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from pixel2catch.cli.fields import with_fields
 from pixel2catch.cli.main import main, parse
-from pixel2catch.cli.train import with_fields
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import TASKS

@@ -1,11 +1,14 @@
 """Methods by name, and what a memory adds to one."""
 
+from dataclasses import replace
+
 import pytest
 
 from pixel2catch.camera.box_history import NUM_BOXES
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.observations import box_age, box_fit, box_track
 from pixel2catch.methods import MEMORIES, METHODS, find_method
+from pixel2catch.policy import contract_of, method_of
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -55,8 +58,18 @@ def test_who_sees_no_pixels_remembers_their_age_alone(name: str):
         ("catch+", r"unknown memory ''.*Valid: age, boxes, fit"),
         ("catch+age+fit", r"unknown memory 'age\+fit'.*Valid: age, boxes, fit"),
         ("catch+fit+fit", r"unknown memory 'fit\+fit'"),
+        ("catch+boxes0", r"unknown memory 'boxes0'.*such as boxes5"),
     ],
 )
 def test_an_unknown_name_is_refused_with_the_valid_ones(name: str, message: str):
     with pytest.raises(UnknownNameError, match=message):
         find_method(name)
+
+
+def test_a_number_behind_a_memory_is_that_of_its_boxes():
+    """Of five boxes: the newest's centre and size, four speeds of both, five ages."""
+    method = find_method("proposed+boxes5")
+    assert (method.name, method.num_boxes) == ("proposed+boxes5", 5)
+    assert contract_of(method).agents["arm"].observation[-1] == ("box_track[t]", 4 + 4 * 4 + 5)
+    assert method_of(replace(contract_of(method), method="mine+boxes5")).num_boxes == 5
+    assert find_method("without_pf+boxes5").num_boxes == 1

@@ -9,7 +9,8 @@ import torch
 from pixel2catch.camera.pinhole import project
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.rendering import renderer as module
-from pixel2catch.rendering.renderer import OUTSIDE_VIEW, Renderer, View, find_gl_backend
+from pixel2catch.rendering.film import WIDE
+from pixel2catch.rendering.renderer import DRAWN_GROUPS, Renderer, View, find_gl_backend
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.scene.scene import OBJECT_START, SceneCfg, build_model
@@ -41,7 +42,7 @@ def test_pictures_are_taken_by_the_camera_of_the_scene():
 
 @pytest.mark.usefixtures("opengl")
 def test_two_renderers_live_side_by_side():
-    with Renderer(MODEL) as near, Renderer(MODEL, OUTSIDE_VIEW) as far:
+    with Renderer(MODEL) as near, Renderer(MODEL, WIDE) as far:
         first = near.image(MODEL.qpos0)
         far.image(MODEL.qpos0)
         assert np.array_equal(near.image(MODEL.qpos0), first)
@@ -53,6 +54,28 @@ def test_the_model_keeps_its_own_drawing_settings():
     with Renderer(MODEL, View(camera="rgb", width=1280, height=960)) as renderer:
         assert renderer.image(MODEL.qpos0).shape == (960, 1280, 3)
     assert (MODEL.vis.quality.offsamples, MODEL.vis.global_.offwidth) == before
+
+
+@pytest.mark.usefixtures("opengl")
+def test_a_path_is_drawn_into_one_picture():
+    """A line through the middle of the picture, 2 m away."""
+    view = View(lookat=(0.0, 3.0, 1.5), distance=2.0, azimuth=90.0)
+    path = np.array([(x, 3.0, 1.5) for x in (-0.3, 0.0, 0.3)])
+    with Renderer(MODEL, view, shadows=False) as renderer:
+        before, shown = renderer.image(MODEL.qpos0), renderer.image(MODEL.qpos0, path=path)
+        assert np.array_equal(renderer.image(MODEL.qpos0), before)
+    rows, columns = np.nonzero((np.abs(shown.astype(int) - before) > 20).any(axis=-1))
+    assert 235 <= rows.min() <= rows.max() <= 245
+    assert np.ptp(columns) == pytest.approx(0.6 / (2.0 * 2.0 * np.tan(np.pi / 8)) * 480, abs=12)
+
+
+@pytest.mark.usefixtures("opengl")
+def test_what_collides_is_not_drawn_of_a_body_that_has_looks():
+    with Renderer(MODEL) as renderer:
+        groups = renderer.model.geom_group
+        base, table = (renderer.model.geom(name).id for name in ("base_link", "table"))
+        assert groups[base] not in DRAWN_GROUPS
+        assert groups[table] in DRAWN_GROUPS
 
 
 @pytest.mark.usefixtures("opengl")

@@ -181,7 +181,7 @@ def test_faults_are_named(tmp_path: Path):
     with pytest.raises(UnknownNameError, match="ur5e_allegro"):
         find_workcell("ur10_allegro")
     (tmp_path / "empty.py").write_text("WORKCELL = 1\n")
-    with pytest.raises(InvalidValueError, match="defines no WORKCELLS"):
+    with pytest.raises(InvalidValueError, match="defines no WorkcellSpec"):
         find_workcell(str(tmp_path / "empty.py"))
     (tmp_path / "broken.py").write_text("import nothing_of_that_name\n")
     with pytest.raises(ModuleNotFoundError, match="nothing_of_that_name"):

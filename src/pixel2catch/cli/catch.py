@@ -3,19 +3,24 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-VIDEO_THROWS = 2  #: Throws in the video: drawing them takes about ten seconds each without a GPU.
+VIDEO_THROWS = 2  #: Throws in the film: drawing them takes about ten seconds each without a GPU.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Catch:
-    """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short video."""
+    """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short film."""
 
     throws: int = 300  #: Throws of seen objects, and again as many of unseen ones.
     seed: int = 0  #: Seed of everything that is drawn.
-    video: Path = Path("catch.mp4")  #: The video file.
+    video: Path = Path("catch.mp4")  #: The film, as .mp4, .webp or .gif, or stills as .png.
 
     def run(self) -> None:
-        """Evaluate, print the results beside the paper's, and write the video."""
+        """Evaluate, print the results beside the paper's, and write the film."""
+        from pixel2catch.files import require_file
+        from pixel2catch.rendering.video import FORMATS
+
+        require_file(self.video, FORMATS)
+
         from pixel2catch.cli.console import results_console, round_reporter, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.errors import DeviceUnavailableError
@@ -23,8 +28,8 @@ class Catch:
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.evaluation.report import quality_table, results_table
+        from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.rendering.video import write_video
         from pixel2catch.scene.objects import OBJECT_GROUPS
 
         prepare("cpu")
@@ -50,9 +55,9 @@ class Catch:
         try:
             find_gl_backend()
         except DeviceUnavailableError as error:
-            print(f"no video: {error}")
+            print(f"no film: {error}")
             return
         say(f"drawing {VIDEO_THROWS} throws ...")
         throws = recorded_throws(replace(cfg, num_envs=VIDEO_THROWS, trials=1), policy, method)
-        write_video(self.video, throws, cfg.task.scene, shadows=False)
+        write_throws(self.video, throws, cfg.task.scene)
         print(f"wrote {self.video}: {VIDEO_THROWS} throws")

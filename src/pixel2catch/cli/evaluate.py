@@ -6,6 +6,8 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
@@ -26,29 +28,39 @@ class Evaluate:
     #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
     #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: Path | None = None
+    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: evaluate --env.help.
+    env: FieldOptions = ()
     json: bool = False  #: Print all metrics as one JSON object.
     out: Path | None = None  #: File that gets the same JSON object, all of it or nothing.
+    #: HTML file that gets a page of it, with charts, a map of the throws and stills of every kind of miss.
+    html: Path | None = None
 
     def run(self) -> None:
         """Evaluate and print."""
+        from pixel2catch.files import require_file, write_atomically
+
+        if self.html:
+            require_file(self.html, (".html",))
+
         from pixel2catch.cli.console import results_console, round_reporter, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, fingerprint, load_policy, sha256, task_of
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import objects_table, quality_table, results_table
-        from pixel2catch.files import write_atomically
+        from pixel2catch.evaluation.throw_collection import ThrowCollection
         from pixel2catch.scene.objects import select_objects
 
         prepare(self.device)
         policy, method = load_policy(self.policy, self.device)
+        task = task_of(policy, self.physics_hz, self.dynamics, self.camera)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            task=task_of(policy, self.physics_hz, self.dynamics, self.camera),
+            task=EvaluatedTask(options=self.env, command="evaluate")(task),
         )
         files = {"dynamics": self.dynamics, "camera": self.camera}
         source = {
@@ -60,11 +72,17 @@ class Evaluate:
             self.out.parent.mkdir(parents=True, exist_ok=True)
         for remark in camera_remark(policy, cfg.task):
             say(remark)
-        report = round_reporter(" ".join(self.objects), self.trials)
-        result = source | assess(policy, method, cfg, report)
+        report, collection = round_reporter(" ".join(self.objects), self.trials), ThrowCollection()
+        on_throws = collection.add if self.html else None
+        result = source | assess(policy, method, cfg, report, on_throws)
         text = json.dumps(result, indent=2) + "\n"
         if self.out:
             write_atomically({self.out: text.encode()})
+        if self.html:
+            from pixel2catch.evaluation.page import write_page
+
+            write_page(self.html, " ".join(self.objects), result, cfg, collection)
+            say(f"wrote {self.html}")
         if self.json:
             print(text, end="")
             return

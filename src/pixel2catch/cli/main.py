@@ -56,7 +56,8 @@ COMMANDS = (
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
 'pixel2catch COMMAND --help' explains a command, 'pixel2catch --version' prints the version.
-'pixel2catch --import FILE.py COMMAND ...' knows the methods that a Python file of yours registers."""
+'pixel2catch --import FILE.py COMMAND ...' knows the methods, objects, robots and disturbances that a Python
+file of yours defines; so does FILE.py:NAME in place of a name."""
 
 EXIT_ERROR = 2  #: Exit status of an error that the user can mend.
 EXIT_INTERRUPTED = 130  #: Exit status after Ctrl-C, as shells have it.
@@ -86,8 +87,8 @@ def main(args: Sequence[str] | None = None) -> int:
 def parse(args: Sequence[str]):
     """Return the command that arguments name, with its options; tyro prints help and mistakes, and exits.
 
-    `--env.FIELD VALUE` is `--env FIELD VALUE`: only a training looks up its fields, for what declares them
-    takes seconds to import.
+    `--env.FIELD VALUE` is `--env FIELD VALUE`: only a command that has begun looks up the fields, for what
+    declares them takes seconds to import.
     """
     args = [part for arg in args for part in (("--env", arg[6:]) if arg.startswith("--env.") else (arg,))]
     names = [Annotated[command, tyro.conf.subcommand(command.__name__.lower())] for command in COMMANDS]

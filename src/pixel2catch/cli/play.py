@@ -1,4 +1,4 @@
-"""`pixel2catch play`: a video of throws."""
+"""`pixel2catch play`: a film of throws."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,16 +6,18 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
 from pixel2catch.viewer.config import PageCfg
 
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
-    """Write a video of throws: the robot's camera with the policy's box, and a view from outside."""
+    """Write a film of throws: robot and thrower, the catch in slow motion, the robot's camera in a corner."""
 
     #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
-    out: Path = Path("play.mp4")  #: The video file.
+    #: The film, as .mp4, .webp or .gif; as .png it is a strip of stills of every throw.
+    out: Path = Path("play.mp4")
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     throws: int = 4  #: Number of throws.
@@ -26,40 +28,74 @@ class Play:
     #: Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
     #: exactly.
     camera: Path | None = None
-    view: Literal["rgb", "outside", "both"] = "both"  #: What the pictures show.
     web: bool = False  #: Whether to serve a page with throws to play with, instead of writing a video.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
+    #: From outside, with the robot's own view and the policy's box in a corner (both), or one of the two.
+    view: Literal["both", "outside", "rgb"] = "both"
+    #: Folder of a checkout of the MuJoCo Menagerie: the robots look like its meshes. robot_descriptions keeps
+    #: one in ~/.cache/robot_descriptions/mujoco_menagerie. Default: shapes of our own.
+    meshes: Path | None = None
+    layout: Literal["grid", "sequence"] = "grid"  #: Whether throws are shown side by side or one by one.
+    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: play --env.help.
+    env: FieldOptions = ()
 
     def run(self) -> None:
-        """Throw, draw and write."""
+        """Throw, draw and write; or serve the page."""
+        if self.web:
+            self._serve()
+            return
+        from pixel2catch.errors import InvalidValueError
+        from pixel2catch.files import require_file
+        from pixel2catch.rendering.video import FORMATS
+
+        require_file(self.out, FORMATS)
+        if self.throws < 1:
+            raise InvalidValueError(f"--throws is {self.throws}; it must be at least 1.")
+
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+        from pixel2catch.rendering.film import write_throws
+        from pixel2catch.rendering.meshes import require_meshes
         from pixel2catch.rendering.renderer import find_gl_backend
-        from pixel2catch.rendering.video import write_video
         from pixel2catch.scene.objects import select_objects
+        from pixel2catch.workcells import find_workcell
 
         prepare("cpu")
-        if self.web:
-            from pixel2catch.cli.extras import needs_extra
-            from pixel2catch.viewer.config import PlayCfg
-
-            with needs_extra("viewer"):
-                from pixel2catch.viewer.play import PlayPage
-                from pixel2catch.viewer.process import serve_until_interrupted
-            args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page}
-            cfg = PlayCfg(**args, dynamics=self.dynamics, camera=self.camera)
-            return serve_until_interrupted(lambda: PlayPage(cfg))
         find_gl_backend()
         policy, method = load_policy(self.policy)
         task = task_of(policy, dynamics=self.dynamics, camera=self.camera)
+        task = EvaluatedTask(options=self.env, command="play")(task)
         for remark in camera_remark(policy, task):
             say(remark)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )
+        if self.meshes:
+            require_meshes(find_workcell(task.scene.workcell), self.meshes)
         throws = recorded_throws(cfg, policy, method)
-        say(f"drawing {self.throws} throws ...")
-        num_pictures = write_video(self.out, throws, task.scene, self.view)
+        num_pictures = write_throws(
+            self.out,
+            throws,
+            task.scene,
+            self.view,
+            is_grid=self.layout == "grid",
+            meshes=self.meshes,
+            on_throw=lambda number: say(f"drawing throw {number + 1} of {self.throws} ..."),
+        )
         print(f"wrote {self.out}: {num_pictures} pictures")
+
+    def _serve(self) -> None:
+        """Serve the page until Ctrl-C."""
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.viewer.config import PlayCfg
+
+        prepare("cpu")
+        with needs_extra("viewer"):
+            from pixel2catch.viewer.play import PlayPage
+            from pixel2catch.viewer.process import serve_until_interrupted
+        args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page}
+        cfg = PlayCfg(**args, dynamics=self.dynamics, camera=self.camera)
+        serve_until_interrupted(lambda: PlayPage(cfg))

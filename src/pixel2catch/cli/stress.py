@@ -1,15 +1,18 @@
 """`pixel2catch stress`: every policy under what the real world does and the training does not."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
     from pixel2catch.evaluation.stress.measuring import Result
+    from pixel2catch.evaluation.stress.suite import Setting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +32,9 @@ class Stress:
     #: Policies and settings that are tried at once, each in a process with one thread; on the CPU.
     jobs: int = 1
     physics_hz: float = 600.0  #: Physics steps in a second, a multiple of 30.
+    #: Any field of the task, before it is disturbed, also as --env.throws.peak-z 1.5 1.9. All fields: stress
+    #: --env.help.
+    env: FieldOptions = ()
     out: Path = Path("stress")  #: Folder of the results; other objects need another one.
     json: bool = False  #: Print the table as one JSON object.
 
@@ -44,7 +50,7 @@ class Stress:
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg
 
-        settings = select_settings(self.axes)
+        settings = tuple(map(self._with_fields, select_settings(self.axes)))
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
@@ -64,3 +70,9 @@ class Stress:
         write_report(self.out, table)
         print(json.dumps(table, indent=2) if self.json else as_markdown(table), end="\n" if self.json else "")
         say(f"wrote {self.out}: table.md, table.tex, table.csv, table.json, heatmap.png")
+
+    def _with_fields(self, setting: "Setting") -> "Setting":
+        if not self.env:
+            return setting
+        change = EvaluatedTask(options=self.env, command="stress", then=setting.level.change)
+        return replace(setting, level=replace(setting.level, change=change))

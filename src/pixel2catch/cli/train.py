@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from pixel2catch.cli.fields import FieldOptions, with_fields
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
 from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
-    from pixel2catch.envs.cfg import CatchEnvCfg
-
     TrainOptions = TrainCfg
 else:
     # The fields of the configuration, each None unless it is given: then the preset or the run decides.
@@ -32,17 +31,14 @@ else:
         kw_only=True,
     )
 
-FieldOptions = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
-"""Names of fields of the task, each with its values, such as `("throws.peak-z", "1.5", "1.9")`."""
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Train:
     """Train a policy. What is not given comes from the preset, or from the run that goes on."""
 
     #: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
-    #: shared_reward, journal, catch, catch_alone or catch_teacher; with a memory METHOD+age, +boxes or +fit.
-    #: Default: proposed.
+    #: shared_reward, journal, catch, catch_alone, catch_teacher, or FILE.py:NAME, a method of your own; with
+    #: a memory METHOD+age, +boxes, +boxes5 (any number) or +fit. Default: proposed.
     method: Positional[str | None] = None
     #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
     #: WORKCELLS; other commands know those of a file by `--import FILE.py`. Default: ur5e_allegro.
@@ -55,38 +51,19 @@ class Train:
     web: bool = False  #: Whether to serve a page with curves and with throws of the newest policy.
     page: PageCfg = dataclasses.field(default_factory=PageCfg)  #: Where that page is served.
     #: Any field of the task, also as --env.sensing.latency-steps 1 3. All fields: train --env.help.
-    env: Annotated[FieldOptions, tyro.conf.arg(metavar="FIELD VALUE ...")] = ()
+    env: FieldOptions = ()
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = dataclasses.field(default_factory=TrainOptions)
 
     def run(self) -> None:
         """Train to the end."""
-        from pixel2catch.envs.catch_env import CatchEnv
-        from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.learning.train import train
+        from pixel2catch.api.training import run
         from pixel2catch.methods import find_method
-        from pixel2catch.policy import contract_of
         from pixel2catch.workcells import find_workcell
 
         cfg = self.with_task(self.resolve())
-        workcell = find_workcell(cfg.env.scene.workcell)
-        method = find_method(cfg.method, workcell)
-        contract = contract_of(method, workcell, cfg.env.sensing.camera.camera)
-        contract = dataclasses.replace(contract, task=cfg.task)
-        teacher = load_policy(cfg.teacher)[1] if cfg.teacher else None
-
-        def make_env(cfg: TrainCfg) -> CatchEnv:
-            scene = dataclasses.replace(cfg.env.scene, physics_hz=cfg.physics_hz[0])
-            return CatchEnv(
-                dataclasses.replace(cfg.env, scene=scene),
-                method,
-                num_envs=cfg.num_envs,
-                device=cfg.device,
-                seed=cfg.seed,
-                teacher=teacher,
-            )
-
+        method = find_method(cfg.method, find_workcell(cfg.env.scene.workcell))
         with self._page(cfg):
-            train(cfg, make_env, contract, self._folder, resume=self.resume, agents=method.agents)
+            run(cfg, method, self._folder, resume=self.resume)
 
     def _page(self, cfg: TrainCfg) -> AbstractContextManager[None]:
         """The page of this training, if there is to be one; of several processes the first has it."""
@@ -140,40 +117,6 @@ class Train:
             InvalidValueError: If a value is out of range, or a file cannot be read.
             UnknownNameError: If there is no such task, work cell or object.
         """
-        from pixel2catch.envs.tasks import find_task
-        from pixel2catch.scene.objects import select_objects
-        from pixel2catch.workcells import find_workcell
+        from pixel2catch.api.training import with_task
 
-        env = cfg.env or find_task(cfg.task)
-        if self.workcell:
-            env = env.with_workcell(find_workcell(self.workcell))
-        if cfg.env is None:
-            env = env.with_files(cfg.dynamics, cfg.camera)
-        scenes = [dataclasses.replace(env.scene, physics_hz=rate) for rate in cfg.physics_hz]
-        sensing = dataclasses.replace(env.sensing, latency_steps=cfg.latency_steps)
-        env = with_fields(dataclasses.replace(env, scene=scenes[0], sensing=sensing), self.env)
-        if env.scene.physics_hz != scenes[0].physics_hz:  # a field was given: one rate from begin to end
-            scenes = [env.scene]
-        return dataclasses.replace(
-            cfg,
-            env=dataclasses.replace(env, objects=select_objects(env.objects)),
-            physics_hz=tuple(scene.physics_hz for scene in scenes),
-            latency_steps=env.sensing.latency_steps,
-        )
-
-
-def with_fields(env: "CatchEnvCfg", options: FieldOptions) -> "CatchEnvCfg":
-    """Return a task with other values of some fields; tyro prints help and mistakes, and exits."""
-    if not options:
-        return env
-    task = dataclasses.make_dataclass("Task", [("env", type(env))])
-    names = {"help": "--help"}
-    found = tyro.cli(
-        task,
-        args=[arg for name, *values in options for arg in (names.get(name, f"--env.{name}"), *values)],
-        default=task(dataclasses.replace(env, dynamics=None)),
-        prog="pixel2catch train",
-        description="Fields of the task and their values, without what is given by other options.",
-        config=(tyro.conf.AvoidSubcommands, tyro.conf.FlagConversionOff),
-    )
-    return dataclasses.replace(found.env, dynamics=env.dynamics)
+        return with_task(cfg, self.workcell, lambda env: with_fields(env, self.env))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
@@ -12,6 +12,7 @@ from pixel2catch.envs.detector import Detector, ProjectedDetector
 from pixel2catch.envs.episode import Episode, EpisodeRecord, StepExtremes, draw_episode, drawn_parameters
 from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.world import CatchWorld
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.columns import put
@@ -114,6 +115,7 @@ class CatchEnv:
             names, (cfg.throws.aim_x, cfg.throws.aim_y), reward_names, self.device
         )
         self.detector: Detector = ProjectedDetector(cfg.sensing, self.world, self._generator)
+        self._is_nan = torch.zeros(len(method.agents), dtype=torch.bool, device=self.device)
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
@@ -146,18 +148,42 @@ class CatchEnv:
         """Act for one control step; what lies outside [-1, 1] is clipped.
 
         The next step overwrites the tensors of what is returned, but for `observation` and `rewards`.
+
+        Raises:
+            InvalidValueError: If an action is NaN. On a device it is `check` that raises.
         """
         action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
+        self._is_nan |= torch.stack([actions[agent.name].isnan().any() for agent in self.method.agents])
+        if self.device.type == "cpu":
+            self._require_numbers()
         step = self._advance(action.clamp(-1.0, 1.0))
         return replace(step, observation=clone(step.observation), rewards=clone(step.rewards))
 
     def check(self) -> None:
-        """Raise if the simulation lost contacts since the last call; waits for the device."""
+        """Raise if contacts were lost or an action was NaN since the last call; waits for the device.
+
+        Raises:
+            InvalidValueError: If an action was NaN.
+        """
         self.world.simulation.check()
+        self._require_numbers()
 
     def close(self) -> None:
         """Free the simulation."""
         self.world.simulation.close()
+
+    @property
+    def object_id(self) -> Int[Tensor, " num_envs"]:
+        """What is thrown in each environment, as a row of the object table."""
+        return self._episode.record.object_id
+
+    def _require_numbers(self) -> None:
+        found = zip(self.method.agents, self._is_nan.tolist(), strict=True)
+        if names := [agent.name for agent, is_nan in found if is_nan]:
+            self._is_nan.zero_()
+            raise InvalidValueError(
+                f"an action of agent '{names[0]}' is NaN; each must be a number, and counts within [-1, 1]."
+            )
 
     def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
         """One control step on memory that stays where it is, so that a device can record and replay it."""

@@ -24,8 +24,7 @@ from pixel2catch.mdp.snapshot import Transition
 from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.scene.objects import OBJECTS
-from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.scene.objects import OBJECTS, ObjectSpec
 
 REST_STEPS = HOLD_STEPS // 2
 """Last control steps before a success in which robot and hold should have come to rest. Source: ours."""
@@ -228,7 +227,9 @@ def _draw(
     drag = None
     if any(each.randomization.air_density for each in task.all_variants):
         density = drawn(randomization.air_density, num_envs, generator)
-        by_object = constant(_drag_by_object(cfg.scene), generator.device)
+        by_object = constant(
+            _drag_by_object(cfg.scene.object_scale, tuple(OBJECTS.values())), generator.device
+        )
         drag = density * by_object[parameters.object_id] / parameters.mass_scale
     throw = sample_throws(cfg.throws, num_envs, generator, drag)
     is_exact = all(is_camera_exact(each.sensing) for each in task.all_variants)
@@ -256,9 +257,9 @@ def _command_delay(
 
 
 @cache
-def _drag_by_object(scene: SceneCfg) -> tuple[float, ...]:
+def _drag_by_object(scale: float, objects: tuple[ObjectSpec, ...]) -> tuple[float, ...]:
     """Of every object at its own mass in air of 1 kg/m³ [1/m], in the order of the object table."""
-    thrown = [spec.scaled(scene.object_scale) for spec in OBJECTS.values()]
+    thrown = [each.scaled(scale) for each in objects]
     return tuple(0.5 * spec.drag_area / spec.mass for spec in thrown)
 
 

@@ -16,6 +16,7 @@ from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
 from pixel2catch.methods import Method
+from pixel2catch.rendering.storyboard import RecordedThrow
 from pixel2catch.scene.objects import OBJECTS
 
 Metrics = dict[str, Any]
@@ -34,11 +35,15 @@ def pooled_counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
 
 
 def assess(
-    actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
+    actor: Actor,
+    method: Method,
+    cfg: EvaluationCfg,
+    on_round: Callable[[Trials], None] = lambda _: None,
+    on_throws: Callable[[list[RecordedThrow]], None] | None = None,
 ) -> Metrics:
     """Evaluate a policy and return its metrics, with how they were obtained; arguments as of `evaluate`."""
     started = time.perf_counter()
-    trials = evaluate(actor, method, cfg, on_round)
+    trials = evaluate(actor, method, cfg, on_round, on_throws)
     return {
         "method": method.name,
         "objects_thrown": list(cfg.objects),
@@ -52,7 +57,7 @@ def assess(
     }
 
 
-def metrics(trials: Trials, object_names: Sequence[str] = tuple(OBJECTS)) -> Metrics:
+def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metrics:
     """Metrics of all trials by name, and the rates of each object under `objects`.
 
     Names of objects are by row of the object table.
@@ -60,6 +65,7 @@ def metrics(trials: Trials, object_names: Sequence[str] = tuple(OBJECTS)) -> Met
     Raises:
         NonFiniteError: If the simulation produced NaN or infinity.
     """
+    names = tuple(OBJECTS) if object_names is None else object_names
     record, num_trials = trials.record, len(trials.is_verified)
     object_id, everything = record.object_id, torch.ones_like(trials.is_verified)
     modes = torch.where(record.is_success, -1, failure(record))
@@ -73,7 +79,7 @@ def metrics(trials: Trials, object_names: Sequence[str] = tuple(OBJECTS)) -> Met
         "mean_penetration": _mean(record.penetration_sum, record.contact_steps),
         **_maxima(record),
         **_rest(record),
-        "objects": {object_names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
+        "objects": {names[i]: _rates(trials, object_id == i) for i in sorted(set(object_id.tolist()))},
     }
 
 

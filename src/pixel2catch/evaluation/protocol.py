@@ -20,14 +20,14 @@ from torch import Tensor
 
 from pixel2catch.agents import commands_of
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
-from pixel2catch.envs.episode import EpisodeRecord
+from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.actions import JointCommand
 from pixel2catch.mdp.columns import put, take
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method
-from pixel2catch.rendering.video import RecordedThrow
+from pixel2catch.rendering.storyboard import CAUGHT, LOST, RecordedThrow
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT
 
@@ -152,10 +152,18 @@ class RoundState:
 
 
 def evaluate(
-    actor: Actor, method: Method, cfg: EvaluationCfg, on_round: Callable[[Trials], None] = lambda _: None
+    actor: Actor,
+    method: Method,
+    cfg: EvaluationCfg,
+    on_round: Callable[[Trials], None] = lambda _: None,
+    on_throws: Callable[[list[RecordedThrow]], None] | None = None,
 ) -> Trials:
-    """Evaluate a policy of a method; `on_round` is called with the trials of every round."""
-    return play_rounds(cfg.make_env(method), actor, cfg.trials, on_round)
+    """Evaluate a policy of a method.
+
+    After every round `on_round` is called with its trials, and `on_throws`, if given, with its throws, which
+    are only recorded for it.
+    """
+    return play_rounds(cfg.make_env(method), actor, cfg.trials, on_round, on_throws=on_throws)
 
 
 def play_rounds(
@@ -164,6 +172,7 @@ def play_rounds(
     num_rounds: int,
     on_round: Callable[[Trials], None] = lambda _: None,
     seed: int | None = None,
+    on_throws: Callable[[list[RecordedThrow]], None] | None = None,
 ) -> Trials:
     """Play rounds in environments of `EvaluationCfg.make_env`, and close them.
 
@@ -176,8 +185,11 @@ def play_rounds(
         for number in range(num_rounds):
             if seed is not None:
                 env.seed(seed + number)
-            rounds.append(run_round(env, actor))
+            recorder = ThrowRecorder(env) if on_throws else None
+            rounds.append(run_round(env, actor, recorder.watch) if recorder else run_round(env, actor))
             on_round(rounds[-1])
+            if recorder and on_throws:
+                on_throws(recorder.throws(rounds[-1]))
     finally:
         env.close()
     return Trials.concatenate(rounds)
@@ -185,30 +197,46 @@ def play_rounds(
 
 def recorded_throws(cfg: EvaluationCfg, actor: Actor, method: Method) -> list[RecordedThrow]:
     """Play one round and keep what every environment went through; arguments as of `evaluate`."""
-    env = cfg.make_env(method)
-    qpos, qvel = (env.world.simulation.bind(name) for name in ("qpos", "qvel"))
-    states: list[tuple[Tensor, ...]] = []
+    throws: list[RecordedThrow] = []
+    evaluate(actor, method, replace(cfg, trials=1), on_throws=throws.extend)
+    return throws
 
-    def watch(step: Step, state: RoundState) -> None:
-        seen = (qpos, qvel, step.measurement.box, state.is_running, state.is_testing)
-        states.append(tuple(values.cpu().clone() for values in seen))
 
-    try:
-        object_id = run_round(env, actor, watch).record.object_id.tolist()
-        names = [env.world.objects.names[row] for row in object_id]
-    finally:
-        env.close()
-    columns = [torch.stack(column, dim=1).numpy() for column in zip(*states, strict=True)]
-    return [
-        RecordedThrow(
-            object_name=name,
-            qpos=positions[running],
-            qvel=velocities[running],
-            box=box[running],
-            num_untested=int((running & ~testing).sum()),
-        )
-        for name, positions, velocities, box, running, testing in zip(names, *columns, strict=True)
-    ]
+class ThrowRecorder:
+    """Keeps what every environment goes through in a round."""
+
+    def __init__(self, env: CatchEnv) -> None:
+        """Watch environments before a round."""
+        self._names = env.world.objects.names
+        self._state = tuple(env.world.simulation.bind(name) for name in ("qpos", "qvel"))
+        self._rows: list[tuple[Tensor, ...]] = []
+
+    def watch(self, step: Step, state: RoundState) -> None:
+        """Keep a control step."""
+        seen = (*self._state, step.measurement.box, state.is_running, state.is_testing)
+        self._rows.append(tuple(values.cpu().clone() for values in seen))
+
+    def throws(self, trials: Trials) -> list[RecordedThrow]:
+        """All throws of the round, each to its decision."""
+        record = trials.record
+        failures = [FAILURES[i] for i in failure(record).tolist()]
+        ends = zip(record.is_success.tolist(), trials.is_verified.tolist(), failures, strict=True)
+        outcomes = [(CAUGHT if held else LOST) if caught else why for caught, held, why in ends]
+        names = [self._names[row] for row in record.object_id.tolist()]
+        columns = [torch.stack(column, dim=1).numpy() for column in zip(*self._rows, strict=True)]
+        return [
+            RecordedThrow(
+                object_name=name,
+                outcome=outcome,
+                qpos=qpos[running],
+                qvel=qvel[running],
+                box=box[running],
+                num_untested=int((running & ~testing).sum()),
+            )
+            for name, outcome, qpos, qvel, box, running, testing in zip(
+                names, outcomes, *columns, strict=True
+            )
+        ]
 
 
 def run_round(

@@ -42,28 +42,45 @@ Cells = Mapping[str, str]  #: A row of a table, by column.
 
 def results_table(results: Mapping[str, Metrics], method: str) -> Table:
     """Rates of one or several sets of objects by name, each beside the paper's where it has them."""
+    return _table(
+        f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds",
+        results_rows(results, method),
+    )
+
+
+def objects_table(result: Metrics) -> Table:
+    """Rates object by object."""
+    return _table("by object", objects_rows(result))
+
+
+def quality_table(results: Mapping[str, Metrics]) -> Table:
+    """Failure modes, quality of contacts and holds, one column per set of objects."""
+    return _table("failures and contact", quality_rows(results))
+
+
+def results_rows(results: Mapping[str, Metrics], method: str) -> list[Cells]:
+    """Rows of `results_table`."""
     rows = []
     for name, result in results.items():
         rows.append({"objects": name, **_cells(result)})
         if paper := PAPER.get((method, tuple(result["objects_thrown"]))):
             texts = (f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in paper)
             rows.append({"objects": "  paper", **dict(zip(MAIN_RATES, texts, strict=True))})
-    return _table(f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds", rows)
+    return rows
 
 
-def objects_table(result: Metrics) -> Table:
-    """Rates object by object."""
-    return _table("by object", [{"object": name, **_cells(each)} for name, each in result["objects"].items()])
+def objects_rows(result: Metrics) -> list[Cells]:
+    """Rows of `objects_table`."""
+    return [{"object": name, **_cells(each)} for name, each in result["objects"].items()]
 
 
-def quality_table(results: Mapping[str, Metrics]) -> Table:
-    """Failure modes, quality of contacts and holds, one column per set of objects."""
+def quality_rows(results: Mapping[str, Metrics]) -> list[Cells]:
+    """Rows of `quality_table`."""
     columns = {name: _quality(result) for name, result in results.items()}
-    rows = [
+    return [
         {"": row, **{name: column[row] for name, column in columns.items()}}
         for row in next(iter(columns.values()))
     ]
-    return _table("failures and contact", rows)
 
 
 def _table(title: str, rows: Sequence[Cells]) -> Table:

@@ -4,12 +4,10 @@ The report is one HTML file that needs nothing but itself. People with any kind 
 colours of its pictures apart. Source: Okabe and Ito 2008; grey: ours.
 """
 
-import base64
 import io
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +33,7 @@ from pixel2catch.identification.report_tables import (
     ratios_grid,
     whole_checks_grid,
 )
+from pixel2catch.offline_page import box, circumstances_lines, element, listing, page, picture, table
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files
@@ -56,41 +55,6 @@ RANDOMISATION = (
     "Intervals where they are narrower than the paper's ranges, else the paper's. The dynamics file "
     "has them; 'pixel2catch train --dynamics' draws from them."
 )
-
-STYLE = """
-body { font: 14px/1.45 system-ui, sans-serif; color: #1c1c1c; margin: 2rem auto; padding: 0 1rem;
-  max-width: 72rem }
-h1 { font-size: 1.7rem; margin-bottom: .2rem }
-h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem }
-h3 { font-size: 1rem; margin: 1.2rem 0 .3rem }
-p { margin: .4rem 0; max-width: 60rem }
-ul { margin: .3rem 0; padding-left: 1.2rem }
-.scroll { overflow-x: auto }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums }
-th { text-align: left; vertical-align: bottom; border-bottom: 1.5px solid #1c1c1c }
-td { vertical-align: top; border-bottom: 1px solid #e4e4e4 }
-th, td { padding: .25rem 1.1rem .25rem 0 }
-td:first-child { white-space: nowrap }
-small { display: block; color: #6a6a6a; font-weight: 400 }
-.good { color: #17703f } .weak { color: #9a5b00 } .unknown { color: #6a6a6a }
-.BAD { color: #b3261e; font-weight: 600 }
-.box { border-left: 4px solid; padding: .5rem .9rem; margin: .7rem 0; background: #f6f6f6 }
-.box p { color: #1c1c1c }
-.key span { display: inline-block; width: 1.6rem; height: 3px; margin: 0 .4rem .25rem 1.1rem }
-figure { margin: .8rem 0; break-inside: avoid }
-figcaption { font-weight: 600 }
-img { width: 100%; display: block }
-code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere }
-@page { size: A4; margin: 14mm }
-@media print {
-  body { margin: 0; max-width: none; font-size: 10px; print-color-adjust: exact }
-  tr, .box { break-inside: avoid }
-  h2, h3 { break-after: avoid }
-  .scroll { overflow: visible }
-  th, td { padding-right: .5rem }
-}
-"""
-"""Look of the page, on a screen and on paper."""
 
 COLORS = {"command": "#9A9A9A", "measured": "#000000", "before": "#E69F00", "after": "#0072B2"}  # of a report
 ZOOM = 1.5  # length of the close look [s]: about the fastest motion
@@ -137,23 +101,21 @@ def write_report(folder: Path, result: Identification, circumstances: Mapping[st
 def report_page(result: Identification, circumstances: Mapping[str, Any]) -> str:
     """The report as a page."""
     title, ratio = f"System identification: {result.start.robot}", ratios_grid(result.fit)
-    open_ends = _listing(open_questions(result.fit)) or _element("p", "Every direction is identified.")
+    open_ends = listing(open_questions(result.fit)) or element("p", "Every direction is identified.")
     parts = [
-        _element("h1", title),
+        element("h1", title),
         *_summary(result),
         _section(errors_grid(result), TRACKING),
         _section(parameters_grid(result)),
         _section(ratio) if ratio.rows else "",
-        _element("h2", "What is not identified") + open_ends,
+        element("h2", "What is not identified") + open_ends,
         _section(ranges_grid(result), RANDOMISATION),
         *_pictures(result),
         _section(whole_checks_grid(result.motions)),
         *(_section(joint_checks_grid(motion), tag="h3") for motion in result.motions),
         *_circumstances(result, circumstances),
     ]
-    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style>'
-    body = "\n".join(parts)
-    return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n'
+    return page(title, parts)
 
 
 def _summary(result: Identification) -> Iterable[str]:
@@ -176,7 +138,7 @@ def _summary(result: Identification) -> Iterable[str]:
     failed = {c.joint for m in result.motions for c in m.source.checks if c.is_good is False}
     if names := ", ".join(short(joint) for joint in joints if joint in failed):
         texts[f"The motion of {names} is weaker than the data checks ask for."] = "weak"
-    return [f'<div class="box {verdict}">{_element("p", text)}</div>' for text, verdict in texts.items()]
+    return [box(text, verdict) for text, verdict in texts.items()]
 
 
 def _pictures(result: Identification) -> list[str]:
@@ -188,56 +150,29 @@ def _pictures(result: Identification) -> list[str]:
     figures = []
     for j, joint in enumerate(shown.recording.joints):
         before, after = (1e3 * errors[name][j] for name in ("before", "after"))
-        caption = escape(f"{short(joint)}: {before:.2f} mrad before, {after:.2f} mrad after")
-        image = base64.b64encode(joint_picture(shown, j)).decode()
-        figures.append(
-            f'<figure><figcaption>{caption}</figcaption><img alt="{caption}" '
-            f'src="data:image/png;base64,{image}"></figure>'
-        )
-    title = _element("h2", f"Motion: {shown.recording.name} ({kind})")
+        caption = f"{short(joint)}: {before:.2f} mrad before, {after:.2f} mrad after"
+        figures.append(picture(joint_picture(shown, j), "png", caption))
+    title = element("h2", f"Motion: {shown.recording.name} ({kind})")
     return [title, f'<p class="key">{key}</p>', *figures]
 
 
 def _circumstances(result: Identification, circumstances: Mapping[str, Any]) -> list[str]:
     """How this was done."""
-    versions = ", ".join(f"{name} {version or '?'}" for name, version in circumstances["versions"].items())
-    where = f"{circumstances['platform']}, {circumstances['cpu_cores']} CPU cores"
     lines = [
-        f"{circumstances['started']}; revision {circumstances['git_revision'] or 'unknown'}; {where}",
-        f"Python {circumstances['python']}, {versions}",
+        *circumstances_lines(circumstances),
         f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
         *(
             f"{motion.recording.name}: {'held out' if motion.source.is_held_out else 'fitted'}"
             for motion in result.motions
         ),
     ]
-    command = f"<p>{_element('code', circumstances['command'])}</p>"
-    return [_element("h2", "What was run"), command, _listing(lines)]
-
-
-def _element(tag: str, text: str) -> str:
-    return f"<{tag}>{escape(text)}</{tag}>"
-
-
-def _listing(texts: Sequence[str]) -> str:
-    """A list, if there is anything to list."""
-    return f"<ul>{''.join(_element('li', text) for text in texts)}</ul>" if texts else ""
+    command = f"<p>{element('code', circumstances['command'])}</p>"
+    return [element("h2", "What was run"), command, listing(lines)]
 
 
 def _section(grid: Grid, text: str = "", tag: str = "h2") -> str:
     """A table below its title."""
-    head = "".join(_element("th", column) for column in grid.columns)
-    rows = ""
-    for row in grid.rows:
-        cells = ""
-        for cell in row:
-            kind = f' class="{cell.verdict}"' if cell.verdict else ""
-            note = _element("small", cell.note) if cell.note else ""
-            cells += f"<td{kind}>{escape(cell.text)}{note}</td>"
-        rows += f"<tr>{cells}</tr>\n"
-    table = f"<table><thead><tr>{head}</tr></thead>\n<tbody>{rows}</tbody></table>"
-    title = _element(tag, grid.title) + (_element("p", text) if text else "")
-    return f'{title}\n<div class="scroll">{table}</div>'
+    return element(tag, grid.title) + (element("p", text) if text else "") + table(grid.columns, grid.rows)
 
 
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:

@@ -22,6 +22,7 @@ from pixel2catch.identification.identify import (
 from pixel2catch.identification.joints import short
 from pixel2catch.identification.rehearsal import Assessment
 from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.offline_page import Cell
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 WELL_KNOWN = 0.1
@@ -55,14 +56,6 @@ STYLES = {"good": "green", "BAD": "bold red", "weak": "yellow", "unknown": "dim"
 """Colour of each verdict; the word tells without colour, too."""
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
-
-
-class Cell(NamedTuple):
-    """One entry: its text, a verdict (one of `STYLES`) that colours it, and a small note."""
-
-    text: str
-    verdict: str = ""
-    note: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

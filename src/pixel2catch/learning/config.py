@@ -110,6 +110,11 @@ class TrainCfg:
     for none. Source: ours."""
     initial_log_std: float = -0.7
     """Logarithm of the standard deviation of the actions at the start. Source: ours (release: 0)."""
+    rewards: dict[str, float] = dataclasses.field(default_factory=dict)
+    """Weights of reward terms that differ from the method's, such as arm.success 5 hand.grasp 0.3."""
+    wandb: str | None = None
+    """Project of Weights & Biases that gets configuration and curves, too; its environment variables, such as
+    WANDB_MODE=offline, hold. Default: none."""
     checkpoint_seconds: float = 60.0
     """Time between two checkpoints [s]."""
     report_seconds: float = 10.0

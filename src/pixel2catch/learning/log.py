@@ -1,20 +1,25 @@
-"""What a training tells: a row of metrics an update, on the console, as CSV and for TensorBoard."""
+"""What a training tells: a row of metrics an update, on the console, as CSV, for TensorBoard and others."""
 
 import csv
+import importlib
 import io
+import json
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
-from pixel2catch.learning.config import TrainCfg
+from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
 
 METRICS_FILE = "metrics.csv"
+WANDB_FILE = "wandb.id"  #: Which run of Weights & Biases a run folder has, to go on with it.
 Row = dict[str, int | float]  #: Metrics of one update by name; `transitions` is the abscissa.
 
 
@@ -38,11 +43,12 @@ class TrainingLog:
         )
         self._task = self._bar.add_task("", total=cfg.transitions, completed=transitions)
         self._bar.start()
-        self._csv = self._tensorboard = None
+        self._csv = self._tensorboard = self._wandb = None
         if not is_silent:
             self._csv = CsvLog(folder / METRICS_FILE, transitions)
             # What older event files say after these transitions is hidden.
             self._tensorboard = SummaryWriter(str(folder), purge_step=transitions or None)
+            self._wandb = WandbRun(cfg.wandb, folder) if cfg.wandb else None
 
     def __enter__(self) -> "TrainingLog":
         """Nothing more to open."""
@@ -52,6 +58,8 @@ class TrainingLog:
         """Close the files and leave the terminal as it was."""
         if self._tensorboard is not None:
             self.attempt("TensorBoard events", self._tensorboard.close)
+        if self._wandb is not None:
+            self.attempt("the run of Weights & Biases", self._wandb.close)
         self._bar.stop()
 
     def write(self, row: Row) -> None:
@@ -70,6 +78,8 @@ class TrainingLog:
             self.attempt("metrics", partial(self._csv.write, row))
         if self._tensorboard is not None:
             self.attempt("TensorBoard events", partial(_add_scalars, self._tensorboard, row))
+        if self._wandb is not None:
+            self.attempt("metrics to Weights & Biases", partial(self._wandb.write, row))
 
     def attempt(self, what: str, write: Callable[[], None]) -> None:
         """Write something; if that fails, say so and go on."""
@@ -93,6 +103,52 @@ def describe(row: Row) -> str:
         elif name.startswith("reward/"):
             parts.append(f"reward {name.removeprefix('reward/')} {value:+.4f}")
     return " · ".join(parts)
+
+
+def wandb_package() -> Any:
+    """The package of Weights & Biases, which is optional.
+
+    Raises:
+        InvalidValueError: If it is not installed.
+    """
+    try:
+        return importlib.import_module("wandb")
+    except ImportError as error:
+        raise InvalidValueError(f"--wandb needs wandb ({error}): pip install 'pixel2catch[wandb]'.") from None
+
+
+class WandbRun:
+    """A run of Weights & Biases: the configuration of a run folder and its metrics over the transitions."""
+
+    def __init__(self, project: str, folder: Path) -> None:
+        """Begin it, or go on with the one of this folder; it is called as the folder.
+
+        Raises:
+            InvalidValueError: If it cannot begin.
+        """
+        config = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))
+        file = folder / WANDB_FILE
+        number = file.read_text(encoding="utf-8") if file.exists() else None
+        wandb = wandb_package()
+        try:
+            self._run = wandb.init(
+                project=project, name=folder.name, dir=folder, config=config, id=number, resume="allow"
+            )
+        except wandb.Error as error:
+            raise InvalidValueError(
+                f"Weights & Biases does not begin a run ({error}); log in by 'wandb login', or set "
+                "WANDB_MODE=offline."
+            ) from error
+        write_atomically({file: self._run.id.encode()})
+        self._run.define_metric("*", step_metric="transitions")
+
+    def write(self, row: Row) -> None:
+        """Send a row of metrics."""
+        self._run.log(dict(row))
+
+    def close(self) -> None:
+        """Send what is left."""
+        self._run.finish()
 
 
 class CsvLog:

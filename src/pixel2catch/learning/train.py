@@ -19,7 +19,7 @@ from pixel2catch.learning.checkpoint import Progress, RunFolder, load_checkpoint
 from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
 from pixel2catch.learning.distributed import start_workers
 from pixel2catch.learning.environment import Environment, EnvSchedule, Observation
-from pixel2catch.learning.log import Row, TrainingLog
+from pixel2catch.learning.log import Row, TrainingLog, wandb_package
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import Policy, PolicyContract
 
@@ -66,6 +66,8 @@ def train(
         InvalidValueError: The environments cannot be split over the processes.
         PolicyMismatchError: There is no policy to start from, or it does not fit, by the field that is named.
     """
+    if cfg.wandb:
+        wandb_package()
     folder = RunFolder(out_dir, cfg.inputs)
     with start_workers(cfg.device) as workers, contextlib.ExitStack() as stack:
         with workers.sync_errors():

@@ -3,8 +3,8 @@
 Source: paper, Eq. 2-4, unless a term says otherwise.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -44,6 +44,11 @@ class BodyPart:
     def reward_terms(self, transition: Transition) -> Float[Tensor, "num_envs k"]:
         """Weighted values of its reward terms, one column each; their sum is the reward."""
         return torch.stack([term.weight * term.function(transition, self) for term in self.reward], dim=-1)
+
+    def with_weights(self, weights: Mapping[str, float]) -> "BodyPart":
+        """The part with other weights, by names such as `arm.success`."""
+        terms = (replace(t, weight=weights.get(f"{self.name}.{t.name}", t.weight)) for t in self.reward)
+        return replace(self, reward=tuple(terms))
 
 
 def elapsed_time(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:

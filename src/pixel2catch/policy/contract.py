@@ -14,14 +14,14 @@ from typing import Any, cast
 import torch
 
 from pixel2catch.agents import AgentSpec, agents_of, commands_of
-from pixel2catch.errors import InvalidValueError, PolicyMismatchError
+from pixel2catch.errors import InvalidValueError, PolicyMismatchError, UnknownNameError
 from pixel2catch.files import decoded
 from pixel2catch.mdp import observations, rewards
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.observations import Frame, ObservationTerm, pixel_columns
 from pixel2catch.mdp.rewards import RewardTerm
 from pixel2catch.mdp.snapshot import Measurement
-from pixel2catch.methods import MEMORIES, METHODS, Method, find_method
+from pixel2catch.methods import METHODS, Memory, Method, find_memory, find_method
 from pixel2catch.own_files import OPTION, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
@@ -182,7 +182,7 @@ def method_of(contract: PolicyContract) -> Method:
     workcell = find_workcell(contract.workcell)
     if base in METHODS:
         return find_method(contract.method, workcell)
-    memory = MEMORIES.get(suffix if contract.pixel_features else suffix and "age")
+    memory = _memory(suffix if contract.pixel_features else suffix and "age")
     agents = tuple(_agent(name, agent, contract.method, workcell) for name, agent in contract.agents.items())
     if any(agent.memory != (memory.terms if memory else ()) for agent in agents):
         raise _undefined(contract.method, "remembers images in a way of its own")
@@ -192,6 +192,13 @@ def method_of(contract: PolicyContract) -> Method:
         pixel_features=contract.pixel_features,
         num_boxes=memory.num_boxes if memory else 1,
     )
+
+
+def _memory(name: str) -> Memory | None:
+    try:
+        return find_memory(name)
+    except UnknownNameError:
+        return None
 
 
 def _agent(name: str, contract: AgentContract, method: str, workcell: WorkcellSpec) -> AgentSpec:

@@ -20,13 +20,20 @@ from jaxtyping import Bool, Float, UInt8
 from mujoco.rendering.classic import gl_context
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
+from pixel2catch.robots.geometry import COLLISION_GROUP
+from pixel2catch.robots.workcell import VISUAL_GROUP
 from pixel2catch.scene.constants import RGB_CAMERA
 
 GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first: EGL also draws on a GPU.
 
 OBJECT_BODY = "object"
 
-DRAWN_GROUPS = (0, 1, 2, 3)  #: Geom groups in a picture: table and floor, object, what is only seen, robot.
+DRAWN_GROUPS = (0, 1, 2, 3)
+"""Geom groups in a picture: table and floor, object, what is only seen, and what collides of the bodies of
+robots that have nothing of the former."""
+
+UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
+
 
 _PROBE = """
 import importlib, sys, mujoco
@@ -55,8 +62,8 @@ class View:
 
 RGB_VIEW = View(camera="rgb")  #: What the robot's camera sees.
 
-OUTSIDE_VIEW = View(lookat=(1.3, 0.0, 1.05), distance=3.6, azimuth=105.0, elevation=-12.0)
-"""Robot, table and the whole throw, from the side."""
+PATH_RGBA = (1.0, 0.62, 0.1)  #: Colour of a path that is drawn into the scene.
+PATH_RADII = (0.004, 0.011)  #: Radius of its line at its begin and at its end [m].
 
 
 @cache
@@ -113,6 +120,9 @@ class Renderer(AbstractContextManager["Renderer"]):
         self.model.vis.quality.shadowsize = 1024
         self.model.vis.global_.offwidth = view.width
         self.model.vis.global_.offheight = view.height
+        seen = np.unique(self.model.geom_bodyid[self.model.geom_group == VISUAL_GROUP])
+        is_covered = np.isin(self.model.geom_bodyid, seen) & (self.model.geom_group == COLLISION_GROUP)
+        self.model.geom_group[is_covered] = UNDRAWN_GROUP
         self._data = mujoco.MjData(self.model)
         self._camera = _camera(self.model, view)
         self._option = mujoco.MjvOption()
@@ -124,9 +134,17 @@ class Renderer(AbstractContextManager["Renderer"]):
         flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
 
-    def image(self, qpos: Float[np.ndarray, " nq"]) -> UInt8[np.ndarray, "height width 3"]:
-        """Return the picture of the model at these joint positions, red, green, blue, upper row first."""
-        return self._draw(qpos)
+    def image(
+        self,
+        qpos: Float[np.ndarray, " nq"],
+        view: View | None = None,
+        path: Float[np.ndarray, "num_points 3"] | None = None,
+    ) -> UInt8[np.ndarray, "height width 3"]:
+        """Return the picture of the model at these joint positions, red, green, blue, upper row first.
+
+        It may be from another view of the same size, and with a path in the scene [m].
+        """
+        return self._draw(qpos, view, path)
 
     def object_mask(self, qpos: Float[np.ndarray, " nq"]) -> Bool[np.ndarray, "height width"]:
         """Return which pixels show the body `object` at these joint positions, upper row first."""
@@ -146,13 +164,29 @@ class Renderer(AbstractContextManager["Renderer"]):
         """Close the renderer."""
         self.close()
 
-    def _draw(self, qpos: np.ndarray) -> np.ndarray:
+    def _draw(self, qpos: np.ndarray, view: View | None = None, path: np.ndarray | None = None) -> np.ndarray:
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_comPos(self.model, self._data)
         mujoco.mj_camlight(self.model, self._data)
-        self._renderer.update_scene(self._data, self._camera, self._option)
+        camera = _camera(self.model, view) if view else self._camera
+        self._renderer.update_scene(self._data, camera, self._option)
+        if path is not None:
+            _add_path(self._renderer.scene, path)
         return self._renderer.render()
+
+
+def _add_path(scene: mujoco.MjvScene, path: np.ndarray) -> None:
+    """Add a line to the scene that becomes thicker and more solid towards its end."""
+    weights = np.linspace(0.0, 1.0, len(path))
+    kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+    for start, end, weight in zip(path[:-1], path[1:], weights[1:], strict=True):
+        geom = scene.geoms[scene.ngeom]
+        color = np.array((*PATH_RGBA, 0.25 + 0.55 * weight), dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), color)
+        mujoco.mjv_connector(geom, kind, np.interp(weight, (0.0, 1.0), PATH_RADII), start, end)
+        geom.category, geom.emission = mujoco.mjtCatBit.mjCAT_DECOR, 0.5
+        scene.ngeom += 1
 
 
 def _camera(model: mujoco.MjModel, view: View) -> mujoco.MjvCamera:

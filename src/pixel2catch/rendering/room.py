@@ -1,15 +1,18 @@
-"""The scene in a room: textured floor and wall, posters, a thrower and a hanging ball that swing."""
+"""The scene in a room with a thrower: furnished for camera images, or plain and bright for films."""
 
 from dataclasses import dataclass, replace
-from math import exp, pi, sin
+from math import cos, exp, pi, sin
+from pathlib import Path
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
+from pixel2catch.rendering.meshes import add_meshes
 from pixel2catch.robots.workcell import VISUAL_GROUP
 from pixel2catch.scene.scene import SceneCfg, build_spec
+from pixel2catch.workcells import find_workcell
 
 WALL_X = 4.6  #: Where the wall behind the thrower is [m]; its foot is in the upper half of the image.
 TEXTURE_SIZE = 512  #: Side of a texture [px].
@@ -17,6 +20,13 @@ GRAINS = ((3.0, 9.0), (24.0, 16.0))  #: Size [px] and standard deviation [levels
 FLOOR_LEVEL = (128.0, 124.0, 116.0)  #: Mean red, green and blue of the floor's texture.
 WALL_LEVEL = (172.0, 168.0, 158.0)  #: The same of the wall's.
 NUM_POSTERS = 6
+
+FILM_FLOOR = (0.64, 0.58, 0.50), (0.62, 0.56, 0.48)  #: Both colours of the floor of a film.
+FILM_WALLS = ((WALL_X, 0.0, 1.6), (-1.0, 0.0, 0.0)), ((0.0, 2.4, 1.6), (0.0, -1.0, 0.0))
+"""A point [m] and the normal of each wall of a film."""
+
+FILM_WALL_RGBA = (0.90, 0.91, 0.92, 1.0)
+NUM_LAMPS, LAMP_SPREAD = 2, 0.016  #: Steps of a soft shadow's edge, and how wide it is [rad].
 
 CLOTHES_RGBA = (0.16, 0.20, 0.32, 1.0)
 TROUSERS_RGBA = (0.30, 0.27, 0.22, 1.0)
@@ -71,6 +81,46 @@ def build_room(scene: SceneCfg, object_name: str, seed: int) -> mujoco.MjModel:
     _add_wall(spec, rng)
     _add_bystanders(spec)
     return spec.compile()
+
+
+def build_film_room(scene: SceneCfg, object_name: str, meshes: Path | None = None) -> mujoco.MjModel:
+    """Compile the scene in a bright, plain room with soft shadows; `qpos` is as of `build_room`.
+
+    The robots look like the meshes of a checkout of the MuJoCo Menagerie, if its folder is given.
+    """
+    spec = build_spec(replace(scene, visuals=True), object_name)
+    if meshes:
+        add_meshes(spec, find_workcell(scene.workcell), meshes)
+    spec.texture("floor").rgb1, spec.texture("floor").rgb2 = FILM_FLOOR
+    for pos, normal in FILM_WALLS:
+        size, plane = (8, 8, 1), mujoco.mjtGeom.mjGEOM_PLANE
+        spec.worldbody.add_geom(
+            type=plane, pos=pos, zaxis=normal, size=size, rgba=FILM_WALL_RGBA, **ONLY_SEEN
+        )
+    _add_bystanders(spec)
+    for geom in spec.body("ball").geoms:
+        geom.rgba[3] = 0.0
+    _add_soft_light(spec)
+    return spec.compile()
+
+
+def _add_soft_light(spec: mujoco.MjSpec) -> None:
+    """In place of the scene's lights: one lamp as wide as several side by side, and light from all sides."""
+    for light in tuple(spec.lights):
+        spec.delete(light)
+    headlight = spec.visual.headlight
+    headlight.ambient, headlight.diffuse, headlight.specular = (0.5,) * 3, (0.18,) * 3, (0.0,) * 3
+    spec.visual.map.shadowclip = 1.6
+    spec.stat.center = (0.9, 0.0, 1.0)
+    for turn in np.arange(NUM_LAMPS) * 2.0 * pi / NUM_LAMPS:
+        spec.worldbody.add_light(
+            pos=(0.2, -1.6, 3.4),
+            dir=(0.28 + LAMP_SPREAD * cos(turn), 0.5 + LAMP_SPREAD * sin(turn), -1.0),
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            diffuse=(0.6 / NUM_LAMPS,) * 3,
+            specular=(0.3 / NUM_LAMPS,) * 3,
+            castshadow=True,
+        )
 
 
 def _paint(texture: mujoco.MjsTexture, level: tuple[float, float, float], rng: np.random.Generator) -> None:

@@ -1,8 +1,7 @@
-"""Videos of throws: what the robot's camera sees, with the policy's box, and a view from outside."""
+"""Files of pictures: videos and animations; and the box of the policy in a picture."""
 
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,52 +10,45 @@ import av
 import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
+from PIL import Image
 
-from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.rendering.renderer import OUTSIDE_VIEW, RGB_VIEW, Renderer, View
-from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import require_file
 
-VIEWS: dict[str, tuple[View, ...]] = {
-    "rgb": (RGB_VIEW,),
-    "outside": (OUTSIDE_VIEW,),
-    "both": (OUTSIDE_VIEW, RGB_VIEW),
-}
-"""What a picture shows, from left to right."""
-
+WEBP_QUALITY, WEBP_EFFORT = 60, 4  #: Of 100 and of 6.
 BOX_COLOR = (80, 255, 80)
 BOX_WIDTH = 2  #: Width of a drawn box's edge [px].
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordedThrow:
-    """One throw, from its start to the decision of the trial."""
-
-    object_name: str  #: What was thrown.
-    qpos: Float[ndarray, "num_steps nq"]  #: Positions of the simulation at every control step.
-    qvel: Float[ndarray, "num_steps nv"]  #: Its velocities.
-    box: Float[ndarray, "num_steps 4"]  #: The box that the policy got [px].
-    num_untested: int  #: Control steps before the test of the hold; all if there was no success.
+FORMATS = (".mp4", ".webp", ".gif", ".png")
+"""Endings of the files of a film; a PNG has stills."""
 
 
-def write_video(
-    path: Path, throws: Iterable[RecordedThrow], scene: SceneCfg, view: str = "both", *, shadows: bool = True
-) -> int:
-    """Draw throws one after the other, in a view out of `VIEWS`, and return the number of pictures.
+def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]], fps: int) -> int:
+    """Write pictures as a video or an animation that repeats, by the file's ending, and return their number.
 
     Raises:
-        UnknownNameError: If there is no such view.
-        DeviceUnavailableError: If nothing can be drawn on this machine; the message says what to install.
+        InvalidValueError: As `require_file`.
     """
-    if view not in VIEWS:
-        raise UnknownNameError("view", view, VIEWS)
+    require_file(path, FORMATS)
     num_pictures = 0
-    with VideoWriter(path, fps=round(1.0 / CONTROL_DT)) as video:
-        for throw in throws:
-            for picture in _pictures(throw, scene, VIEWS[view], shadows):
+    if path.suffix.lower() == ".mp4":
+        with VideoWriter(path, fps=fps) as video:
+            for picture in pictures:
                 video.write(picture)
                 num_pictures += 1
-    return num_pictures
+        return num_pictures
+    first, *others = (Image.fromarray(picture) for picture in pictures)
+    first.save(
+        path,
+        save_all=True,
+        append_images=others,
+        duration=1000 // fps,
+        loop=0,
+        quality=WEBP_QUALITY,
+        method=WEBP_EFFORT,
+    )
+    return 1 + len(others)
 
 
 def draw_box(image: UInt8[ndarray, "height width 3"], box: Float[ndarray, "4"]) -> None:
@@ -70,20 +62,6 @@ def draw_box(image: UInt8[ndarray, "height width 3"], box: Float[ndarray, "4"]) 
         rows = slice(max(top, 0), min(max(bottom, 0), height))
         columns = slice(max(left, 0), min(max(right, 0), width))
         image[rows, columns] = BOX_COLOR
-
-
-def _pictures(
-    throw: RecordedThrow, scene: SceneCfg, views: tuple[View, ...], shadows: bool
-) -> Iterator[UInt8[ndarray, "height width 3"]]:
-    model = build_model(replace(scene, visuals=True), throw.object_name)
-    with ExitStack() as stack:
-        renderers = [stack.enter_context(Renderer(model, view, shadows=shadows)) for view in views]
-        for qpos, box in zip(throw.qpos, throw.box, strict=True):
-            images = [renderer.image(qpos) for renderer in renderers]
-            for view, image in zip(views, images, strict=True):
-                if view is RGB_VIEW:
-                    draw_box(image, box)
-            yield np.concatenate(images, axis=1)
 
 
 class VideoWriter(AbstractContextManager["VideoWriter"]):

@@ -72,6 +72,18 @@ class PalmSpec:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeshSource:
+    """Where a checkout of the MuJoCo Menagerie has meshes of a robot, which are only seen.
+
+    With all joints at 0 its bodies are where those of the robot are.
+    """
+
+    mjcf: str  #: The model there, below the folder of the checkout.
+    bodies: tuple[tuple[str, str], ...]  #: Its bodies, and those of the robot that they are.
+    pos: Vec3 = (0.0, 0.0, 0.0)  #: Where its root body is in that of the robot, which is parallel [m].
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotSpec:
     """A robot, or a part of one."""
 
@@ -84,6 +96,7 @@ class RobotSpec:
     palms: tuple[PalmSpec, ...] = ()
     mount: str = ""  #: The site that carries a tool.
     tool: "Placed | None" = None  #: What it carries, and where in that site's frame.
+    meshes: MeshSource | None = None  #: Where to find meshes of it, for pictures.
 
     def holding(self, tool: "RobotSpec", pos: Vec3 = (0.0, 0.0, 0.0), quat: Quat = IDENTITY) -> "RobotSpec":
         """The robot with a tool on its mount."""

@@ -1,4 +1,4 @@
-"""The catalogue of thrown objects: one or two convex parts each.
+"""The catalogue of thrown objects: convex parts of uniform density.
 
 The body frame of an object has its origin in the centre of mass, so that a thrown object's origin flies the
 ballistic parabola, and its axes along the principal axes of inertia. Differs: the release's cone has its
@@ -13,13 +13,14 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.own_files import catalogue
 from pixel2catch.scene import shapes
 from pixel2catch.scene.shapes import ConvexPart, moments
 
 OBJECT_MASS = 0.03  #: Mass of every object [kg]. Source: release.
 
-MAX_PARTS = 2
-"""Convex parts of an object's body in the model; one that is not needed hides inside the first."""
+LEAST_PARTS = 2
+"""Convex parts of the object's body in the model at the least, so that it is the same without own objects."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,18 +48,41 @@ class ObjectSpec:
         return replace(self, parts=parts, inertia=self.inertia * factor**2)
 
 
-def _object(name: str, *parts: ConvexPart, overlap: ConvexPart | None = None) -> ObjectSpec:
-    """Move the parts into the body frame; `overlap` is the part of space that both fill."""
+def make_object(
+    name: str, *parts: ConvexPart, mass: float = OBJECT_MASS, overlap: ConvexPart | None = None
+) -> ObjectSpec:
+    """An object of convex parts, such as `shapes.box(0.05, 0.05, 0.08)`, moved into its body frame.
+
+    Args:
+        name: Its name in the catalogue.
+        parts: The parts, in any frame [m].
+        mass: Its mass [kg].
+        overlap: The part of space that two of them fill, which counts once.
+
+    Raises:
+        InvalidValueError: If there is no part, or no mass.
+    """
+    if not parts:
+        raise InvalidValueError(f"object '{name}' has no parts; give one or more of `scene.shapes`.")
     solid = sum(map(moments, parts[1:]), start=moments(parts[0]))
-    if overlap is not None:
-        solid = solid - moments(overlap)
-    inertia = shapes.inertia(solid, OBJECT_MASS)
+    return of_solid(name, parts, solid - moments(overlap) if overlap is not None else solid, mass)
+
+
+def of_solid(name: str, parts: Iterable[ConvexPart], solid: Float[ndarray, "4 4"], mass: float) -> ObjectSpec:
+    """An object that collides as its parts, with mass [kg] and moments (`shapes.moments`) of a solid.
+
+    Raises:
+        InvalidValueError: If the mass is not greater than 0.
+    """
+    if not mass > 0.0:
+        raise InvalidValueError(f"object '{name}' has a mass of {mass} kg; it must be greater than 0.")
+    inertia = shapes.inertia(solid, mass)
     axes = _principal_axes(inertia)
     center = shapes.center_of_mass(solid)
     return ObjectSpec(
         name=name,
         parts=tuple(ConvexPart(vertices=(part.vertices - center) @ axes) for part in parts),
-        mass=OBJECT_MASS,
+        mass=mass,
         inertia=np.diag(axes.T @ inertia @ axes).copy(),
     )
 
@@ -76,9 +100,8 @@ def _principal_axes(inertia: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
 def _l_block(name: str, leg: float, width: float, depth: float) -> ObjectSpec:
     """Two bars of this width at a right angle, both legs `leg` long outside, `depth` deep along z."""
     long_bar = shapes.box(leg, width, depth)
-    offset = np.array((-(leg - width) / 2, leg / 2, 0.0))
-    short_bar = ConvexPart(vertices=shapes.box(width, leg - width, depth).vertices + offset)
-    return _object(name, long_bar, short_bar)
+    short_bar = shapes.box(width, leg - width, depth).moved((-(leg - width) / 2, leg / 2, 0.0))
+    return make_object(name, long_bar, short_bar)
 
 
 def _by_name(*specs: ObjectSpec) -> dict[str, ObjectSpec]:
@@ -86,24 +109,24 @@ def _by_name(*specs: ObjectSpec) -> dict[str, ObjectSpec]:
 
 
 _SEEN = _by_name(
-    _object("cone_s", shapes.cone(0.04, 0.08)),
-    _object("cone_l", shapes.cone(0.045, 0.09)),
-    _object("cylinder_s", shapes.cylinder(0.03, 0.06)),
-    _object("cylinder_l", shapes.cylinder(0.035, 0.07)),
-    _object("cube_s", shapes.box(0.05, 0.05, 0.05)),
-    _object("cube_l", shapes.box(0.06, 0.06, 0.06)),
-    _object("sphere_s", shapes.sphere(0.035)),
-    _object("sphere_l", shapes.sphere(0.04)),
-    _object("capsule_s", shapes.capsule(0.025, 0.04)),
-    _object("capsule_l", shapes.capsule(0.03, 0.05)),
+    make_object("cone_s", shapes.cone(0.04, 0.08)),
+    make_object("cone_l", shapes.cone(0.045, 0.09)),
+    make_object("cylinder_s", shapes.cylinder(0.03, 0.06)),
+    make_object("cylinder_l", shapes.cylinder(0.035, 0.07)),
+    make_object("cube_s", shapes.box(0.05, 0.05, 0.05)),
+    make_object("cube_l", shapes.box(0.06, 0.06, 0.06)),
+    make_object("sphere_s", shapes.sphere(0.035)),
+    make_object("sphere_l", shapes.sphere(0.04)),
+    make_object("capsule_s", shapes.capsule(0.025, 0.04)),
+    make_object("capsule_l", shapes.capsule(0.03, 0.05)),
 )
 
 _UNSEEN = _by_name(
     _l_block("l_block", 0.07, 0.03, 0.05),
-    _object("triangular_prism", shapes.prism(3, 0.07, 0.06)),
-    _object("hexagonal_prism", shapes.prism(6, 0.035, 0.06)),
-    _object("ellipsoid", shapes.ellipsoid(0.025, 0.03, 0.04)),
-    _object(
+    make_object("triangular_prism", shapes.prism(3, 0.07, 0.06)),
+    make_object("hexagonal_prism", shapes.prism(6, 0.035, 0.06)),
+    make_object("ellipsoid", shapes.ellipsoid(0.025, 0.03, 0.04)),
+    make_object(
         "cross",
         shapes.box(0.08, 0.03, 0.05),
         shapes.box(0.03, 0.08, 0.05),
@@ -112,9 +135,9 @@ _UNSEEN = _by_name(
 )
 
 _REAL = _by_name(
-    _object("real_cube", shapes.box(0.06, 0.06, 0.06)),
+    make_object("real_cube", shapes.box(0.06, 0.06, 0.06)),
     _l_block("real_l_block", 0.08, 0.035, 0.06),
-    _object("real_triangle", shapes.prism(3, 0.08, 0.06)),
+    make_object("real_triangle", shapes.prism(3, 0.08, 0.06)),
 )
 
 SEEN: tuple[str, ...] = tuple(_SEEN)  #: Training objects: five shapes in two scales. Source: release.
@@ -124,11 +147,16 @@ UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
 
 REAL: tuple[str, ...] = tuple(_REAL)  #: Objects of the real experiment. Source: shapes: paper; sizes: ours.
 
-OBJECTS: dict[str, ObjectSpec] = _SEEN | _UNSEEN | _REAL
-"""All objects by name; the order is the order of the object table."""
+OBJECTS: dict[str, ObjectSpec] = catalogue(ObjectSpec, _SEEN | _UNSEEN | _REAL)
+"""All objects by name, those of files of one's own last; the order is the order of the object table."""
 
 OBJECT_GROUPS: dict[str, tuple[str, ...]] = {"seen": SEEN, "unseen": UNSEEN, "real": REAL}
 """Names that stand for several objects."""
+
+
+def num_parts() -> int:
+    """Convex parts of the object's body in the model; those that an object does not need hide inside it."""
+    return max(LEAST_PARTS, *(len(spec.parts) for spec in OBJECTS.values()))
 
 
 def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
@@ -154,13 +182,16 @@ def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
 def surface_points(spec: ObjectSpec, num_points: int, seed: int = 0) -> Float[ndarray, "num_points 3"]:
     """Points on the surface of an object, body frame [m].
 
-    The first points are all vertices, whose projections bound the outline exactly; the others are spread over
-    the outer surface, equally per area. Points of one part inside the other are left out.
+    The first points are all vertices, or those of the hull of all if these are too many: their projections
+    bound the outline exactly. The others are spread over the outer surface, equally per area. Points of one
+    part inside another are left out.
 
     Raises:
-        InvalidValueError: If there are more vertices than points.
+        InvalidValueError: If the hull has more vertices than there are points.
     """
     vertices = np.concatenate([part.vertices for part in spec.parts])
+    if num_points < len(vertices):
+        vertices = vertices[ConvexPart(vertices=vertices).hull.vertices]
     if num_points < len(vertices):
         raise InvalidValueError(
             f"num_points = {num_points} is too few for '{spec.name}', which has {len(vertices)} vertices: "

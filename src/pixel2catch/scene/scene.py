@@ -19,12 +19,12 @@ from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, TableSpec, WorkcellSpec, add_robots
 from pixel2catch.scene.cfg import SOLIMP, SceneCfg, contact_solref, table_solref
 from pixel2catch.scene.constants import quat_multiply
-from pixel2catch.scene.objects import MAX_PARTS, OBJECTS, ObjectSpec
+from pixel2catch.scene.objects import OBJECTS, ObjectSpec, num_parts
 from pixel2catch.workcells import find_workcell
 
 OBJECT_RGBA = (0.85, 0.20, 0.15, 1.0)
 NO_PART = "no_part"
-"""Mesh that takes the place of the second part of a one-part object: a tetrahedron of 1 mm in its middle."""
+"""Mesh that takes the place of a part that an object does not have: a tetrahedron of 1 mm in its middle."""
 
 OBJECT_START = (2.65, 0.0, 0.8)
 """Position of the object in `qpos0` [m]: the middle of the throw's release points."""
@@ -124,20 +124,27 @@ def object_indices(model: mujoco.MjModel) -> ObjectIndices:
     first = int(model.body_geomadr[body])
     qpos, dof = int(joint.qposadr[0]), int(joint.dofadr[0])
     return ObjectIndices(
-        body=body, geoms=slice(first, first + MAX_PARTS), qpos=slice(qpos, qpos + 7), dofs=slice(dof, dof + 6)
+        body=body,
+        geoms=slice(first, first + num_parts()),
+        qpos=slice(qpos, qpos + 7),
+        dofs=slice(dof, dof + 6),
     )
 
 
-@cache
 def object_table(cfg: SceneCfg) -> ObjectTable:
     """Compile the scene once with each object and read off what differs."""
-    models = [build_model(cfg, name) for name in OBJECTS]
+    return _object_table(cfg, tuple(OBJECTS.values()))
+
+
+@cache
+def _object_table(cfg: SceneCfg, objects: tuple[ObjectSpec, ...]) -> ObjectTable:
+    models = [build_model(cfg, each.name) for each in objects]
     indices = object_indices(models[0])
     fields = {
         field: np.stack([_rows(model, field, indices) for model in models])
         for field in (*GEOM_FIELDS, *BODY_FIELDS, *DOF_FIELDS)
     }
-    return ObjectTable(names=tuple(OBJECTS), indices=indices, fields=fields)
+    return ObjectTable(names=tuple(each.name for each in objects), indices=indices, fields=fields)
 
 
 def _rows(model: mujoco.MjModel, field: str, indices: ObjectIndices) -> ndarray:
@@ -244,6 +251,11 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
     thrown = thrown.scaled(cfg.object_scale)
     for other in OBJECTS.values():
         for i, part in enumerate(other.scaled(cfg.object_scale).parts):
+            if (reach := np.abs(part.vertices).max()) > OBJECT_BOUND:
+                raise InvalidValueError(
+                    f"object '{other.name}' reaches {100 * reach:.3g} cm from its centre of mass; "
+                    f"{100 * OBJECT_BOUND:g} cm is the most: scale it down, a mesh in mm by 0.001."
+                )
             spec.add_mesh(name=f"{other.name}_part_{i}", uservert=part.vertices.ravel())
     corners = 5e-4 * np.array(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)))
     spec.add_mesh(name=NO_PART, uservert=corners.ravel())
@@ -253,7 +265,7 @@ def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
     body.mass = thrown.mass
     body.ipos, body.iquat = (0, 0, 0), (1, 0, 0, 0)  # left unset, MuJoCo takes the body's pose for them
     body.inertia = thrown.inertia
-    for i in range(MAX_PARTS):
+    for i in range(num_parts()):
         body.add_geom(
             name=f"object_part_{i}",
             type=mujoco.mjtGeom.mjGEOM_MESH,

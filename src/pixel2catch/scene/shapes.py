@@ -24,6 +24,10 @@ class ConvexPart:
 
     vertices: Float[ndarray, "num_vertices 3"]  #: Corners [m].
 
+    def moved(self, by: tuple[float, float, float]) -> "ConvexPart":
+        """The same body at another place [m]."""
+        return ConvexPart(vertices=self.vertices + np.array(by))
+
     @cached_property
     def hull(self) -> ConvexHull:
         """The hull of the corners."""
@@ -42,10 +46,16 @@ class ConvexPart:
 def moments(part: ConvexPart) -> Float[ndarray, "4 4"]:
     """Integral of (1, x) (1, x)ᵀ over a solid of density 1 [m³, m⁴, m⁵].
 
-    It adds up over disjoint solids and subtracts over overlaps; taken over the tetrahedra between the origin
-    and each face.
+    It adds up over disjoint solids and subtracts over overlaps.
     """
-    faces = part.faces
+    return moments_inside(part.faces)
+
+
+def moments_inside(faces: Float[ndarray, "num_faces 3 3"]) -> Float[ndarray, "4 4"]:
+    """The same for the solid inside a closed surface of triangles, counter-clockwise seen from outside [m].
+
+    Taken over the tetrahedra between the origin and each face.
+    """
     volumes = np.linalg.det(faces) / 6.0
     sums = faces.sum(axis=1)
     second = np.einsum("f,fi,fj->ij", volumes, sums, sums) + np.einsum("f,fki,fkj->ij", volumes, faces, faces)
@@ -114,13 +124,18 @@ def capsule(radius: float, length: float) -> ConvexPart:
 
 def ellipsoid(x: float, y: float, z: float) -> ConvexPart:
     """An ellipsoid with these semi-axes [m]; its vertices follow a spiral of equal areas."""
-    k = np.arange(SPHERE_POINTS) + 0.5
-    height = 1 - 2 * k / SPHERE_POINTS
-    angle = pi * (1 + sqrt(5)) * k
-    ring = np.sqrt(1 - height**2)
-    points = np.column_stack((ring * np.cos(angle), ring * np.sin(angle), height))
+    points = spiral(SPHERE_POINTS)
     nearest_face = ConvexHull(points).equations[:, 3].max()
     return ConvexPart(vertices=points * 2 / (1 - nearest_face) * (x, y, z))
+
+
+def spiral(num_points: int) -> Float[ndarray, "num_points 3"]:
+    """Points on the unit sphere, each for an equal area."""
+    k = np.arange(num_points) + 0.5
+    height = 1 - 2 * k / num_points
+    angle = pi * (1 + sqrt(5)) * k
+    ring = np.sqrt(1 - height**2)
+    return np.column_stack((ring * np.cos(angle), ring * np.sin(angle), height))
 
 
 def sphere(radius: float) -> ConvexPart:

@@ -1,6 +1,7 @@
 """What the servo keeps to: limits of the joints, and how old its inputs may be."""
 
 from dataclasses import dataclass, fields
+from functools import partial
 from math import isclose, pi
 
 import numpy as np
@@ -76,8 +77,7 @@ class JointLimits:
                 and 94. A command stops in 36 ms. With 4 rad/s and 100 rad/s² `proposed` loses 8.
             step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
             lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
-            joint_speed: ours; an arm's own limit, and what the estimate of a speed may be wrong by.
-            jump_speed: ours; nothing is faster.
+            joint_speed, jump_speed: ours; a joint's own limit, and what an estimate may be wrong by.
             tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
             moved_error: ours; three times `start_error`.
             start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
@@ -89,21 +89,17 @@ class JointLimits:
         """
         if not 0.0 < share <= 1.0:
             raise InvalidValueError(f"the share of the full speed is {share:g}; it must be in (0, 1]")
-        roles = [group.role for group in workcell.groups for _ in group.joints]
-
-        def each(arm: float, hand: float) -> Joints:
-            return np.array([arm if role == "arm" else hand for role in roles])
-
+        each = partial(_by_role, workcell)
         lag = steady_lag(dynamics or JointDynamics.nominal(specs=workcell.joints))
         own_speed = np.array([joint.velocity_limit for joint in workcell.joints])
         even_speed = share * SPEED_MARGIN * own_speed
-        lead, speed = even_speed * lag, share * each(10.0, 20.0)
+        lead = even_speed * lag
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
         margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
         return cls(
             lower=ends[0] + margin[0],
             upper=ends[1] - margin[1],
-            speed=speed if is_identified else even_speed,
+            speed=share * each(10.0, 20.0) if is_identified else even_speed,
             acceleration=each(300.0, 2000.0),
             step=each(0.03, 0.04),
             lag=lag,
@@ -126,6 +122,11 @@ class JointLimits:
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
             if not (getattr(self, name) > 0.0).all():
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
+
+
+def _by_role(workcell: WorkcellSpec, arm: float, hand: float) -> Joints:
+    """One number for the joints of arms, and one for those of hands."""
+    return np.array([arm if group.role == "arm" else hand for group in workcell.groups for _ in group.joints])
 
 
 def _is_end_of_travel(limit: float) -> bool:

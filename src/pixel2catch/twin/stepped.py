@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, closing, contextmanager
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,12 @@ class SteppedRehearsal:
         time = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
         self._robot = SteppedDeployment(setup, self.lab.camera, nodes, pipeline, time)
         self.control_loop = self._robot.control_loop
-        self.operator = RehearsalOperator(broker.node(clock), profile.operator, clock)
+        self._topics = profile.operator
+
+    @cached_property
+    def operator(self) -> RehearsalOperator:
+        """The operator, who is there as soon as somebody asks for one; the servo heeds no second."""
+        return RehearsalOperator(self.broker.node(self.clock), self._topics, self.clock)
 
     def close(self) -> None:
         """Free the simulation, and end the recording.

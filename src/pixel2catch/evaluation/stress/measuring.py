@@ -29,6 +29,7 @@ from pixel2catch.evaluation.stress.suite import Setting
 from pixel2catch.files import plain, write_atomically
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.methods import METHODS, Method
+from pixel2catch.own_files import import_files
 from pixel2catch.policy import leaves
 
 Json = dict[str, Any]
@@ -233,6 +234,7 @@ def _begin() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a word of its own
     torch.set_num_threads(1)
+    import_files()  # before a disturbance of one's own is sent here
     end_with_parent()
 
 

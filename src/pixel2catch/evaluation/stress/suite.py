@@ -12,6 +12,7 @@ from typing import Any
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.randomization import GainRanges
+from pixel2catch.own_files import catalogue
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: A task, changed; a change can be sent to another process.
@@ -293,7 +294,8 @@ _ALL = (
     ),
 )
 
-AXES: dict[str, Axis] = {axis.name: axis for axis in _ALL}  #: All axes by name, in the order of the tables.
+AXES: dict[str, Axis] = catalogue(Axis, {axis.name: axis for axis in _ALL})
+"""All axes by name, in the order of the tables; those of files of one's own last."""
 
 
 def select_settings(names: Sequence[str]) -> tuple[Setting, ...]:

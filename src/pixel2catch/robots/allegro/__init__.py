@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, PalmSpec, RobotSpec
+from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, MeshSource, PalmSpec, RobotSpec
 
 Handedness = Literal["left", "right"]
 
@@ -68,6 +68,16 @@ PALM = PalmSpec(
 """The point called palm is the centre of the palm's surface (release). Box: the model over all joint
 positions of either hand, on the last link of the UR5e, rounded up."""
 
+MENAGERIE = (
+    ("palm", "palm"),
+    *(
+        (f"{theirs}_{part}", f"{finger}_link_{link}")
+        for theirs, finger in (("ff", "index"), ("mf", "middle"), ("rf", "ring"), ("th", "thumb"))
+        for part, link in (("base", 0), ("proximal", 1), ("medial", 2), ("distal", 3), ("tip", 3))
+    ),
+)
+"""Bodies of the Menagerie's model, and ours. Its palm's frame is at the upper edge of the palm."""
+
 
 def allegro(handedness: Handedness = "left") -> RobotSpec:
     """The left hand, as in the release, or its mirror image."""
@@ -77,4 +87,7 @@ def allegro(handedness: Handedness = "left") -> RobotSpec:
         root="palm",
         groups=(HAND,),
         palms=(PALM,),
+        meshes=MeshSource(
+            mjcf=f"wonik_allegro/{handedness}_hand.xml", bodies=MENAGERIE, pos=(0.0, 0.0, 0.095)
+        ),
     )

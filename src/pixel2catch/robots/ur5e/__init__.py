@@ -4,7 +4,7 @@ from dataclasses import replace
 from math import pi, radians
 from pathlib import Path
 
-from pixel2catch.robots.spec import JointGroup, JointSpec, RobotSpec
+from pixel2catch.robots.spec import JointGroup, JointSpec, MeshSource, RobotSpec
 
 ARM = JointGroup(
     name="arm",
@@ -50,6 +50,23 @@ UR5E = RobotSpec(
     root="base_link",
     groups=(ARM,),
     mount="tool0",
+    meshes=MeshSource(
+        mjcf="universal_robots_ur5e/ur5e.xml",
+        bodies=(
+            ("base", "base_link"),
+            *(
+                (link, link)
+                for link in (
+                    "shoulder_link",
+                    "upper_arm_link",
+                    "forearm_link",
+                    "wrist_1_link",
+                    "wrist_2_link",
+                    "wrist_3_link",
+                )
+            ),
+        ),
+    ),
 )
 
 UR5E_OF_RELEASE = replace(

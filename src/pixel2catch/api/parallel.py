@@ -1,6 +1,6 @@
 """One catching environment behind PettingZoo's parallel API, for other libraries' learners.
 
-    env = CatchParallelEnv(CatchEnvCfg(), METHODS["proposed"], seed=0)
+    env = CatchParallelEnv(pixel2catch.make("proposed", seed=0))
     observations, infos = env.reset()
     while env.agents:
         actions = {agent: env.action_space(agent).sample() for agent in env.agents}
@@ -13,14 +13,13 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-import torch
 from gymnasium.spaces import Box
 from numpy import ndarray
 from torch import Tensor
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Observation, Step
+from pixel2catch.api.arrays import METADATA, Pictures, action_tensor, array, outcome, space
+from pixel2catch.envs.catch_env import CatchEnv, Observation
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.methods import Method
 
 Arrays = dict[str, ndarray]
 Values = dict[str, Any]
@@ -34,25 +33,29 @@ class CatchParallelEnv:
     next episode's start. Every end is a termination, so a learner that follows the API never values them.
 
     Attributes:
-        metadata: Name of the environment; it renders nothing.
+        metadata: Name of the environment, and how it renders.
         possible_agents: Names of all agents.
         agents: The same during an episode, none after its end.
         state_space: Space of `state`, the input of the value networks.
     """
 
-    metadata: ClassVar[Values] = {"name": "pixel2catch", "render_modes": [], "is_parallelizable": True}
-    render_mode = None
+    metadata: ClassVar[Values] = {**METADATA, "is_parallelizable": True}
 
-    def __init__(self, cfg: CatchEnvCfg, method: Method, *, device: str = "cpu", seed: int = 0) -> None:
-        """Build the environment; the seed holds until `reset` is given another."""
-        self._cfg, self._method, self._device = cfg, method, device
-        self._env = self._build(seed)
-        self.possible_agents = [agent.name for agent in method.agents]
+    def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
+        """View an environment, such as `pixel2catch.make("proposed")`.
+
+        Raises:
+            InvalidValueError: If there are several.
+        """
+        if env.num_envs != 1:
+            raise InvalidValueError(f"num_envs is {env.num_envs}; it must be 1 for PettingZoo.")
+        self._env, self._pictures, self.render_mode = env, Pictures(env, render_mode), render_mode
+        self.possible_agents = [agent.name for agent in env.method.agents]
         self.agents: list[str] = []
-        self._observation_spaces = {n: _box(size) for n, size in self._env.observation_sizes.items()}
-        self._action_spaces = {n: _box(size, bound=1.0) for n, size in self._env.action_sizes.items()}
-        self.state_space = _box(self._env.state_size)
-        self._state = np.zeros(self._env.state_size, dtype=np.float32)
+        self._observation_spaces = {name: space(size) for name, size in env.observation_sizes.items()}
+        self._action_spaces = {name: space(size, bound=1.0) for name, size in env.action_sizes.items()}
+        self.state_space = space(env.state_size)
+        self._state = np.zeros(env.state_size, dtype=np.float32)
 
     @property
     def num_agents(self) -> int:
@@ -94,8 +97,7 @@ class CatchParallelEnv:
         allows.
         """
         if seed is not None:
-            self._env.close()
-            self._env = self._build(seed)
+            self._env.seed(seed)
         self.agents = list(self.possible_agents)
         return self._observe(self._env.reset()), {agent: {} for agent in self.agents}
 
@@ -107,7 +109,7 @@ class CatchParallelEnv:
         hold `is_tracked`, `is_success` and `episode_steps`.
 
         Raises:
-            InvalidValueError: If an action is missing or of another size.
+            InvalidValueError: If an action is missing, of another size, or NaN.
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
@@ -115,6 +117,7 @@ class CatchParallelEnv:
         step = self._env.step(acting)
         is_over = bool(step.terminated.item())
         names = list(self.agents)
+        infos = {name: values[0].item() for name, values in outcome(step).items()} if is_over else {}
         if is_over:
             self.agents = []
         return (
@@ -122,23 +125,23 @@ class CatchParallelEnv:
             {agent: float(step.rewards[agent].item()) for agent in names},
             dict.fromkeys(names, is_over),
             dict.fromkeys(names, bool(step.truncated.item())),
-            {agent: _summary(step) if is_over else {} for agent in names},
+            {agent: dict(infos) for agent in names},
         )
 
     def state(self) -> ndarray:
         """Input of the value networks at the last observation (state_size,) float32."""
         return self._state.copy()
 
-    def render(self) -> None:
-        """Nothing: `pixel2catch play` shows episodes."""
+    def render(self) -> ndarray | None:
+        """A picture (height, width, 3) with the render mode "rgb_array", else None."""
+        pictures = self._pictures.draw()
+        return None if pictures is None else pictures[0]
 
     def close(self) -> None:
-        """Free the simulation."""
+        """Free simulation and pictures."""
         self.agents = []
+        self._pictures.close()
         self._env.close()
-
-    def _build(self, seed: int) -> CatchEnv:
-        return CatchEnv(self._cfg, self._method, num_envs=1, device=self._device, seed=seed)
 
     def _known(self, agent: str) -> str:
         if agent not in self.possible_agents:
@@ -151,33 +154,9 @@ class CatchParallelEnv:
             raise InvalidValueError(
                 f"no action for agent '{agent}'; each step needs {', '.join(self.agents)}"
             )
-        action, size = np.asarray(actions[agent], dtype=np.float32), self._env.action_sizes[agent]
-        if action.shape != (size,):
-            raise InvalidValueError(
-                f"action of agent '{agent}' has shape {action.shape}; it must be ({size},)"
-            )
-        return torch.from_numpy(action)[None].to(self._env.device)
+        return action_tensor(self._env, agent, np.asarray(actions[agent])[None])
 
     def _observe(self, observation: Observation) -> Arrays:
         """Remember the state and hand out each agent's observation."""
-        self._state = _array(observation.state)
-        return {agent: _array(value) for agent, value in observation.policy.items()}
-
-
-def _box(size: int, bound: float = np.inf) -> Box:
-    return Box(-bound, bound, (size,), np.float32)
-
-
-def _array(value: Tensor) -> ndarray:
-    """The only environment's row, in memory of its own."""
-    return value[0].cpu().numpy().copy()
-
-
-def _summary(step: Step) -> Values:
-    """What became of the episode."""
-    record = step.record
-    return {
-        "is_tracked": bool(record.is_tracked.item()),
-        "is_success": bool(record.is_success.item()),
-        "episode_steps": int(record.steps.item()),
-    }
+        self._state = array(observation.state)[0]
+        return {agent: array(value)[0] for agent, value in observation.policy.items()}

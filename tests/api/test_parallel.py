@@ -1,25 +1,24 @@
 """The catching environment behind PettingZoo's parallel API."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from pettingzoo.test import parallel_api_test
 
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-from pixel2catch.envs.parallel import CatchParallelEnv
+from pixel2catch.api.calls import make
+from pixel2catch.api.parallel import CatchParallelEnv
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.terminations import EpisodeCfg
-from pixel2catch.methods import METHODS
 
 CFG = CatchEnvCfg(episode=EpisodeCfg(max_steps=6))
 
 
 @pytest.fixture(scope="module")
 def env() -> Iterator[CatchParallelEnv]:
-    env = CatchParallelEnv(CFG, METHODS["proposed"], seed=3)
+    env = CatchParallelEnv(make("proposed", task=CFG, seed=3))
     yield env
     env.close()
 
@@ -68,9 +67,8 @@ def test_an_episode_ends_for_all_agents_at_once(env: CatchParallelEnv):
 
 def test_it_is_the_same_environment():
     """A seed gives the observations, states and rewards that `CatchEnv` gives."""
-    method = METHODS["single_agent"]
-    batched = CatchEnv(CFG, method, num_envs=1, seed=7)
-    single = CatchParallelEnv(CFG, method)
+    batched, single = make("single_agent", task=CFG), CatchParallelEnv(make("single_agent", task=CFG))
+    batched.seed(7)
     expected, (observations, _) = batched.reset(), single.reset(seed=7)
     for _ in range(5):
         assert observations["robot"].tolist() == expected.policy["robot"][0].tolist()
@@ -97,6 +95,9 @@ def test_wrong_actions_are_named(env: CatchParallelEnv):
         env.step({"arm": np.zeros(6)})
     with pytest.raises(InvalidValueError, match=r"agent 'arm' has shape \(7,\); it must be \(6,\)"):
         env.step(still(env) | {"arm": np.zeros(7)})
+    with pytest.raises(InvalidValueError, match="an action of agent 'arm' is NaN"):
+        env.step(still(env) | {"arm": np.full(6, np.nan)})
+    env.step(still(env))
 
 
 def test_a_seed_gives_its_episode_again(env: CatchParallelEnv):
@@ -107,6 +108,6 @@ def test_a_seed_gives_its_episode_again(env: CatchParallelEnv):
 
 
 def test_the_task_can_be_chosen():
-    env = CatchParallelEnv(replace(CFG, objects=("cross",)), METHODS["only_wh"])
+    env = CatchParallelEnv(make("only_wh", task=CFG, objects="cross"))
     observations, _ = env.reset()
     assert {name: len(value) for name, value in observations.items()} == {"arm": 46, "hand": 74}

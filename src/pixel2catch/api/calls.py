@@ -1,0 +1,159 @@
+"""The commands as functions: make environments, load, train and evaluate policies."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pixel2catch.api.training import run, with_task
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.envs.tasks import find_task
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.evaluation import loading
+from pixel2catch.evaluation.metrics import Metrics, assess
+from pixel2catch.evaluation.protocol import EvaluationCfg
+from pixel2catch.learning.config import preset as preset_of
+from pixel2catch.learning.train import TrainResult
+from pixel2catch.methods import Method, find_method
+from pixel2catch.own_files import add, import_files, named
+from pixel2catch.policy import Policy, method_of
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.objects import ObjectSpec, select_objects
+from pixel2catch.workcells import find_workcell
+
+Objects = str | ObjectSpec | Sequence[str | ObjectSpec]
+
+
+def make(
+    method: str | Method = "proposed",
+    *,
+    num_envs: int = 1,
+    task: str | CatchEnvCfg = "nominal",
+    objects: Objects | None = None,
+    workcell: str | WorkcellSpec | None = None,
+    device: str = "cpu",
+    seed: int = 0,
+) -> CatchEnv:
+    """Make environments, which act on tensors; views for other libraries take what is returned.
+
+    Args:
+        method: A method or its name, such as "single_agent", "catch+fit" or "my_file.py:mine".
+        num_envs: How many robots catch side by side.
+        task: A task or its name: nominal, wide, ...
+        objects: What is thrown: seen, unseen, real, names of objects, or objects of one's own. Default: the
+            task's.
+        workcell: The robots, or their name. Default: the task's.
+        device: Where to simulate: cpu, cuda, cuda:1, ...
+        seed: Seed of everything that is drawn.
+
+    Raises:
+        UnknownNameError: If a name is in no catalogue.
+        InvalidValueError: If a value is out of range.
+    """
+    if num_envs < 1:
+        raise InvalidValueError(f"num_envs is {num_envs}; it must be at least 1.")
+    cfg = find_task(task) if isinstance(task, str) else task
+    if workcell is not None:
+        cfg = cfg.with_workcell(find_workcell(_known(workcell)))
+    if objects is not None:
+        cfg = replace(cfg, objects=_selected(objects))
+    return CatchEnv(cfg, _method(method, cfg), num_envs=num_envs, device=device, seed=seed)
+
+
+def load_policy(name: str | Path | None = None, device: str = "cpu") -> Policy:
+    """Read a policy: a shipped one by its name, or from its folder or its run's; the default one if absent.
+
+    Raises:
+        PolicyMismatchError: If there is none, or it does not fit this code.
+    """
+    return loading.load_policy(None if name is None else Path(name), device)[0]
+
+
+def evaluate(
+    policy: Policy | str | Path | None = None,
+    method: Method | None = None,
+    *,
+    objects: Objects = "seen",
+    num_envs: int = 100,
+    trials: int = 10,
+    seed: int = 0,
+    device: str = "cpu",
+    physics_hz: float = loading.PHYSICS_HZ,
+    change: Callable[[CatchEnvCfg], CatchEnvCfg] = lambda task: task,
+) -> Metrics:
+    """Evaluate a policy as `pixel2catch evaluate --json` does; the same numbers, by name.
+
+    Args:
+        policy: A policy, or what `load_policy` takes.
+        method: Its method, where neither the package nor the policy's contract defines it.
+        objects: What is thrown: seen, unseen, real, names of objects, or objects of one's own.
+        num_envs: Throws in a round.
+        trials: Rounds.
+        seed: Seed of everything that is drawn.
+        device: Where to simulate.
+        physics_hz: Physics steps in a second, a multiple of 30.
+        change: What is different of the task, such as the `change` of a `Level`.
+
+    Raises:
+        PolicyMismatchError: If there is no policy, or it does not fit this code.
+    """
+    policy = (policy if isinstance(policy, Policy) else load_policy(policy, device)).to(device)
+    cfg = EvaluationCfg(
+        objects=_selected(objects),
+        num_envs=num_envs,
+        trials=trials,
+        seed=seed,
+        device=device,
+        task=change(loading.task_of(policy, physics_hz)),
+    )
+    return assess(policy, method or method_of(policy.contract), cfg)
+
+
+def train(
+    method: str | Method,
+    out: str | Path,
+    *,
+    preset: str = "cpu",
+    task: str | CatchEnvCfg = "nominal",
+    workcell: str | WorkcellSpec | None = None,
+    resume: bool = False,
+    **options: Any,
+) -> TrainResult:
+    """Train a policy as `pixel2catch train` does; it is in the folder `policy` of the run.
+
+    Args:
+        method: A method or its name.
+        out: Folder of the run.
+        preset: Where the options come from that are not given: fast, cpu or paper.
+        task: A task or its name.
+        workcell: The robots, or their name. Default: the task's.
+        resume: Whether to go on from the last checkpoint in the folder.
+        **options: Fields of `TrainCfg`, such as `transitions=1_000_000` or `hidden=(64, 64)`.
+
+    Raises:
+        Pixel2CatchError: As `learning.train.train`.
+    """
+    env = {"task": task} if isinstance(task, str) else {"env": task}
+    name = method.name if isinstance(method, Method) else named(method)
+    cfg = with_task(preset_of(preset, method=name, **env, **options), _known(workcell) if workcell else None)
+    return run(cfg, _method(method, cfg.env), Path(out), resume=resume)
+
+
+def _method(method: str | Method, cfg: CatchEnvCfg) -> Method:
+    if isinstance(method, Method):
+        return method
+    return find_method(_known(method), find_workcell(cfg.scene.workcell))
+
+
+def _selected(objects: Objects) -> tuple[str, ...]:
+    several = objects.split(",") if isinstance(objects, str) else objects
+    several = [several] if isinstance(several, ObjectSpec) else several
+    return select_objects([_known(each.strip() if isinstance(each, str) else each) for each in several])
+
+
+def _known(value: Any) -> str:
+    """The name of a value, which joins its catalogue, or what is meant by a name; its file is imported."""
+    name = named(value) if isinstance(value, str) else add(value)
+    import_files()
+    return name

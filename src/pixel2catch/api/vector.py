@@ -1,0 +1,93 @@
+"""Catching environments of a single agent behind Gymnasium's vector API."""
+
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy import ndarray
+
+from pixel2catch.api.arrays import METADATA, Pictures, action_tensor, array, outcome, space
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.errors import InvalidValueError
+
+
+def only_agent(env: CatchEnv) -> str:
+    """Name of the agent of an environment that has one.
+
+    Raises:
+        InvalidValueError: If it has several.
+    """
+    names = [agent.name for agent in env.method.agents]
+    if len(names) != 1:
+        raise InvalidValueError(
+            f"method '{env.method.name}' has the agents {', '.join(names)}; Gymnasium has one: make "
+            "'single_agent' or 'catch_alone', or take CatchParallelEnv."
+        )
+    return names[0]
+
+
+class CatchVectorEnv(VectorEnv[ndarray, ndarray, ndarray]):
+    """Robots that catch side by side, with one agent each.
+
+    Where an episode ends, `step` returns the first observation of the next one. The last one of the episode
+    is not kept: every end is a termination (paper), so no learner needs its value.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {**METADATA, "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride] (Gymnasium's is a mutable class variable, too)
+
+    def __init__(self, env: CatchEnv, render_mode: str | None = None) -> None:
+        """View environments, such as `pixel2catch.make("single_agent", num_envs=64)`.
+
+        Raises:
+            InvalidValueError: If their method has several agents.
+        """
+        self._env, self._agent = env, only_agent(env)
+        self.num_envs, self.render_mode = env.num_envs, render_mode
+        self._pictures = Pictures(env, render_mode)
+        self.single_observation_space = space(env.observation_sizes[self._agent])
+        self.single_action_space = space(env.action_sizes[self._agent], bound=1.0)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self.action_space = batch_space(self.single_action_space, env.num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ndarray, dict[str, Any]]:
+        """Begin an episode everywhere; what is drawn goes on without a seed. `options` are ignored."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._env.seed(seed)
+        return array(self._env.reset().policy[self._agent]), {}
+
+    def step(self, actions: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray, dict[str, Any]]:
+        """Act for one control step; what lies outside [-1, 1] is clipped.
+
+        Infos say of the episodes that ended, by the mask of the same name with an underscore, what `outcome`
+        does.
+
+        Raises:
+            InvalidValueError: If actions have another shape, or one is NaN.
+        """
+        step = self._env.step({self._agent: action_tensor(self._env, self._agent, actions)})
+        ended = array(step.terminated)
+        infos: dict[str, Any] = {}
+        if ended.any():
+            for name, values in outcome(step).items():
+                infos |= {name: np.where(ended, values, 0).astype(values.dtype), f"_{name}": ended.copy()}
+        return (
+            array(step.observation.policy[self._agent]),
+            array(step.rewards[self._agent]),
+            ended,
+            array(step.truncated),
+            infos,
+        )
+
+    def render(self) -> tuple[ndarray, ...] | None:
+        """A picture (height, width, 3) of every environment with the render mode "rgb_array", else None."""
+        pictures = self._pictures.draw()
+        return None if pictures is None else tuple(pictures)
+
+    def close_extras(self, **_: Any) -> None:
+        """Free simulation and pictures."""
+        self._pictures.close()
+        self._env.close()

@@ -1,0 +1,186 @@
+"""An evaluation as one page: rates, objects, where throws come down, what each kind of miss looks like."""
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy import ndarray
+from PIL import Image
+
+from pixel2catch.circumstances import circumstances
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.evaluation.comparison.figures import STYLE, objects_figure
+from pixel2catch.evaluation.metrics import Metrics
+from pixel2catch.evaluation.protocol import EvaluationCfg
+from pixel2catch.evaluation.report import Cells, objects_rows, percent, png, quality_rows, results_rows
+from pixel2catch.evaluation.throw_collection import ThrowCollection
+from pixel2catch.files import plain, write_atomically
+from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.offline_page import (
+    Cell,
+    box,
+    circumstances_lines,
+    element,
+    folded,
+    listing,
+    page,
+    picture,
+    table,
+)
+from pixel2catch.rendering.film import strips
+from pixel2catch.rendering.storyboard import CAUGHT, OUTCOMES
+from pixel2catch.scene.objects import OBJECT_GROUPS
+from pixel2catch.scene.scene import SceneCfg
+
+COLORS = dict(zip(OUTCOMES, ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#CC79A7", "#3C3C3C"), strict=True))
+"""Colours of outcomes that people with any kind of colour vision tell apart. Source: Okabe and Ito 2008."""
+
+RATES_NOTE = (
+    "T.R.: the palm within 8 cm of the object once; S.R.: for 20 control steps in a row. Verified hold: then "
+    "the policy stops, two parts of the hand touch the object for 1 s, and it survives half a second of "
+    "shaking. In brackets: 95 % Wilson intervals."
+)
+LANDING_NOTE = (
+    "Where each throw would come down through the middle of the catch heights if nothing stopped it. "
+    "Seen from above, the robot at 0 and the thrower at the top. Box: where the paper's throws are aimed."
+)
+NO_FILMS = "Nothing can be drawn on this machine; 'pixel2catch doctor' says what to install."
+STRIPS_NOTE = "The first throw of each kind: the flight, the catch in the middle, the end."
+
+
+def write_page(path: Path, name: str, result: Metrics, cfg: EvaluationCfg, throws: ThrowCollection) -> None:
+    """Write the page of an evaluation, with stills where something can be drawn.
+
+    Raises:
+        OSError: If it cannot be written; a page that was there before is still whole.
+    """
+    try:
+        films = film_strips(throws, cfg.task.scene)
+    except DeviceUnavailableError:
+        films = {}
+    text = evaluation_page(name, result, cfg, throws, films, circumstances())
+    write_atomically({path: text.encode()})
+
+
+def evaluation_page(
+    name: str,
+    result: Metrics,
+    cfg: EvaluationCfg,
+    throws: ThrowCollection,
+    films: Mapping[str, bytes],
+    when: Mapping[str, Any],
+) -> str:
+    """The page of one evaluation.
+
+    Args:
+        name: What was thrown.
+        result: Its metrics.
+        cfg: How it was done.
+        throws: Its throws.
+        films: Strips of its kinds of outcomes, as `film_strips` draws them; none where nothing can be drawn.
+        when: When, where and with which versions.
+    """
+    low_to_high = percent(result["success_rate"], result["success_rate_interval"], digits=1)
+    caught = f"Of {result['trials']:,} throws, {low_to_high} % were caught (S.R., 95 % interval)."
+    settings = json.dumps(asdict(cfg), indent=2, default=plain)
+    rows = {name: result}
+    return page(
+        f"Evaluation of {result['method']}: {name}",
+        [
+            element("h1", f"Evaluation of {result['method']}: {name}"),
+            box(caught, "good"),
+            element("h2", "Rates [% of throws]") + element("p", RATES_NOTE),
+            _table(results_rows(rows, result["method"])),
+            element("h2", "By object"),
+            picture(png(_objects_figure(result)), "png", "S.R. with 95 % intervals"),
+            _table(objects_rows(result)),
+            element("h2", "Where throws come down") + element("p", LANDING_NOTE),
+            picture(png(landing_figure(throws)), "png", "Throws by outcome"),
+            element("h2", "Failures and contact"),
+            _table(quality_rows(rows)),
+            element("h2", "What they look like") + element("p", STRIPS_NOTE if films else NO_FILMS),
+            *(picture(film, "webp", _kind(outcome, throws)) for outcome, film in films.items()),
+            element("h2", "What was run"),
+            f"<p>{element('code', ' '.join(when['command']))}</p>",
+            listing([*circumstances_lines(when), f"policy {result.get('policy_sha256', 'unknown')}"]),
+            folded("Configuration", settings),
+        ],
+    )
+
+
+def film_strips(throws: ThrowCollection, scene: SceneCfg) -> dict[str, bytes]:
+    """Stills of a throw of each outcome, misses first, as WebP.
+
+    Raises:
+        DeviceUnavailableError: If no OpenGL back end works.
+    """
+    outcomes = [name for name in (*list(OUTCOMES)[1:], CAUGHT) if name in throws.examples]
+    pictures = strips([throws.examples[name] for name in outcomes], scene, "outside")
+    return {name: _webp(image) for name, image in zip(outcomes, pictures, strict=True)}
+
+
+def landing_figure(throws: ThrowCollection) -> Figure:
+    """Draw where throws come down, misses over catches."""
+    paper = ThrowCfg()
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+        axes = figure.subplots()
+        corner = (paper.aim_y[0], paper.aim_x[0])
+        size = (paper.aim_y[1] - paper.aim_y[0], paper.aim_x[1] - paper.aim_x[0])
+        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="#8A8A8A", linestyle="--"))
+        for outcome, text in OUTCOMES.items():
+            if points := throws.landings.get(outcome):
+                is_caught = outcome == CAUGHT
+                axes.scatter(
+                    *np.array(points).T[::-1],
+                    s=14 if is_caught else 42,
+                    marker="o" if is_caught else "X",
+                    color=COLORS[outcome],
+                    alpha=0.45 if is_caught else 1.0,
+                    zorder=2 if is_caught else 3,
+                    linewidth=0.0,
+                    label=f"{text} ({len(points):,})",
+                )
+        axes.set(xlabel="y [m]", ylabel="x [m], from the robot to the thrower", aspect="equal")
+        axes.invert_xaxis()
+        axes.grid(visible=True)
+        figure.legend(loc="outside lower center", ncols=2)
+        return figure
+
+
+def _objects_figure(result: Metrics) -> Figure:
+    groups = {name: group for group in ("seen", "unseen") for name in OBJECT_GROUPS[group]}
+    rows = [
+        {
+            "method": result["method"],
+            "objects": groups.get(name, "other"),
+            "object": name,
+            "success_rate": {"pooled": each["success_rate"], "interval": each["success_rate_interval"]},
+        }
+        for name, each in result["objects"].items()
+    ]
+    return objects_figure(sorted(rows, key=lambda row: row["objects"]))
+
+
+def _kind(outcome: str, throws: ThrowCollection) -> str:
+    number = len(throws.landings[outcome])
+    return f"{OUTCOMES[outcome]}: {number:,} throw{'' if number == 1 else 's'}"
+
+
+def _table(rows: Sequence[Cells]) -> str:
+    """A table of which the first row has all columns."""
+    columns = list(rows[0])
+    return table(columns, [[Cell(row.get(column, "")) for column in columns] for row in rows])
+
+
+def _webp(image: ndarray) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "webp", quality=75)
+    return buffer.getvalue()

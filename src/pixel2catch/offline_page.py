@@ -1,0 +1,108 @@
+"""Reports as one HTML page that needs nothing but itself: no network, no other file, no script."""
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any, NamedTuple
+
+STYLE = """
+body { font: 14px/1.45 system-ui, sans-serif; color: #1c1c1c; margin: 2rem auto; padding: 0 1rem;
+  max-width: 72rem }
+h1 { font-size: 1.7rem; margin-bottom: .2rem }
+h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem }
+h3 { font-size: 1rem; margin: 1.2rem 0 .3rem }
+p { margin: .4rem 0; max-width: 60rem }
+ul { margin: .3rem 0; padding-left: 1.2rem }
+.scroll { overflow-x: auto }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums }
+th { text-align: left; vertical-align: bottom; border-bottom: 1.5px solid #1c1c1c }
+td { vertical-align: top; border-bottom: 1px solid #e4e4e4 }
+th, td { padding: .25rem 1.1rem .25rem 0 }
+td:first-child { white-space: nowrap }
+small { display: block; color: #6a6a6a; font-weight: 400 }
+.good { color: #17703f } .weak { color: #9a5b00 } .unknown { color: #6a6a6a }
+.BAD { color: #b3261e; font-weight: 600 }
+.box { border-left: 4px solid; padding: .5rem .9rem; margin: .7rem 0; background: #f6f6f6 }
+.box p { color: #1c1c1c }
+.key span { display: inline-block; width: 1.6rem; height: 3px; margin: 0 .4rem .25rem 1.1rem }
+figure { margin: .8rem 0; break-inside: avoid }
+figcaption { font-weight: 600 }
+img { width: 100%; display: block }
+code { background: #f2f2f2; padding: .1rem .3rem; overflow-wrap: anywhere }
+@page { size: A4; margin: 14mm }
+@media print {
+  body { margin: 0; max-width: none; font-size: 10px; print-color-adjust: exact }
+  tr, .box { break-inside: avoid }
+  h2, h3 { break-after: avoid }
+  .scroll { overflow: visible }
+  th, td { padding-right: .5rem }
+}
+"""
+"""Look of the page, on a screen and on paper."""
+
+
+class Cell(NamedTuple):
+    """One entry of a table: its text, a verdict (a class of `STYLE`) that colours it, and a small note."""
+
+    text: str
+    verdict: str = ""
+    note: str = ""
+
+
+def page(title: str, parts: Iterable[str]) -> str:
+    """The whole page."""
+    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style>'
+    body = "\n".join(parts)
+    return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n'
+
+
+def element(tag: str, text: str) -> str:
+    """Text in an element."""
+    return f"<{tag}>{escape(text)}</{tag}>"
+
+
+def listing(texts: Sequence[str]) -> str:
+    """A list, if there is anything to list."""
+    return f"<ul>{''.join(element('li', text) for text in texts)}</ul>" if texts else ""
+
+
+def box(text: str, verdict: str) -> str:
+    """What a reader must know first, in the colour of a verdict."""
+    return f'<div class="box {verdict}">{element("p", text)}</div>'
+
+
+def folded(summary: str, text: str) -> str:
+    """Text as it is, which a click on its summary shows."""
+    return f"<details>{element('summary', summary)}{element('pre', text)}</details>"
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
+    """A table."""
+    head = "".join(element("th", column) for column in columns)
+    body = ""
+    for row in rows:
+        cells = ""
+        for cell in row:
+            kind = f' class="{cell.verdict}"' if cell.verdict else ""
+            note = element("small", cell.note) if cell.note else ""
+            cells += f"<td{kind}>{escape(cell.text)}{note}</td>"
+        body += f"<tr>{cells}</tr>\n"
+    content = f"<table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table>"
+    return f'<div class="scroll">{content}</div>'
+
+
+def picture(data: bytes, kind: str, caption: str) -> str:
+    """A picture of a kind such as png, below its caption."""
+    source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    caption = escape(caption)
+    return f'<figure><figcaption>{caption}</figcaption><img alt="{caption}" src="{source}"></figure>'
+
+
+def circumstances_lines(circumstances: Mapping[str, Any]) -> list[str]:
+    """When, where and with which versions something was done."""
+    versions = ", ".join(f"{name} {version or '?'}" for name, version in circumstances["versions"].items())
+    where = f"{circumstances['platform']}, {circumstances['cpu_cores']} CPU cores"
+    return [
+        f"{circumstances['started']}; revision {circumstances['git_revision'] or 'unknown'}; {where}",
+        f"Python {circumstances['python']}, {versions}",
+    ]

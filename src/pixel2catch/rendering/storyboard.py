@@ -1,0 +1,132 @@
+"""A recorded throw, and what its film shows when: the flight, the slow catch, what became of it."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
+from pixel2catch.robots.geometry import chain_of
+from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.constants import CONTROL_DT
+
+FPS = 25  #: Pictures of a film in a second.
+SLOW = 4  #: How many times slower the catch is.
+LEAST_SPEED = 1.0  #: From what speed on the object flies [m/s].
+REACH = 0.12  #: Distance of object and palm at which the catch begins [m].
+BEFORE_RELEASE, BEFORE_CATCH, AFTER_CATCH, AFTER_OUTCOME, LONGEST = 6, 5, 7, 12, 45
+"""Control steps: shown before the release; slow before and after the catch; shown after the outcome; after
+the catch at most."""
+
+ZOOM_STEPS = 9  #: Control steps in which the view comes closer, before the catch.
+
+CAUGHT, LOST = "caught", "lost"
+OUTCOMES = {
+    CAUGHT: "caught, and held when shaken",
+    LOST: "caught, but lost in the test of the hold",
+    "never_reached": "missed: the palm never came near",
+    "bounced_off": "missed: bounced off the hand",
+    "dropped": "missed: touched, then dropped",
+    "not_held": "missed: not held near the palm in time",
+}
+"""What can become of a throw; but for the first two, it is its failure mode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedThrow:
+    """One throw, from its start to the decision of the trial."""
+
+    object_name: str  #: What was thrown.
+    outcome: str  #: What became of it, of `OUTCOMES`.
+    qpos: Float[ndarray, "num_steps nq"]  #: Positions of the simulation at every control step.
+    qvel: Float[ndarray, "num_steps nv"]  #: Its velocities.
+    box: Float[ndarray, "num_steps 4"]  #: The box that the policy got [px].
+    num_untested: int  #: Control steps before the test of the hold; all if there was no success.
+
+    @property
+    def release(self) -> int:
+        """The first control step in which the object flies."""
+        flying = np.linalg.norm(self.qvel[:, OBJECT_VEL], axis=-1) > LEAST_SPEED
+        return int(np.flatnonzero(flying)[0]) if flying.any() else len(flying) - 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Storyboard:
+    """What every picture of a film shows of a throw."""
+
+    steps: Float[ndarray, " num_pictures"]  #: Control step, with fractions.
+    is_slow: Bool[ndarray, " num_pictures"]  #: Whether the picture is of the slow motion.
+    closeness: Float[ndarray, " num_pictures"]  #: Of the view: 0 the whole room, 1 the hand.
+    decision: int  #: Control step in which the outcome is known.
+    catch: int  #: Control step in which the catch begins, or the object is nearest to a palm.
+    catch_pos: Float[ndarray, "3"]  #: Where the palm is then [m].
+
+
+def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
+    """Plan the film of a throw, from just before the release to its outcome."""
+    catch, catch_pos = _catch(throw, workcell)
+    last = len(throw.qpos) - 1
+    decision = last if throw.outcome == LOST else throw.num_untested - 1
+    begin = max(throw.release - BEFORE_RELEASE, 0)
+    end = max(min(last, decision + AFTER_OUTCOME, catch + LONGEST), catch)
+    slow_from, slow_to = max(catch - BEFORE_CATCH, begin), min(catch + AFTER_CATCH, end)
+    pace = 1.0 / (FPS * CONTROL_DT)
+    steps = np.concatenate(
+        (
+            np.arange(begin, slow_from, pace),
+            np.arange(slow_from, slow_to, pace / SLOW),
+            np.arange(slow_to, end, pace),
+            (end,),
+        )
+    )
+    share = np.clip((steps - catch + ZOOM_STEPS) / ZOOM_STEPS, 0.0, 1.0)
+    return Storyboard(
+        steps=steps,
+        is_slow=(steps >= slow_from) & (steps < slow_to),
+        closeness=share * share * (3.0 - 2.0 * share),
+        decision=decision,
+        catch=catch,
+        catch_pos=catch_pos,
+    )
+
+
+def key_steps(board: Storyboard, num_pictures: int) -> Float[ndarray, " num_pictures"]:
+    """Control steps of a strip of stills: the flight, the catch in the middle, the end."""
+    middle = num_pictures // 2
+    flight = np.linspace(board.steps[0] + BEFORE_RELEASE, board.catch, middle, endpoint=False)
+    return np.concatenate((flight, np.linspace(board.catch, board.steps[-1], num_pictures - middle)))
+
+
+def positions_between(
+    model: mujoco.MjModel, throw: RecordedThrow, step: float
+) -> Float[ndarray, " num_positions"]:
+    """Positions of the simulation at a control step with fractions."""
+    first = min(int(step), len(throw.qpos) - 1)
+    second, change = min(first + 1, len(throw.qpos) - 1), np.zeros(model.nv)
+    before, after = (_filled(model, throw.qpos[i]) for i in (first, second))
+    mujoco.mj_differentiatePos(model, change, 1.0, before, after)
+    mujoco.mj_integratePos(model, before, change, step - first)
+    return before[: throw.qpos.shape[1]]
+
+
+def _filled(model: mujoco.MjModel, qpos: ndarray) -> ndarray:
+    """Positions of a model with more joints behind those of the simulation."""
+    return np.concatenate((qpos, model.qpos0[len(qpos) :]))
+
+
+def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "3"]]:
+    """The control step of the catch, and the palm's position then."""
+    qpos = torch.from_numpy(np.asarray(throw.qpos, dtype=np.float64))
+    palms = torch.stack(
+        [
+            chain_of(workcell, palm, dtype=torch.float64).pose(qpos[:, palm.carriers])[0]
+            for palm in workcell.palms
+        ]
+    )
+    distances, nearest = (palms - qpos[:, OBJECT_POS]).norm(dim=-1).min(dim=0)
+    reached = distances <= max(REACH, float(distances.min()))
+    step = int(torch.nonzero(reached)[0])
+    return step, palms[int(nearest[step]), step].numpy()

@@ -1,0 +1,139 @@
+"""Objects from mesh files (.stl, .obj, ...): convex parts by decomposition, mass properties of the mesh.
+
+Reading needs trimesh, decomposition CoACD: `pip install 'pixel2catch[meshes]'`.
+"""
+
+import importlib
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.spatial import ConvexHull
+
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.scene import shapes
+from pixel2catch.scene.objects import OBJECT_MASS, ObjectSpec, of_solid
+from pixel2catch.scene.shapes import ConvexPart, moments, moments_inside
+
+CONCAVITY = 0.05
+"""How concave a part may stay, of the size of the mesh: CoACD's threshold. Source: CoACD's default."""
+
+OUTLINE_POINTS = 48
+"""Vertices of the hull of all parts at the most; the camera looks for 64 points of an object. Source: ours.
+"""
+
+SEARCH = {"mcts_nodes": 10, "mcts_iterations": 20, "mcts_max_depth": 2, "resolution": 500}
+"""How long CoACD looks for the best cuts. Source: ours, seconds instead of minutes for a cup."""
+
+PART_POINTS = (64, 48, 32, 24, 16, 12, 8)
+"""Vertices of a part at the most, the first with which the hull of all is no more than that. Source: ours."""
+
+
+def mesh_object(
+    name: str, file: str | Path, *, mass: float = OBJECT_MASS, scale: float = 1.0, max_parts: int = 8
+) -> ObjectSpec:
+    """An object in the shape of a mesh, of uniform density; it collides as at most so many convex parts.
+
+    Without CoACD each of its surfaces collides as its hull, and a warning says so.
+
+    Args:
+        name: Its name in the catalogue.
+        file: The mesh: one or several closed surfaces that do not overlap.
+        mass: Its mass [kg].
+        scale: Metres in a unit of the file, 0.001 for millimetres.
+        max_parts: Convex parts at the most.
+
+    Raises:
+        InvalidValueError: If the file cannot be read, has no volume, or a value is out of range.
+    """
+    if not scale > 0.0 or max_parts < 1:
+        raise InvalidValueError(f"scale is {scale}, max_parts {max_parts}; both must be greater than 0.")
+    mesh = _read(Path(file))
+    mesh.apply_scale(scale)
+    parts = _simplified(_decomposed(mesh, max_parts))
+    solid = moments_inside(np.asarray(mesh.triangles))
+    if not mesh.is_watertight:
+        warnings.warn(f"'{file}' is not closed: its mass is spread over its convex parts", stacklevel=2)
+        solid = sum(map(moments, parts[1:]), start=moments(parts[0]))
+    return of_solid(name, parts, solid, mass)
+
+
+def _read(file: Path) -> Any:
+    """A mesh of trimesh, its faces counter-clockwise seen from outside.
+
+    Raises:
+        InvalidValueError: If it cannot be read, or is flat.
+    """
+    trimesh = _package("trimesh")
+    if trimesh is None:
+        raise InvalidValueError("meshes are read by trimesh: pip install 'pixel2catch[meshes]'.")
+    try:
+        mesh = trimesh.load_mesh(file)
+        mesh.fix_normals()
+        thickness = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0))[1].min()
+    except Exception as error:  # each of trimesh's readers has errors of its own
+        raise InvalidValueError(
+            f"'{file}' cannot be read as a mesh ({error}); it must be a file such as .stl or .obj."
+        ) from error
+    if not thickness > 1e-9:
+        raise InvalidValueError(f"'{file}' has no volume; a thrown object must have one.")
+    return mesh
+
+
+def _decomposed(mesh: Any, max_parts: int) -> list[Float[ndarray, "_ 3"]]:
+    """Vertices of convex parts that fill the mesh together; each of its surfaces is cut by itself."""
+    bodies = mesh.split(only_watertight=False)
+    bodies = list(bodies) if 0 < len(bodies) <= max_parts else [mesh]
+    convex = [np.asarray(body.vertices) for body in bodies if body.is_convex]
+    others = [body for body in bodies if not body.is_convex]
+    coacd = _package("coacd")
+    if others and coacd is None:
+        warnings.warn(
+            "without CoACD a mesh collides as the hulls of its surfaces: pip install 'pixel2catch[meshes]'",
+            stacklevel=3,
+        )
+    if coacd is None or len(bodies) == max_parts:
+        return convex + [np.asarray(body.vertices) for body in others]
+    coacd.set_log_level("error")
+    most = (max_parts - len(convex)) // max(len(others), 1)
+    cut = [
+        coacd.run_coacd(
+            coacd.Mesh(body.vertices, body.faces), threshold=CONCAVITY, max_convex_hull=most, seed=0, **SEARCH
+        )
+        for body in others
+    ]
+    return convex + [np.asarray(vertices) for parts in cut for vertices, _ in parts]
+
+
+def _simplified(parts: list[Float[ndarray, "_ 3"]]) -> list[ConvexPart]:
+    """The parts with fewer vertices, so few that the camera finds those of their common hull."""
+    tries = ([_corners(part, most) for part in parts] for most in PART_POINTS)
+    found = next((each for each in tries if _num_corners(each) <= OUTLINE_POINTS), None)
+    if found is None:
+        raise InvalidValueError(
+            f"{len(parts)} convex parts have a hull of more than {OUTLINE_POINTS} corners; lower max_parts."
+        )
+    return [ConvexPart(vertices=part) for part in found]
+
+
+def _num_corners(parts: list[Float[ndarray, "_ 3"]]) -> int:
+    return len(ConvexHull(np.concatenate(parts)).vertices)
+
+
+def _corners(vertices: Float[ndarray, "n 3"], most: int) -> Float[ndarray, "m 3"]:
+    """The corners of a hull; of more than `most` those that are the farthest in a direction."""
+    corners = vertices[ConvexHull(vertices).vertices]
+    if len(corners) <= most:
+        return corners
+    directions = shapes.spiral(most)
+    return corners[np.unique((corners @ directions.T).argmax(axis=0))]
+
+
+def _package(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        return None

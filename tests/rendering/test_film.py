@@ -1,0 +1,202 @@
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import torch
+from PIL import Image, ImageSequence
+
+from pixel2catch.camera.pinhole import project
+from pixel2catch.cli.main import main
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+from pixel2catch.methods import PROPOSED
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
+from pixel2catch.rendering.caption import BAD, title
+from pixel2catch.rendering.film import LAST_PICTURES, FilmRenderer, tiled, write_throws
+from pixel2catch.rendering.storyboard import (
+    FPS,
+    SLOW,
+    RecordedThrow,
+    key_steps,
+    positions_between,
+    storyboard,
+)
+from pixel2catch.rendering.video import draw_box, write_film
+from pixel2catch.robots.geometry import chain_of
+from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells import find_workcell
+
+
+@pytest.fixture(scope="module")
+def throws() -> list[RecordedThrow]:
+    torch.manual_seed(0)
+    policy = Policy(contract_of(PROPOSED), hidden=(16,))
+    return recorded_throws(EvaluationCfg(objects=("cube_l",), num_envs=2, seed=1), policy, PROPOSED)
+
+
+def test_the_box_belongs_to_the_object(throws: list[RecordedThrow]):
+    """While the object hovers, its centre is in the box, but for the corners' noise; then both move on."""
+    for throw in throws:
+        centers = torch.from_numpy(throw.qpos[:, None, 19:22]).float()
+        pixels = project(RGB_CAMERA, centers)[0][:, 0].numpy()
+        low, high = throw.box[:, :2] - 6.0, throw.box[:, 2:] + 6.0
+        assert ((low <= pixels) & (pixels <= high))[:5].all()
+        assert np.abs(throw.box[-1] - throw.box[0]).max() > 30.0
+        assert throw.object_name == "cube_l"
+
+
+def test_a_throw_ends_before_the_next_episode_begins(throws: list[RecordedThrow]):
+    """A reset would move the object back to its release point, x > 2.4 m."""
+    for throw in throws:
+        assert throw.qpos[0, 19] > 2.3
+        assert throw.qpos[-1, 19] < 1.5
+        assert (np.diff(throw.qpos[:, 19]) < 0.5).all()
+
+
+def test_drawn_box_by_hand():
+    """Edges 2 px wide inside the box, a mark of 4 x 4 px in the middle; what is off the image is cut off."""
+    image = np.zeros((40, 60, 3), dtype=np.uint8)
+    draw_box(image, np.array([10.0, 5.0, 30.0, 25.0]))
+    drawn = np.any(image, axis=-1, keepdims=False)
+    assert isinstance(drawn, np.ndarray)
+    assert drawn.sum() == 20 * 20 - 16 * 16 + 16
+    assert drawn[5, 10]
+    assert drawn[24, 29]
+    assert not drawn[25, 30]
+    draw_box(image, np.array([-50.0, -50.0, -10.0, 90.0]))
+    assert drawn.sum() == image.any(axis=-1).sum()
+
+
+@pytest.mark.parametrize("name", ["absent/film.mp4", "film.nonsense", "film.mov"])
+def test_a_file_that_cannot_be_written(name: str, throws: list[RecordedThrow], tmp_path: Path):
+    with pytest.raises(InvalidValueError, match=name):
+        write_throws(tmp_path / name, throws, SceneCfg())
+
+
+@pytest.mark.parametrize("ending", [".mp4", ".webp", ".gif"])
+def test_a_film_has_its_pictures_in_order(ending: str, tmp_path: Path):
+    path = tmp_path / f"film{ending}"
+    pictures = [np.full((32, 64, 3), level, dtype=np.uint8) for level in (0, 100, 200)]
+    assert write_film(path, pictures, fps=25) == 3
+    if ending == ".mp4":
+        with av.open(str(path)) as container:
+            shown = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    else:
+        with Image.open(path) as file:
+            shown = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.all_frames(file)]
+    assert [picture.mean() for picture in shown] == pytest.approx([0, 100, 200], abs=4)
+
+
+def test_names_of_objects_in_words():
+    assert [title(name) for name in ("cube_s", "l_block", "cone_l", "star")] == [
+        "small cube",
+        "l block",
+        "large cone",
+        "star",
+    ]
+
+
+def test_pictures_in_rows_by_hand():
+    pictures = [np.full((1, 2, 3), level, dtype=np.uint8) for level in (1, 2, 3)]
+    assert tiled(pictures, 2)[..., 0].tolist() == [[1, 1, 2, 2], [3, 3, 0, 0]]
+
+
+def falling(num_steps: int, catch: int) -> RecordedThrow:
+    """A throw by hand: it rests, flies from step 10 on, and is in the palm from a step on."""
+    workcell = find_workcell("ur5e_allegro")
+    model = build_model(SceneCfg())
+    home = np.array([joint.home for joint in workcell.joints])
+    qpos, qvel = np.tile(model.qpos0, (num_steps, 1)), np.zeros((num_steps, model.nv))
+    qpos[:, : len(home)] = home
+    palm = chain_of(workcell, workcell.palms[0]).pose(torch.tensor(home[None, :6]).float())[0][0].numpy()
+    for step in range(10, num_steps):
+        share = min((step - 10) / (catch - 10), 1.0)
+        qpos[step, OBJECT_POS] = (1.0 - share) * qpos[0, OBJECT_POS] + share * palm
+        qvel[step, OBJECT_VEL] = (-2.0, 0.0, 0.0)
+    return RecordedThrow(
+        object_name="cube_l",
+        outcome="caught",
+        qpos=qpos,
+        qvel=qvel,
+        box=np.zeros((num_steps, 4)),
+        num_untested=num_steps - 10,
+    )
+
+
+def test_the_film_is_slow_about_the_catch():
+    throw = falling(70, catch=30)
+    board = storyboard(throw, find_workcell("ur5e_allegro"))
+    assert throw.release == 10
+    assert 28 <= board.catch <= 30  # within 12 cm of the palm
+    assert board.steps[0] == 4.0
+    assert board.steps[-1] == 69.0
+    pace = np.diff(board.steps)
+    assert (pace > 0.0).all()
+    slow = pace[board.is_slow[:-1] & board.is_slow[1:]]
+    np.testing.assert_allclose(slow, 30 / FPS / SLOW)
+    assert np.median(pace[~board.is_slow[:-1]]) == pytest.approx(30 / FPS)
+    shown = board.steps[board.is_slow]
+    assert shown[0] == board.catch - 5
+    assert board.catch + 6 < shown[-1] < board.catch + 7
+    assert board.closeness[0] == 0.0
+    assert (board.closeness[board.steps >= board.catch] == 1.0).all()
+    assert board.decision == 59
+    keys = key_steps(board, 6)
+    assert keys[0] == 10.0
+    assert keys[3] == board.catch
+    assert keys[-1] == 69.0
+
+
+def test_halfway_between_two_steps():
+    throw, model = falling(40, catch=30), build_model(SceneCfg())
+    half = positions_between(model, throw, 20.5)
+    np.testing.assert_allclose(half, 0.5 * (throw.qpos[20] + throw.qpos[21]), atol=1e-12)
+    np.testing.assert_allclose(positions_between(model, throw, 99.0), throw.qpos[-1])
+
+
+@pytest.mark.usefixtures("opengl")
+def test_a_still_has_path_caption_and_the_robots_view(throws: list[RecordedThrow]):
+    with FilmRenderer(SceneCfg(), width=320) as renderer:
+        strip = renderer.strip(throws[0])
+        others = renderer.strip(throws[1])
+    with FilmRenderer(SceneCfg(), "outside", width=320) as renderer:
+        outside = renderer.strip(throws[0])
+    assert strip.shape == others.shape == outside.shape == (180, 6 * 320, 3)
+    last, plain = strip[:, -320:], outside[:, -320:]
+    differs = np.abs(last.astype(int) - plain).max(axis=-1) > 20
+    inset = slice(108, 176), slice(226, 316)  # 86 x 64 px with a frame, 6 px from the corner
+    assert differs[inset].mean() > 0.3
+    differs[inset] = False
+    assert differs.mean() < 0.001
+    red, green, blue = np.moveaxis(outside.astype(int), -1, 0)
+    is_path = (red > 180) & (green > 110) & (blue < 90)
+    counts = [is_path[:, i : i + 320].sum() for i in range(0, 6 * 320, 320)]
+    assert counts[0] < 5
+    assert min(counts[3:]) > 30
+    assert (np.abs(last[-16:-8, 20:60].astype(int) - BAD).sum(axis=-1) < 20).mean() > 0.2  # it is a miss
+
+
+@pytest.mark.slow
+def test_a_grid_has_all_throws(throws: list[RecordedThrow], opengl: None, tmp_path: Path):
+    numbers: list[int] = []
+    path = tmp_path / "grid.mp4"
+    count = write_throws(path, throws, SceneCfg(), "rgb", on_throw=numbers.append)
+    with av.open(str(path)) as container:
+        shapes = {frame.to_ndarray(format="rgb24").shape for frame in container.decode(video=0)}
+    assert shapes == {(360, 960, 3)}
+    assert numbers == [0, 1]
+    boards = [storyboard(throw, find_workcell("ur5e_allegro")) for throw in throws]
+    assert count == max(len(board.steps) for board in boards) + LAST_PICTURES - 1
+
+
+@pytest.mark.slow
+def test_the_command_draws_one_throw_after_the_other(opengl: None, tmp_path: Path):
+    Policy(contract_of(PROPOSED), hidden=(16,)).save(tmp_path / "policy")
+    path, options = tmp_path / "film.webp", ["--throws", "2", "--view", "rgb", "--layout", "sequence"]
+    assert main(["play", str(tmp_path / "policy"), "--out", str(path), *options]) == 0
+    with Image.open(path) as film:
+        assert film.size == (800, 600)
+        assert len(ImageSequence.all_frames(film)) > 50  # a picture that does not change is shown for longer
