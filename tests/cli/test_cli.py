@@ -229,6 +229,7 @@ def test_training_and_evaluating_its_policy(tmp_path: Path):
     assert result.returncode == 0, result.stderr
     assert "finished" in result.stdout
     policy, method = load_policy(out)
+    assert isinstance(policy, Policy)
     assert (method.name, policy.hidden) == ("only_center", (16,))
 
 

@@ -9,7 +9,8 @@ import torch
 from paper_robot import ARM_JOINTS, HAND_JOINTS
 from pixel2catch.cli.main import main
 from pixel2catch.envs.tasks import TASKS
-from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.evaluation.loading import load_policy, policy_folder
+from pixel2catch.policy import Policy
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 SIZE = (
@@ -106,7 +107,7 @@ def test_a_training_goes_on_from_a_shipped_policy_by_its_name(tmp_path: Path):
     task = ("train", "catch+fit", "--preset", "cpu", "--device", "cpu", "--task", "wide")
     small = ("--num-envs", "4", "--rollout-steps", "4", "--transitions", "32", "--physics-hz", "30")
     assert run(*task, *small, "--start", "catch+fit", "--out", tmp_path / "run") == 0
-    (shipped, _), (trained, _) = load_policy(Path("catch+fit")), load_policy(tmp_path / "run")
+    shipped, trained = (Policy.load(policy_folder(path)) for path in (Path("catch+fit"), tmp_path / "run"))
     for (name, before), after in zip(shipped.named_parameters(), trained.parameters(), strict=True):
         assert torch.equal(before, after), name
 

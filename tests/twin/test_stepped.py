@@ -14,7 +14,7 @@ from pixel2catch.deployment.control_loop import SHIFT
 from pixel2catch.deployment.recorder import ORDERS
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.evaluation.loading import policy_folder, task_of
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
@@ -26,7 +26,7 @@ from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.stepped import HOP, rehearse_stepped
 from pixel2catch.workcells import find_workcell
 
-POLICY, _ = load_policy(Path("proposed"))
+POLICY = Policy.load(policy_folder(Path("proposed")))
 TASK = task_of(POLICY, physics_hz=120.0)
 ONE = RehearsalCfg(throws=1, seed=3, plain=True)
 

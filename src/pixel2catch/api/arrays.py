@@ -13,7 +13,8 @@ from torch import Tensor
 
 from pixel2catch.envs.catch_env import CatchEnv, Step
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.rendering.renderer import OUTSIDE_VIEW, Renderer
+from pixel2catch.rendering.film import WIDE
+from pixel2catch.rendering.renderer import Renderer
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import build_model
 
@@ -93,5 +94,5 @@ class Pictures:
     def _renderer(self, object_name: str) -> Renderer:
         if object_name not in self._renderers:
             scene = replace(self._env.cfg.scene, visuals=True)
-            self._renderers[object_name] = Renderer(build_model(scene, object_name), OUTSIDE_VIEW)
+            self._renderers[object_name] = Renderer(build_model(scene, object_name), WIDE)
         return self._renderers[object_name]

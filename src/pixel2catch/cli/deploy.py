@@ -55,7 +55,7 @@ class Deploy:
     on /pixel2catch/dead_man; whatever goes wrong stops it until it is armed again. It runs until Ctrl-C.
     """
 
-    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
+    #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
     #: New folder for a rosbag2 (MCAP) of all that was seen, decided and commanded.
     record: Path | None = None

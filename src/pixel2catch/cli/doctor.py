@@ -328,6 +328,8 @@ class Doctor:
             check("cyclonedds", partial(optional, "cyclonedds", "cyclonedds", "deployment")),
             check("DDS", dds),
             check("viser", partial(optional, "viser", "viser", "viewer")),
+            check("ONNX Runtime", partial(optional, "onnxruntime", "onnxruntime", "onnx")),
+            check("pyarrow", partial(optional, "pyarrow", "pyarrow", "lerobot")),
             check("transformers", partial(optional, "transformers", "transformers", "sam2")),
             check("torchvision", torchvision),
             check("SAM 2", partial(sam2, self.checkpoint), is_needed=self.checkpoint is not None),

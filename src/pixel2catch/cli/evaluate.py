@@ -13,7 +13,7 @@ from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
 class Evaluate:
     """Evaluate a policy: rounds of throws with all noise and randomisation, and a test of every hold."""
 
-    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
+    #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)

@@ -1,29 +1,139 @@
-"""`pixel2catch export`: a policy for elsewhere."""
+"""`pixel2catch export`: a policy as an ONNX file or a page, throws or recordings as a data set of LeRobot."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, cast
 
 from tyro.conf import Positional
+
+from pixel2catch.cli.link import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a policy as a page that runs it in a browser."""
+    """Write a policy as one ONNX file or as a page for browsers, or what policies do as a data set.
 
-    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
-    policy: Positional[Path | None] = None
-    #: Folder of a static page, in which one throws with the mouse and the policy catches.
-    web_demo: Path
+    --format onnx: networks, input statistics and the whole contract in a file that other commands take in the
+    place of a policy's folder. --format lerobot: throws of a policy in simulation, or the recording of a
+    deployment, as a data set of LeRobot (format 3.0).
+    """
+
+    #: Folder of a policy or of its training run, or a shipped name; with --format lerobot also what `deploy
+    #: --record` or `rehearse --record` wrote. Default: catch_alone+fit.
+    source: Positional[Path | None] = None
+    format: Literal["onnx", "lerobot"] = "onnx"  #: What is written.
+    #: The file, or the data set's new folder. Default: the source's name in the working directory.
+    out: Path | None = None
+    #: Write this folder instead: a static page, in which one throws with the mouse and the policy catches.
+    web_demo: Path | None = None
+    #: For throws: what is thrown: seen, unseen, real, names of objects, or several of them.
+    objects: tuple[str, ...] = ("seen",)
+    throws: int = 100  #: For throws: how many.
+    seed: int = 0  #: For throws: seed of everything that is drawn.
+    #: For throws: draw what the robot's camera sees, which takes seconds a throw. Recorded images are always
+    #: taken over.
+    images: bool = False
+    robot: Robot = field(default_factory=Robot)  #: For a recording: the robot of then.
 
     def run(self) -> None:
-        """Write the page."""
+        """Write it."""
+        from pixel2catch.evaluation.loading import DEFAULT_POLICY
+
+        if self.web_demo:
+            self._write_page(self.web_demo)
+            return
+        source = self.source or Path(DEFAULT_POLICY)
+        name = source.resolve().parent.name if source.name == "policy" else source.stem
+        if self.format == "onnx":
+            self._write_policy(self.out or Path(f"{name}.onnx"))
+        else:
+            self._write_data(self.out or Path(f"{name}-lerobot"))
+
+    def _write_policy(self, out: Path) -> None:
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.errors import InvalidValueError
+        from pixel2catch.evaluation.loading import load_policy
+        from pixel2catch.files import require_free_file, write_atomically
+        from pixel2catch.policy import Policy
+        from pixel2catch.policy.onnx_policy import SUFFIX, OnnxPolicy, largest_difference, to_onnx
+
+        if out.suffix != SUFFIX:
+            raise InvalidValueError(f"'{out}' must end in {SUFFIX}, by which other commands know it.")
+        prepare("cpu")
+        policy, _ = load_policy(self.source)
+        if not isinstance(policy, Policy):
+            raise InvalidValueError(f"'{self.source}' is an ONNX file already; copy it.")
+        require_free_file(out)
+        data = to_onnx(policy)
+        write_atomically({out: data})
+        difference = largest_difference(policy, OnnxPolicy(data))
+        print(
+            f"wrote {out}: {policy.contract.method}, {len(data) / 1e6:.1f} MB; actions differ from the "
+            f"original's by {difference:.1e} at most, on 10,000 random inputs"
+        )
+
+    def _write_page(self, out: Path) -> None:
         from pixel2catch.cli.console import say
         from pixel2catch.evaluation.web_demo import write_web_demo
 
-        missing = write_web_demo(self.policy, self.web_demo)
+        missing = write_web_demo(self.source, out)
         if missing:
             say(
                 f"the page needs {' and '.join(missing)}: fetch them and export again\n"
-                f"  npm install --prefix {self.web_demo} {' '.join(missing)}"
+                f"  npm install --prefix {out} {' '.join(missing)}"
             )
-        print(f"wrote {self.web_demo}; look at it: python -m http.server --directory {self.web_demo}")
+        print(f"wrote {out}; look at it: python -m http.server --directory {out}")
+
+    def _write_data(self, out: Path) -> None:
+        from pixel2catch.cli.device import prepare
+        from pixel2catch.cli.extras import needs_extra
+
+        with needs_extra("lerobot"):
+            import pyarrow  # noqa: F401 (what writes the files)
+        prepare("cpu")
+        said = self._write_recording(out) if _is_recording(self.source) else self._write_throws(out)
+        print(f"wrote {out}: {said}")
+
+    def _write_recording(self, out: Path) -> str:
+        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.datasets.lerobot import DatasetWriter
+        from pixel2catch.workcells import find_workcell
+
+        with needs_extra("deployment"):
+            from pixel2catch.datasets.recordings import write_recording
+        profile = self.robot.load()
+        with DatasetWriter(out, find_workcell(profile.workcell)) as writer:
+            write_recording(cast(Path, self.source), profile, writer)
+        return f"{writer.num_episodes} runs of the policy, {writer.num_steps} control steps"
+
+    def _write_throws(self, out: Path) -> str:
+        from pixel2catch.cli.console import say
+        from pixel2catch.datasets.lerobot import DatasetWriter
+        from pixel2catch.datasets.throws import write_throws
+        from pixel2catch.evaluation.loading import load_policy, task_of
+        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.rendering.renderer import find_gl_backend
+        from pixel2catch.scene.objects import select_objects
+        from pixel2catch.workcells import find_workcell
+
+        policy, method = load_policy(self.source)
+        cfg = EvaluationCfg(
+            objects=select_objects(self.objects),
+            num_envs=self.throws,
+            trials=1,
+            seed=self.seed,
+            task=task_of(policy),
+        )
+        if self.images:
+            find_gl_backend()
+        with DatasetWriter(out, find_workcell(policy.contract.workcell)) as writer:
+            say(f"throwing {self.throws} times ...")
+            num_caught = write_throws(cfg, policy, method, writer, self.images)
+        return f"{writer.num_episodes} throws, {num_caught} caught; {writer.num_steps} control steps"
+
+
+def _is_recording(source: Path | None) -> bool:
+    """Whether it is a rosbag2: its folder, or its .mcap or .db3 file."""
+    from pixel2catch.ros2.bags import BAG_SUFFIXES
+
+    return source is not None and (source.suffix in BAG_SUFFIXES or (source / "metadata.yaml").exists())

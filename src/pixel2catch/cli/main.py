@@ -47,8 +47,8 @@ COMMANDS = (
     Twin,
     Rehearse,
     Replay,
-    Scene,
     Export,
+    Scene,
     Bench,
     Doctor,
 )

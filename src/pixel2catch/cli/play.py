@@ -14,7 +14,7 @@ from pixel2catch.viewer.config import PageCfg
 class Play:
     """Write a film of throws: robot and thrower, the catch in slow motion, the robot's camera in a corner."""
 
-    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
+    #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[Path | None] = None
     #: The film, as .mp4, .webp or .gif; as .png it is a strip of stills of every throw.
     out: Path = Path("play.mp4")

@@ -27,7 +27,7 @@ class Rehearse:
     slow or busy machine, and times are those that are stated.
     """
 
-    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
+    #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[str | None] = None
     rehearsal: RehearsalCfg = field(default_factory=RehearsalCfg)  #: What is rehearsed, and in what time.
     out: Path = Path("rehearsal")  #: New or empty folder for report.json and what both processes print.

@@ -30,7 +30,7 @@ class Replay:
     out: Path | None = None
     web: bool = False  #: Whether to serve a page that shows the recording, instead of deciding once more.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
-    #: Folder of a policy or of its training run, or a shipped name. Default: catch_alone+fit.
+    #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Path | None = None
     perception_ms: float = 10.0  #: Time that perception takes for an image.
     json: bool = False  #: Print the report as one JSON object.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Stress:
     """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted."""
 
-    #: Folders of policies or training runs, or names of shipped policies. Default: all shipped.
+    #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default: all shipped.
     policies: Positional[tuple[Path, ...]] = ()
     #: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
     axes: tuple[str, ...] = ()

@@ -22,7 +22,7 @@ from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
-from pixel2catch.policy import Policy, contract_of, method_of
+from pixel2catch.policy import LoadedPolicy, contract_of, method_of
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
@@ -42,7 +42,7 @@ class _Past:
 class Controller:
     """A policy at its control rate: call `reset` before a throw, then `step` in every control step."""
 
-    def __init__(self, policy: Policy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
+    def __init__(self, policy: LoadedPolicy, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA) -> None:
         """Take over a policy, for the robots and the camera of the laboratory.
 
         Raises:

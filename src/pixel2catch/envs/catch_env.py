@@ -168,6 +168,11 @@ class CatchEnv:
         self.world.simulation.check()
         self._require_numbers()
 
+    @property
+    def measurement(self) -> Measurement:
+        """What the robot measured last; the next step overwrites it."""
+        return self._senses.history.now
+
     def close(self) -> None:
         """Free the simulation."""
         self.world.simulation.close()

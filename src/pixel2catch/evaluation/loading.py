@@ -11,7 +11,9 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import Method
-from pixel2catch.policy import Policy, contract_of, method_of
+from pixel2catch.policy import LoadedPolicy, contract_of, method_of
+from pixel2catch.policy.onnx_policy import load
+from pixel2catch.policy.policy import WEIGHTS_FILE
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
@@ -42,17 +44,17 @@ def shipped_policies() -> dict[str, Path]:
     return found
 
 
-def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Method]:
+def load_policy(folder: Path | None, device: str = "cpu") -> tuple[LoadedPolicy, Method]:
     """Read a policy and see that it fits this code; it may have a camera of its own, see `task_of`.
 
-    The folder is the policy's or the run folder around it, or the name of a shipped policy; the shipped
-    default policy if absent.
+    The folder is the policy's or the run folder around it; or it is the policy's ONNX file, or the name of a
+    shipped policy; the shipped default policy if absent.
 
     Raises:
         PolicyMismatchError: If there is no policy, or it is of another robot, image size or format, or of a
             method that neither this package nor its contract defines.
     """
-    policy = Policy.load(policy_folder(folder), device)
+    policy = load(policy_folder(folder), device)
     workcell = find_workcell(policy.contract.workcell)
     method = method_of(policy.contract)
     expected, found = contract_of(method, workcell), policy.contract.camera
@@ -64,7 +66,8 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[Policy, Metho
 
 def fingerprint(folder: Path | None) -> str:
     """SHA-256 of the networks of the policy that `load_policy` reads, to tell of which policy a result is."""
-    return sha256(policy_folder(folder) / "policy.safetensors")
+    found = policy_folder(folder)
+    return sha256(found / WEIGHTS_FILE if found.is_dir() else found)
 
 
 def sha256(file: Path) -> str:
@@ -73,7 +76,10 @@ def sha256(file: Path) -> str:
 
 
 def task_of(
-    policy: Policy, physics_hz: float = PHYSICS_HZ, dynamics: Path | None = None, camera: Path | None = None
+    policy: LoadedPolicy,
+    physics_hz: float = PHYSICS_HZ,
+    dynamics: Path | None = None,
+    camera: Path | None = None,
 ) -> CatchEnvCfg:
     """The task, with finer physics than in training, and the hand and camera the policy was trained with.
 
@@ -87,7 +93,7 @@ def task_of(
     return task.with_camera(CameraFile(camera=_camera_of(policy))).with_files(dynamics, camera)
 
 
-def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
+def camera_remark(policy: LoadedPolicy, task: CatchEnvCfg) -> Iterator[str]:
     """What is to be said of the camera, where it is not that of the release alone."""
     trained = _camera_of(policy)
     if task.sensing.camera.camera != trained:
@@ -96,12 +102,12 @@ def camera_remark(policy: Policy, task: CatchEnvCfg) -> Iterator[str]:
         yield "the policy was trained for a camera of its own, and sees by that"
 
 
-def _camera_of(policy: Policy) -> CameraSpec:
+def _camera_of(policy: LoadedPolicy) -> CameraSpec:
     return CameraSpec(**cast(dict[str, Any], policy.contract.camera))
 
 
 def policy_folder(folder: Path | None) -> Path:
-    """The own folder of the policy that `load_policy` reads.
+    """The own folder, or the ONNX file, of the policy that `load_policy` reads.
 
     Raises:
         PolicyMismatchError: If there is none.

@@ -76,6 +76,12 @@ class Policy(nn.Module):
                 self._hidden_states[name] = state
         return actions
 
+    @property
+    def description(self) -> str:
+        """The contract and the sizes of the networks as JSON."""
+        sizes = {"hidden": list(self.hidden)} | ({"recurrent": self.recurrent} if self.recurrent else {})
+        return json.dumps({**sizes, **self.contract.to_dict()}, indent=2) + "\n"
+
     def save(self, folder: Path) -> None:
         """Write `policy.safetensors` and `policy.json` into a folder, both or neither.
 
@@ -83,8 +89,7 @@ class Policy(nn.Module):
             OSError: A file could not be written; a policy that was there before is still there.
         """
         folder.mkdir(parents=True, exist_ok=True)
-        sizes = {"hidden": list(self.hidden)} | ({"recurrent": self.recurrent} if self.recurrent else {})
-        text = json.dumps({**sizes, **self.contract.to_dict()}, indent=2) + "\n"
+        text = self.description
         tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in self.state_dict().items()}
         weights = safetensors.torch.save(tensors, metadata={"policy": text})
         write_atomically({folder / WEIGHTS_FILE: weights, folder / CONTRACT_FILE: text.encode()})
@@ -121,7 +126,7 @@ def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             saved_text = (file.metadata() or {}).get("policy")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
         description = json.loads(text)
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise PolicyMismatchError(
             f"no policy in '{folder}': it needs {WEIGHTS_FILE} and {CONTRACT_FILE}, as training writes them."
         ) from error

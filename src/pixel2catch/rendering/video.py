@@ -67,10 +67,11 @@ def draw_box(image: UInt8[ndarray, "height width 3"], box: Float[ndarray, "4"]) 
 class VideoWriter(AbstractContextManager["VideoWriter"]):
     """Writes pictures of one size to an H.264 file; close it, or use it as a context manager."""
 
-    def __init__(self, path: Path, *, fps: int = 30, crf: int = 23) -> None:
+    def __init__(self, path: Path, *, fps: int = 30, crf: int = 23, gop: int | None = None) -> None:
         """Open the file; its ending names the container, such as .mp4.
 
-        `crf` is the constant rate factor: lower is better and larger.
+        `crf` is the constant rate factor: lower is better and larger. Of `gop` pictures one is stored whole,
+        from where a reader can begin; the encoder's own choice if absent.
 
         Raises:
             InvalidValueError: If the folder does not exist, or the ending names no format.
@@ -81,7 +82,7 @@ class VideoWriter(AbstractContextManager["VideoWriter"]):
             self._container = av.open(str(path), "w")
         except ValueError as error:
             raise InvalidValueError(f"cannot write '{path}': {error}; end its name in .mp4.") from error
-        options = {"crf": str(crf)}
+        options = {"crf": str(crf)} | ({"g": str(gop)} if gop else {})
         self._stream: Any = self._container.add_stream("libx264", rate=Fraction(fps), options=options)
         self._stream.pix_fmt = "yuv420p"
         self._is_sized = False

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
-    from pixel2catch.policy import Policy
+    from pixel2catch.policy import LoadedPolicy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +17,7 @@ class TaskArgs:
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
 
-    def make(self, policy: "Policy") -> "CatchEnvCfg":
+    def make(self, policy: "LoadedPolicy") -> "CatchEnvCfg":
         """The task in which a policy is to catch."""
         from pixel2catch.evaluation.loading import task_of
         from pixel2catch.scene.objects import select_objects

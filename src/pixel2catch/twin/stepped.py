@@ -17,7 +17,7 @@ from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image
-from pixel2catch.policy import Policy
+from pixel2catch.policy import LoadedPolicy
 from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.servo.limits import ServoLimits
@@ -118,7 +118,7 @@ GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))  #: Colo
 def rehearse_stepped(
     cfg: RehearsalCfg,
     task: CatchEnvCfg,
-    policy: Policy,
+    policy: LoadedPolicy,
     report: Callable[[Outcome], None],
     limits: ServoLimits | None = None,
 ) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def rehearse_stepped(
 
 @contextmanager
 def in_step(
-    cfg: RehearsalCfg, task: CatchEnvCfg, policy: Policy, limits: ServoLimits | None = None
+    cfg: RehearsalCfg, task: CatchEnvCfg, policy: LoadedPolicy, limits: ServoLimits | None = None
 ) -> Iterator[SteppedRehearsal]:
     """Twin and deployment of a rehearsal, before the first throw.
 

@@ -164,10 +164,11 @@ def _one_processor() -> Iterator[None]:
 
 
 def _entry(folder: Path) -> PolicyEntry:
-    """The policy in a folder or in the run folder around it; it is called as the folder of the run."""
+    """The policy in a folder or in the run folder around it, or an ONNX file, after which it is called."""
     policy, method = load_policy(folder)
     resolved = folder.resolve()
-    name = resolved.parent.name if resolved.name == "policy" else resolved.name
+    name = resolved.name if resolved.is_dir() else resolved.stem
+    name = resolved.parent.name if resolved.name == "policy" else name
     return PolicyEntry(name=name, folder=folder, method=method.name, task=policy.contract.task)
 
 

@@ -63,6 +63,10 @@ def write_web_demo(policy_folder: Path | None, out: Path) -> tuple[str, ...]:
         InvalidValueError: If the folder holds something else, or cannot be made.
     """
     policy, _ = load_policy(policy_folder)
+    if not isinstance(policy, Policy):
+        raise PolicyMismatchError(
+            f"'{policy_folder}' is an ONNX file, which the page cannot read; name a folder."
+        )
     workcell = find_workcell(policy.contract.workcell)
     _require_runnable(policy, workcell)
     page = _page_files()

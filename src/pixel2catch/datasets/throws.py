@@ -1,0 +1,104 @@
+"""Simulated throws as a data set: what the robot measured, what the policy commanded, what came of it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import repeat
+from typing import Any, final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pixel2catch.camera.boxes import pixel_features
+from pixel2catch.datasets.features import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS
+from pixel2catch.datasets.lerobot import DatasetWriter, Image
+from pixel2catch.envs.catch_env import CatchEnv, Step
+from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, run_round
+from pixel2catch.mdp.masks import clone
+from pixel2catch.mdp.snapshot import Measurement
+from pixel2catch.methods import Method
+from pixel2catch.rendering.renderer import RGB_VIEW, Renderer
+from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.scene import SceneCfg, build_model
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Moment:
+    """A control step of all environments: what was measured before it, and what it did."""
+
+    features: dict[str, Tensor]  #: (num_envs, size) by feature.
+    qpos: Tensor  #: Positions of the simulation before it, (num_envs, nq).
+    is_thrown: Tensor  #: Whether the trial of the environment was still undecided, (num_envs,).
+
+
+@final
+class _Watcher:
+    """Acts as an actor does, and remembers what there was before, and what came of it."""
+
+    def __init__(self, actor: Actor, env: CatchEnv) -> None:
+        self._actor, self._env = actor, env
+        self._qpos = env.world.simulation.bind("qpos")
+        self._is_thrown = torch.ones(env.num_envs, dtype=torch.bool)
+        self._before: Measurement | None = None
+        self.moments = list[_Moment]()
+
+    def reset(self, is_ended: Tensor | None = None) -> None:
+        self._actor.reset(is_ended)
+
+    def act(self, observations: dict[str, Tensor]) -> dict[str, Tensor]:
+        now = clone(self._env.measurement)
+        before = self._before or now
+        pixels = pixel_features(before.box, now.box, RGB_CAMERA)
+        self._before, self._qpos_now = now, self._qpos.cpu().clone()
+        self._seen = {
+            STATE: now.joint_pos,
+            SEEN: torch.cat((now.box, pixels), dim=-1),
+            AGE: now.boxes.age[:, :1],
+        }
+        return self._actor.act(observations)
+
+    def watch(self, step: Step, state: RoundState) -> None:
+        """Remember a step."""
+        rewards = torch.stack([*step.rewards.values()]).sum(dim=0)
+        made = {ACTION: step.joint_pos_target, REWARD: rewards[:, None]}
+        features = {name: value.cpu().clone() for name, value in (self._seen | made).items()}
+        self.moments.append(_Moment(features=features, qpos=self._qpos_now, is_thrown=self._is_thrown))
+        self._is_thrown = (state.is_running & ~state.is_testing).cpu().clone()
+
+
+def write_throws(
+    cfg: EvaluationCfg, actor: Actor, method: Method, writer: DatasetWriter, images: bool
+) -> int:
+    """Throw once in every environment, and write every trial until it is decided; return how many caught.
+
+    Images are drawn if asked for: what the robot's camera sees when the policy decides, late as they are for
+    it or not.
+
+    Raises:
+        DeviceUnavailableError: Images cannot be drawn on this machine.
+    """
+    env = cfg.make_env(method)
+    try:
+        watcher = _Watcher(actor, env)
+        record = run_round(env, watcher, watcher.watch).record
+        names = [env.world.objects.names[row] for row in record.object_id.tolist()]
+    finally:
+        env.close()
+    for row, (name, is_success) in enumerate(zip(names, record.is_success.tolist(), strict=True)):
+        moments = [moment for moment in watcher.moments if moment.is_thrown[row]]
+        pictures = _pictures([moment.qpos[row].numpy() for moment in moments], cfg.task.scene, name)
+        pictures = pictures if images else repeat(None, len(moments))
+        for number, (moment, picture) in enumerate(zip(moments, pictures, strict=True), 1):
+            step: dict[str, Any] = {key: value[row].numpy() for key, value in moment.features.items()}
+            is_last = number == len(moments)
+            step |= {DONE: is_last, SUCCESS: is_last and is_success}
+            writer.add(step, picture)
+        writer.end_episode(f"Catch the thrown object: {name}.")
+    return int(record.is_success.sum())
+
+
+def _pictures(qpos: list[np.ndarray], scene: SceneCfg, object_name: str) -> Iterator[Image]:
+    """What the robot's camera sees at positions of the simulation, (nq,) each."""
+    with Renderer(build_model(replace(scene, visuals=True), object_name), RGB_VIEW) as renderer:
+        for positions in qpos:
+            yield renderer.image(positions)

@@ -1,0 +1,115 @@
+"""Simulated throws as a data set."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+import torch
+from pyarrow import parquet
+
+from pixel2catch.camera.boxes import pixel_features
+from pixel2catch.cli.main import main
+from pixel2catch.datasets.features import ACTION, AGE, DONE, IMAGES, REWARD, SEEN, STATE, SUCCESS
+from pixel2catch.datasets.lerobot import DatasetWriter
+from pixel2catch.datasets.throws import write_throws
+from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.evaluation.protocol import TRIAL_STEPS, EvaluationCfg
+from pixel2catch.rendering.renderer import find_gl_backend
+from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.workcells import find_workcell
+
+CFG = EvaluationCfg(objects=("cube_s", "sphere_l"), num_envs=3, trials=1, seed=5)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("throws") / "out"
+    policy, method = load_policy(None)
+    cfg = EvaluationCfg(**{**vars(CFG), "task": task_of(policy, physics_hz=120.0)})
+    with DatasetWriter(folder, find_workcell(policy.contract.workcell)) as writer:
+        num_caught = write_throws(cfg, policy, method, writer, images=False)
+        assert writer.num_episodes == CFG.num_envs
+    episodes = steps_of(folder)
+    assert num_caught == sum(episode[SUCCESS][-1] for episode in episodes)
+    assert num_caught > 0
+    return folder
+
+
+def steps_of(folder: Path) -> list[dict[str, np.ndarray]]:
+    """The columns of every episode."""
+    rows: list[dict[str, Any]] = parquet.read_table(folder / "data/chunk-000/file-000.parquet").to_pylist()
+    numbers = sorted({row["episode_index"] for row in rows})
+    episodes = [[row for row in rows if row["episode_index"] == number] for number in numbers]
+    return [{name: np.array([row[name] for row in each]) for name in each[0]} for each in episodes]
+
+
+def test_only_the_last_step_ends_a_throw(folder: Path) -> None:
+    for episode in steps_of(folder):
+        assert 20 < len(episode[DONE]) <= TRIAL_STEPS
+        assert episode[DONE].tolist() == [False] * (len(episode[DONE]) - 1) + [True]
+        assert not episode[SUCCESS][:-1].any()
+
+
+def test_joints_follow_their_targets(folder: Path) -> None:
+    """A step's target is where its joints go next: nearer than where they were, and no target of another."""
+    for episode in steps_of(folder):
+        state, action = episode[STATE][:, :6], episode[ACTION][:, :6]
+        lead = action - state
+        moved = np.roll(state, -1, axis=0) - state
+        assert (lead[:-1] * moved[:-1]).sum() > 0.8 * np.sqrt(
+            (lead[:-1] ** 2).sum() * (moved[:-1] ** 2).sum()
+        )
+
+
+def test_pixel_features_are_those_of_the_boxes(folder: Path) -> None:
+    for episode in steps_of(folder):
+        box, pixels = torch.from_numpy(episode[SEEN][:, :4]), torch.from_numpy(episode[SEEN][:, 4:])
+        torch.testing.assert_close(
+            pixels[1:], pixel_features(box[:-1], box[1:], RGB_CAMERA), atol=1e-3, rtol=1e-4
+        )
+        assert (box[:, 2:] > box[:, :2]).all()
+        assert (episode[AGE] >= 1.0).all()
+        assert np.abs(episode[REWARD]).max() > 0.0
+
+
+def test_what_was_thrown_is_the_task(folder: Path) -> None:
+    tasks = parquet.read_table(folder / "meta/tasks.parquet").to_pydict()["__index_level_0__"]
+    assert set(tasks) <= {f"Catch the thrown object: {name}." for name in CFG.objects}
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It counts what it wrote, overwrites nothing, and refuses to throw nothing."""
+    out = tmp_path / "set"
+    assert main(["export", "--format", "lerobot", "--throws", "1", "--seed", "1", "--out", str(out)]) == 0
+    assert "1 throws" in capsys.readouterr().out
+    assert json.loads((out / "meta/info.json").read_text())["total_episodes"] == 1
+    assert main(["export", "--format", "lerobot", "--throws", "1", "--out", str(out)]) == 2
+    assert "not an empty folder" in capsys.readouterr().err
+    assert main(["export", "--format", "lerobot", "--throws", "0", "--out", str(tmp_path / "none")]) == 2
+
+
+@pytest.mark.slow
+def test_images_show_the_object_where_it_is_one_or_two_steps_later_by_its_box(tmp_path: Path) -> None:
+    try:
+        find_gl_backend()
+    except DeviceUnavailableError as error:
+        pytest.skip(str(error))
+    args = ["--throws", "1", "--objects", "sphere_l", "--images", "--out", str(tmp_path / "out")]
+    assert main(["export", "--format", "lerobot", *args]) == 0
+    with av.open(str(tmp_path / "out/videos" / IMAGES / "chunk-000/file-000.mp4")) as video:
+        images = [frame.to_ndarray(format="rgb24").astype(int) for frame in video.decode(video=0)]
+    (episode,) = steps_of(tmp_path / "out")
+    assert len(images) == len(episode[DONE])
+    centers = []
+    for red, green, blue in (np.moveaxis(image, -1, 0) for image in images):
+        rows, columns = np.nonzero((red > 120) & (green < 0.5 * red) & (blue < 0.5 * red))
+        centers.append((np.median(columns), np.median(rows)))
+    boxes = 0.5 * (episode[SEEN][:, :2] + episode[SEEN][:, 2:4])
+    errors = {late: np.hypot(*(np.array(centers)[:20] - boxes[late : 20 + late]).T) for late in (0, 1, 2)}
+    medians = {late: float(np.median(error)) for late, error in errors.items()}
+    assert min(medians[1], medians[2]) < 5.0
+    assert medians[0] > min(medians[1], medians[2])
