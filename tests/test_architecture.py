@@ -85,7 +85,7 @@ def test_configurations_are_frozen_and_keyword_only():
     assert not loose, "decorate these with @dataclass(frozen=True, kw_only=True)"
 
 
-@pytest.mark.parametrize("path", python_files("src", "tests", "benchmarks", "examples"), ids=ids)
+@pytest.mark.parametrize("path", python_files("src", "tests", "benchmarks", "examples", "docs"), ids=ids)
 def test_files_and_functions_are_short(path: Path):
     num_lines = len(path.read_text(encoding="utf-8").splitlines())
     assert num_lines < MAX_FILE_LINES

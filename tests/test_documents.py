@@ -101,6 +101,12 @@ def test_quick_commands_run(line: str, tmp_path: Path, monkeypatch: pytest.Monke
     assert main(shlex.split(line)[1:]) == 0
 
 
+def test_every_folder_of_the_package_is_explained():
+    page = (ROOT / "docs" / "structure.md").read_text("utf-8")
+    for file in ROOT.glob("src/pixel2catch/*/__init__.py"):
+        assert f"`{file.parent.name}/`" in page
+
+
 @cache
 def messages() -> str:
     """All text of the package's code, with a gap where a value is filled in, and the Makefile."""
