@@ -148,7 +148,9 @@ def test_figures_are_small_and_shown():
         assert f"figures/{path.name}" in shown
 
 
-def test_the_notebook_runs(tmp_path: Path):
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for folder in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
+        monkeypatch.setenv(folder, str(tmp_path / folder.lower()))
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     notebook = nbformat.read(ROOT / "docs" / "catching.ipynb", as_version=4)
     said = [output.get("text") for cell in notebook.cells for output in cell.get("outputs", ())]
