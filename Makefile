@@ -1,5 +1,8 @@
 # Targets are listed by `make help`. The environment in .venv follows the pins of requirements*.txt.
 PYTHON ?= python3
+# Which build of PyTorch: cpu (2.7 GB in all), where no NVIDIA driver is loaded; default, the package index's own
+# (for CUDA: 6.3 GB); or auto, cu128 and so on, as uv has them.
+TORCH ?= $(if $(wildcard /proc/driver/nvidia/version),default,cpu)
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
@@ -7,15 +10,21 @@ PINS := requirements.txt requirements-dev.txt pyproject.toml
 
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: setup catch test check docs format help
+.PHONY: setup catch test check docs wheel format help
 .DELETE_ON_ERROR:
 
 setup: $(READY) ## make .venv from the pinned versions (once; again when they change)
 
 $(READY): $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make setup PYTHON=python3.12")'
-	@echo "Setting up $(VENV) from the pinned versions (one to three minutes) ..."
+	@echo "Setting up $(VENV) from the pinned versions, PyTorch: $(TORCH) (one to three minutes) ..."
 	@$(PYTHON) -m venv --clear $(VENV)
+ifneq ($(TORCH),default)
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(shell grep '^uv==' requirements-dev.txt)
+	@UV_HTTP_RETRIES=0 $(BIN)/uv pip install --quiet --python $(BIN)/python --torch-backend=$(TORCH) \
+		--constraint requirements.txt torch 2>$(VENV)/torch.log \
+		|| echo "No such build of PyTorch can be reached (see $(VENV)/torch.log): pip takes the one that it finds."
+endif
 	@$(BIN)/pip install --quiet --disable-pip-version-check -r requirements.txt -r requirements-dev.txt
 	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@touch $@
@@ -35,6 +44,9 @@ check: $(READY) ## formatting, lint, types, import rules, spelling
 
 docs: $(READY) ## build the site of docs/ into site/; warnings are errors
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
+wheel: $(READY) ## build the wheel, and try it away from here
+	@.ci/try_wheel
 
 format: $(READY) ## format the code and mend what ruff can mend
 	@$(BIN)/ruff format --quiet .

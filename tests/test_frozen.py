@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pixel2catch.evaluation.loading import DEFAULT_POLICY, load_policy, shipped_policies, task_of
+from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, evaluate
 from pixel2catch.scene.objects import OBJECTS, SEEN
 from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
 
 FOLDER = Path(__file__).parent / "frozen"
 MODELS, THROWS = FOLDER / "models.npz", FOLDER / "throws.json"

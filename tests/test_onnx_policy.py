@@ -15,7 +15,7 @@ from torch import Tensor
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
-from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256, shipped_policies, task_of
+from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, run_round
 from pixel2catch.evaluation.stress.measuring import _entry
 from pixel2catch.mdp.box_history import BoxHistory
@@ -23,6 +23,7 @@ from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.onnx_policy import OnnxPolicy, load, to_onnx
 from pixel2catch.scene.objects import SEEN
+from pixel2catch.shipped import shipped_policies
 from pixel2catch.workcells import find_workcell
 
 CONTRACT = contract_of(METHODS["proposed"])

@@ -15,14 +15,16 @@ class UnknownNameError(Pixel2CatchError):
         kind: What was looked up, such as "object" or "method".
         name: The name that was given.
         valid: The names that exist.
+        other: What is valid besides.
     """
 
-    def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: str, valid: Iterable[str], other: str = "") -> None:
         """Compose the message from the closest and from all valid names."""
         names = list(valid)
         close = get_close_matches(name, names, n=1)
         hint = f" Did you mean '{close[0]}'?" if close else ""
-        super().__init__(f"unknown {kind} '{name}'.{hint} Valid: {', '.join(names)}.")
+        all_valid = ", ".join([*names, other] if other else names)
+        super().__init__(f"unknown {kind} '{name}'.{hint} Valid: {all_valid}.")
 
 
 class InvalidValueError(Pixel2CatchError, ValueError):

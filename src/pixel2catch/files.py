@@ -1,14 +1,18 @@
 """Files that are either the old ones or the new ones, never half of each; and what is written into them."""
 
 import dataclasses
+import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from pixel2catch.errors import InvalidValueError
+
+JSON_KINDS = {list: "a list", str: "a text", int: "a number", float: "a number", bool: "true or false"}
+"""What JSON may hold instead of an object, in words."""
 
 
 def write_atomically(contents: Mapping[Path, bytes]) -> None:
@@ -32,27 +36,48 @@ def write_atomically(contents: Mapping[Path, bytes]) -> None:
                 os.fsync(file.fileno())
         for path, temporary in temporaries.items():
             os.replace(temporary, path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, error.filename or str(next(iter(contents)))) from error
     finally:
         for temporary in temporaries.values():
             temporary.unlink(missing_ok=True)
 
 
-def plain(value: Any) -> Any:
-    """What JSON does not know, for `json.dumps(default=plain)`: arrays as lists, anything else as text.
+def json_text(value: Any, indent: int | None = 2) -> str:
+    """A line or lines of JSON as other programs read it, too: what `as_json` makes of a value."""
+    return json.dumps(as_json(value), indent=indent, allow_nan=False) + "\n"
 
-    An infinite entry of an array is null, as JSON has no infinity.
+
+def as_json(value: Any) -> Any:
+    """A value in what JSON knows: tuples and arrays as lists, NaN and infinity as null, else text."""
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): as_json(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(entry) for entry in value]
+    return as_json(value.tolist()) if hasattr(value, "tolist") else str(value)
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no JSON, or JSON of another kind.
     """
-    return _without_infinity(value.tolist()) if hasattr(value, "tolist") else str(value)
-
-
-def _without_infinity(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_without_infinity(entry) for entry in value]
-    return None if isinstance(value, float) and math.isinf(value) else value
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict):
+        raise InvalidValueError(
+            f"it holds {JSON_KINDS.get(type(content), 'null')}, not a JSON object {{...}}"
+        )
+    return content
 
 
 def decoded(kind: Any, value: Any, name: str = "") -> Any:
-    """Read a value of a declared type from JSON: `dataclasses.asdict` and `plain` backwards.
+    """Read a value of a declared type from JSON: `dataclasses.asdict` and `as_json` backwards.
 
     Args:
         kind: A dataclass, with a `from_dict` of its own or without; `Path`, what JSON knows, or tuples,
@@ -125,20 +150,6 @@ def require_free_folder(folder: Path, option: str = "--out") -> None:
     there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
         raise InvalidValueError(f"'{folder}' cannot be made in '{there}'; choose another {option}.")
-
-
-def require_file(path: Path, endings: Sequence[str]) -> None:
-    """Refuse a file that cannot be written, or whose name ends otherwise, before the work that fills it.
-
-    Raises:
-        InvalidValueError: If the ending is another, or there is no folder for it that may be written.
-    """
-    if path.suffix.lower() not in endings:
-        raise InvalidValueError(f"cannot write '{path}': its name must end in {' or '.join(endings)}.")
-    if not path.parent.is_dir():
-        raise InvalidValueError(f"cannot write '{path}': there is no folder '{path.parent}'.")
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise InvalidValueError(f"cannot write '{path}': it is a folder or may not be written.")
 
 
 def require_free_file(path: Path) -> None:

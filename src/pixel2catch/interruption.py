@@ -3,9 +3,32 @@
 import os
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing import parent_process
 from types import FrameType
 from typing import Any
+
+
+class Terminated(KeyboardInterrupt):
+    """A scheduler or another user asked this process to end (SIGTERM): as Ctrl-C, by another name."""
+
+
+@contextmanager
+def raise_on_termination() -> Iterator[None]:
+    """End what runs in this context by `Terminated` where a termination signal comes, in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated
 
 
 class StopRequest:

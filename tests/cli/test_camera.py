@@ -105,9 +105,9 @@ def test_a_bad_file_is_refused_before_anything_is_written(
     dataclasses.replace(MEASURED, camera=dataclasses.replace(CAMERA, width=1280)).save(large)
     for path, words in (
         (bad, f"cannot read the camera file '{bad}'"),
-        (tmp_path / "none.json", "No such file"),
+        (tmp_path / "none.json", "which is not there"),
         (large, "policies look at 640 x 480"),
     ):
-        assert run(*command, "--camera", path, "--out", tmp_path / "out") == 2
+        assert run(*command, "--camera", path, "--out", tmp_path / "out.mp4") == 2
         assert words in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.json", "large.json"]

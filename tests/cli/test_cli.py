@@ -18,13 +18,14 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import COMMANDS, main
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.cli.train import Train
-from pixel2catch.evaluation.loading import DEFAULT_POLICY, load_policy, shipped_policies
+from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.evaluation.protocol import EvaluationCfg, evaluate
 from pixel2catch.learning.config import TrainCfg, preset
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import PROPOSED, find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
 
 needs_no_cuda = pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a CUDA device")
 
@@ -70,7 +71,6 @@ def test_version(capsys: pytest.CaptureFixture[str]):
     ("args", "words"),
     [
         (("evaluate", "--nope"), ("--nope", "help")),
-        (("fly",), ("fly", "evaluate", "train")),
         (("train", "--preset", "slow"), ("slow", "fast", "cpu", "paper")),
         (("evaluate", "--num-envs", "many"), ("many", "--num-envs")),
         (("scene", "x.xml", "--object", "cub"), ("pixel2catch: error", "'cub'", "cube_s", "Valid")),
@@ -209,10 +209,22 @@ def test_exported_scene_loads(ending: str, tmp_path: Path):
 
 def test_train_has_and_explains_every_option_of_its_configuration():
     text = " ".join(pixel2catch("train", "--help").stdout.replace("│", "").split())
+    assert "None" not in text
     for field in dataclasses.fields(TrainCfg)[2:]:  # the method and the environments are told otherwise
-        assert re.search(rf"--{field.name.replace('_', '-')} .*?[A-Z].*?\. \(default: None\)", text), (
-            field.name
+        said = re.search(
+            rf"--{field.name.replace('_', '-')} [A-Z{{].*?[A-Z].*?(\(default: .*?\)|Default: .*?\.)", text
         )
+        assert said, field.name
+        if field.default not in (None, dataclasses.MISSING, "cuda") and field.name != "physics_hz":
+            assert said[1].startswith(f"(default: {field.default}"), field.name
+
+
+def test_help_shows_both_flags_of_what_is_on():
+    text = " ".join(pixel2catch("deploy", "--help").stdout.replace("│", "").split())
+    assert (
+        "--mask-robot, --no-mask-robot Ignore motion where the robot is in the image. (default: True)" in text
+    )
+    assert "--no-json" not in text
 
 
 def test_what_is_not_given_to_train_is_of_the_preset():

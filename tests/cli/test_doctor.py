@@ -55,7 +55,7 @@ def test_the_table_says_what_to_install():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for word in ("pixel2catch[perception]", "pixel2catch[identification]", "pixel2catch[sam2]", "work here"):
+    for word in ("[perception]", "[identification]", "[sam2]", "work here"):
         assert word in done.stdout
 
 
@@ -63,11 +63,11 @@ def test_versions_out_of_range_are_named(monkeypatch: pytest.MonkeyPatch):
     ranges = {"numpy": SpecifierSet("<2"), "torch": SpecifierSet(">=2.11"), "no-such-thing": SpecifierSet()}
     monkeypatch.setattr(probes, "requirements", lambda extra="": ranges)
     with pytest.raises(
-        probes.Broken, match=r"^numpy 2\.\S+ is not in <2, no-such-thing is missing: pip install"
+        probes.Broken, match=r"^numpy 2\.\S+ is not in <2, no-such-thing is missing: \S*.*pip install"
     ):
         probes.packages()
     ranges = {"numpy": SpecifierSet(">=99")}
-    with pytest.raises(probes.Broken, match=r"is not in >=99: pip install --upgrade 'pixel2catch\[maths\]'"):
+    with pytest.raises(probes.Broken, match=r"is not in >=99: .*pip install .*\[maths\].* --upgrade"):
         probes.optional("numpy", "numpy", "maths")
 
 

@@ -77,10 +77,10 @@ def test_a_bad_file_is_refused_before_anything_is_written(
 ):
     bad = tmp_path / "bad.json"
     bad.write_text('{"format_version": 1, "joints": ["elbow"]}')
-    out = ("--out", tmp_path / "out")
-    for path, reason in ((bad, "is missing"), (tmp_path / "none.json", "No such file")):
+    out = ("--out", tmp_path / "out.mp4")
+    for path, reason in ((bad, "is missing"), (tmp_path / "none.json", "which is not there")):
         assert run(*command, "--dynamics", path, *out) == 2
         error = capsys.readouterr().err
-        assert f"cannot read the dynamics file '{path}'" in error
+        assert f"'{path}'" in error
         assert reason in error
     assert [path.name for path in tmp_path.iterdir()] == ["bad.json"]

@@ -9,8 +9,9 @@ import torch
 from paper_robot import ARM_JOINTS, HAND_JOINTS
 from pixel2catch.cli.main import main
 from pixel2catch.envs.tasks import TASKS
-from pixel2catch.evaluation.loading import load_policy, policy_folder
+from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.policy import Policy
+from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 SIZE = (

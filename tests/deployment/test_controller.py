@@ -11,7 +11,6 @@ from paper_robot import JOINTS
 from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
-from pixel2catch.evaluation.loading import shipped_policies
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.randomization import RandomizationCfg
@@ -20,6 +19,7 @@ from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.shipped import shipped_policies
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

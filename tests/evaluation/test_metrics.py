@@ -123,7 +123,7 @@ def test_results_stand_beside_those_of_the_paper():
     result = metrics(five_trials(), NAMES)
     results = {"seen": result | {"objects_thrown": SEEN}, "unseen": result | {"objects_thrown": UNSEEN}}
     text = shown(results_table(results, "proposed"))
-    assert "40.0 [12, 77]" in text
+    assert "40.0 [12\N{EN DASH}77]" in text
     for number in ("89.97 ± 0.21", "84.13 ± 0.50", "89.28 ± 0.79", "84.83 ± 1.17"):
         assert number in text
 

@@ -78,7 +78,7 @@ def test_a_run_with_a_teacher_does_not_go_on_without(teacher: Path, tmp_path: Pa
 
 
 def test_a_share_out_of_range_is_refused():
-    with pytest.raises(InvalidValueError, match=r"teacher_share is 1\.5; it must be between 0 and 1"):
+    with pytest.raises(InvalidValueError, match=r"teacher_share is 1\.5; it must be from 0 to 1"):
         dataclasses.replace(SMALL, teacher_share=1.5)
 
 

@@ -14,13 +14,14 @@ from pixel2catch.deployment.control_loop import SHIFT
 from pixel2catch.deployment.recorder import ORDERS
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.loading import policy_folder, task_of
+from pixel2catch.evaluation.loading import task_of
 from pixel2catch.methods import find_method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.shipped import policy_folder
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, LATENCY
 from pixel2catch.twin.stepped import HOP, rehearse_stepped

@@ -17,7 +17,7 @@ from pixel2catch.learning.config import preset as preset_of
 from pixel2catch.learning.train import TrainResult
 from pixel2catch.methods import Method, find_method
 from pixel2catch.own_files import add, import_files, named
-from pixel2catch.policy import Policy, method_of
+from pixel2catch.policy import LoadedPolicy, Policy, method_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.objects import ObjectSpec, select_objects
 from pixel2catch.workcells import find_workcell
@@ -61,7 +61,7 @@ def make(
     return CatchEnv(cfg, _method(method, cfg), num_envs=num_envs, device=device, seed=seed)
 
 
-def load_policy(name: str | Path | None = None, device: str = "cpu") -> Policy:
+def load_policy(name: str | Path | None = None, device: str = "cpu") -> LoadedPolicy:
     """Read a policy: a shipped one by its name, or from its folder or its run's; the default one if absent.
 
     Raises:

@@ -16,7 +16,7 @@ from torch import Tensor
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.device_constants import constant
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import write_atomically
+from pixel2catch.files import read_json_object, write_atomically
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
@@ -85,7 +85,7 @@ class CameraFile:
             InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
         """
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = read_json_object(path)
             version = content.pop("format_version")
             if version != FORMAT_VERSION:
                 raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")

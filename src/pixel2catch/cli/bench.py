@@ -1,11 +1,12 @@
 """`pixel2catch bench`: how fast the simulation is on this machine."""
 
-import json
 import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from pixel2catch.checks import Count, Device, Positive
 
 if TYPE_CHECKING:
     from pixel2catch.envs.catch_env import CatchEnv
@@ -15,15 +16,16 @@ if TYPE_CHECKING:
 class Bench:
     """Measure control steps a second of the environment, and physics steps a second of the simulation."""
 
-    device: str = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
-    num_envs: int = 512  #: Environments that are simulated side by side.
-    seconds: float = 5.0  #: How long each of the two is measured [s].
+    device: Device = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
+    num_envs: Count = 512  #: Environments that are simulated side by side.
+    seconds: Positive = 5.0  #: How long each of the two is measured [s].
     json: bool = False  #: Print the figures as one JSON object.
 
     def run(self) -> None:
         """Measure and print."""
         from pixel2catch.cli.device import prepare
         from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+        from pixel2catch.files import json_text
         from pixel2catch.methods import PROPOSED
 
         prepare(self.device)
@@ -41,7 +43,7 @@ class Bench:
         finally:
             env.close()
         if self.json:
-            print(json.dumps(result, indent=2))
+            print(json_text(result), end="")
             return
         for name, value in result.items():
             print(f"{name.replace('_', ' ')}: {f'{value:,.0f}' if isinstance(value, float) else value}")

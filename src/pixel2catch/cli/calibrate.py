@@ -1,20 +1,20 @@
 """`pixel2catch calibrate`: where the camera stands, how well that is known, what it means for a policy."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional
 
+from pixel2catch.checks import InputFile, OutputFile, Positive
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import InvalidValueError, RecordingError
-from pixel2catch.files import require_free_file, write_atomically
+from pixel2catch.files import json_text, require_free_file, write_atomically
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
@@ -39,16 +39,20 @@ class Calibrate:
     """
 
     #: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
-    views: Positional[Path | None] = None
+    views: Positional[Annotated[Path, InputFile()] | None] = None
     #: The robots: a name, as for `train`, or a Python file that defines WORKCELLS; the board is in the first
     #: hand.
     workcell: str = "ur5e_allegro"
     #: The lens: a .yaml of ROS's camera_calibration, a rosbag2 with a CameraInfo, a camera.json of before, or
     #: a folder with 10 or more images of the printed board.
     intrinsics: Path | None = None
-    out: Path = Path("camera.json")  #: Where to write the camera; nothing is overwritten.
-    print_marker: Path | None = None  #: Only write the board to print, a .png or .pdf of A4.
-    square: float = 0.06  #: Edge of a square of the board, measured on paper [m].
+    out: Annotated[Path, OutputFile(is_new=True)] = Path(
+        "camera.json"
+    )  #: Where to write the camera; nothing is overwritten.
+    print_marker: Annotated[Path, OutputFile((".png", ".pdf"), is_new=True)] | None = (
+        None  #: Only write the board to print, a .png or .pdf of A4.
+    )
+    square: Positive = 0.06  #: Edge of a square of the board, measured on paper [m].
     #: Columns and rows of inner corners, if the images of --intrinsics show a chessboard.
     chessboard: tuple[int, int] | None = None
     rectified: bool = False  #: The images are rectified (image_rect): the projection matrix is the lens.
@@ -179,7 +183,7 @@ def _print_result(
             "camera": asdict(result.file),
         }
         content |= {"views": [asdict(view) for view in result.views], "comparison": asdict(comparison)}
-        print(json.dumps(content | {"board": result.board.tolist()}, indent=2))
+        print(json_text(content | {"board": result.board}), end="")
         return
     table = Table(title="seen and computed corners")
     for column in ("image", "RMS [px]", "used"):

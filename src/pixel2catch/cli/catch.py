@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from pixel2catch.checks import Count, FilmPath, Seed
+
 VIDEO_THROWS = 2  #: Throws in the film: drawing them takes about ten seconds each without a GPU.
 
 
@@ -10,18 +12,13 @@ VIDEO_THROWS = 2  #: Throws in the film: drawing them takes about ten seconds ea
 class Catch:
     """Catch with the shipped policy: evaluate it on seen and unseen objects, and write a short film."""
 
-    throws: int = 300  #: Throws of seen objects, and again as many of unseen ones.
-    seed: int = 0  #: Seed of everything that is drawn.
-    video: Path = Path("catch.mp4")  #: The film, as .mp4, .webp or .gif, or stills as .png.
+    throws: Count = 300  #: Throws of seen objects, and again as many of unseen ones.
+    seed: Seed = 0  #: Seed of everything that is drawn.
+    video: FilmPath = Path("catch.mp4")  #: The film, as .mp4, .webp or .gif, or stills as .png.
 
     def run(self) -> None:
         """Evaluate, print the results beside the paper's, and write the film."""
-        from pixel2catch.files import require_file
-        from pixel2catch.rendering.video import FORMATS
-
-        require_file(self.video, FORMATS)
-
-        from pixel2catch.cli.console import results_console, round_reporter, say
+        from pixel2catch.cli.console import evaluating, results_console, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.errors import DeviceUnavailableError
         from pixel2catch.evaluation.loading import load_policy, task_of
@@ -43,12 +40,11 @@ class Catch:
             task=task_of(policy),
         )
         say(f"throwing {self.throws:,} seen and {self.throws:,} unseen objects, on the CPU ...")
-        results = {
-            name: assess(
-                policy, method, replace(cfg, objects=OBJECT_GROUPS[name]), round_reporter(name, rounds)
-            )
-            for name in ("seen", "unseen")
-        }
+        results = {}
+        for name in ("seen", "unseen"):
+            with evaluating(name) as progress:
+                throws = replace(cfg, objects=OBJECT_GROUPS[name])
+                results[name] = assess(policy, method, throws, progress.round, progress.share)
         console = results_console()
         console.print(results_table(results, method.name))
         console.print(quality_table(results))
@@ -59,5 +55,6 @@ class Catch:
             return
         say(f"drawing {VIDEO_THROWS} throws ...")
         throws = recorded_throws(replace(cfg, num_envs=VIDEO_THROWS, trials=1), policy, method)
+        self.video.parent.mkdir(parents=True, exist_ok=True)
         write_throws(self.video, throws, cfg.task.scene)
         print(f"wrote {self.video}: {VIDEO_THROWS} throws")

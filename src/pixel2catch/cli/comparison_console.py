@@ -12,6 +12,7 @@ from rich.table import Table
 
 from pixel2catch.evaluation.comparison.jobs import Status
 from pixel2catch.evaluation.comparison.plan import GROUPS
+from pixel2catch.progress import duration
 
 SUMMARY_SECONDS = 30.0  #: Time between two summaries where there is no terminal [s].
 REFRESH_SECONDS = 1.0  #: Time between two pictures of the live table [s].
@@ -125,7 +126,7 @@ def _percent(rate: float) -> str:
 def _duration(seconds: float) -> str:
     if isinf(seconds):
         return "time left unknown"
-    return f"{seconds:.0f} s left" if seconds < 100 else f"{seconds / 60:.0f} min left"
+    return f"{duration(seconds)} left"
 
 
 def _colored(status: Status) -> str:

@@ -1,5 +1,6 @@
 """What the commands print: results on standard output, progress on standard error."""
 
+import os
 import sys
 import threading
 import time
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from pixel2catch.progress import ProgressBar
+
 if TYPE_CHECKING:
     from pixel2catch.evaluation.protocol import Trials
 
@@ -17,9 +20,10 @@ BEAT_SECONDS = 20.0  #: Time between two signs of life where there is no termina
 
 
 def results_console() -> Console:
-    """The console for tables: as wide as the terminal, or wide enough for every table."""
+    """The console for tables: as wide as the terminal or COLUMNS, else wide enough for every table."""
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=TABLE_WIDTH)
+    is_told = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
+    return console if is_told else Console(highlight=False, width=TABLE_WIDTH)
 
 
 def say(text: str) -> None:
@@ -27,16 +31,35 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def round_reporter(name: str, num_rounds: int) -> Callable[["Trials"], None]:
-    """Function that prints a line after every round of an evaluation of something."""
-    successes: list[float] = []
+def say_on_terminal(text: str) -> None:
+    """Print a line for somebody who looks at it; nothing into files and pipes."""
+    if sys.stderr.isatty():
+        say(text)
 
-    def report(trials: "Trials") -> None:
-        successes.append(float(trials.record.is_success.float().mean()))
-        mean = 100 * sum(successes) / len(successes)
-        say(f"{name}: round {len(successes)} of {num_rounds}, success rate so far {mean:.1f} %")
 
-    return report
+class EvaluationProgress:
+    """How far an evaluation of something is: the steps of its rounds, and the success rate so far."""
+
+    def __init__(self, bar: ProgressBar) -> None:
+        """Show it in a bar whose total is 1."""
+        self._bar = bar
+        self._successes: list[float] = []
+
+    def round(self, trials: "Trials") -> None:
+        """Add the trials of a round."""
+        self._successes.append(float(trials.record.is_success.float().mean()))
+
+    def share(self, share: float) -> None:
+        """Show a share of all rounds as done."""
+        mean = 100 * sum(self._successes) / max(len(self._successes), 1)
+        self._bar.show(share, f"success rate so far {mean:.1f} %" if self._successes else "")
+
+
+@contextmanager
+def evaluating(name: str) -> Iterator[EvaluationProgress]:
+    """Show on standard error how far the evaluation of something is."""
+    with ProgressBar(name, 1.0, console=Console(stderr=True, highlight=False)) as bar:
+        yield EvaluationProgress(bar)
 
 
 @contextmanager

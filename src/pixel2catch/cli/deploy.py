@@ -1,6 +1,5 @@
 """`pixel2catch deploy`: let a policy catch with a robot, or with its digital twin."""
 
-import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -11,8 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import NewFolder, Positive
 from pixel2catch.cli.link import Link
+from pixel2catch.files import json_text
 from pixel2catch.perception.factory import PerceptionArgs
+from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.control_loop import ControlLoop
@@ -56,12 +58,12 @@ class Deploy:
     """
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
-    policy: Positional[Path | None] = None
+    policy: Positional[PolicyPath | None] = None
     #: New folder for a rosbag2 (MCAP) of all that was seen, decided and commanded.
-    record: Path | None = None
+    record: NewFolder | None = None
     #: How images are recorded; raw ones are 27 MB a second.
     record_images: Literal["jpeg", "raw", "none"] = "jpeg"
-    seconds: float | None = None  #: When to end. Default: at Ctrl-C.
+    seconds: Positive | None = None  #: When to end. Default: at Ctrl-C.
     json: bool = False  #: Print the summary as one JSON object, and each status as a line of JSON.
     vision: Vision = field(default_factory=Vision)  #: What looks for the object.
     link: Link = field(default_factory=Link)  #: How the robot is reached, and how fast it may be.
@@ -94,9 +96,10 @@ class Deploy:
             control_loop = ControlLoop(pipeline, images, connection, profile.operator, executor)
             self._loop(control_loop, clock)
         print(
-            json.dumps({"summary": control_loop.statistics.summary()})
+            json_text({"summary": control_loop.statistics.summary()}, indent=None)
             if self.json
-            else "\n".join(lines(control_loop.statistics.summary()))
+            else "\n".join([*lines(control_loop.statistics.summary()), ""]),
+            end="",
         )
         if connection.recording:
             connection.recording.require_whole()
@@ -111,7 +114,7 @@ class Deploy:
         def report(status: dict[str, Any]) -> None:
             nonlocal said
             if self.json:
-                print(json.dumps(status), flush=True)
+                print(json_text(status, indent=None), end="", flush=True)
             elif (line := sentence(status)) != said:
                 said = line
                 say(f"{clock.now() - begin:7.1f} s  {line}")

@@ -6,7 +6,6 @@ A probe says what it found, or raises what is wrong and what to do.
 import importlib
 import importlib.metadata
 import importlib.util
-import json
 import platform
 import shutil
 import subprocess
@@ -25,13 +24,17 @@ from rich.text import Text
 
 from pixel2catch.cli.console import results_console
 from pixel2catch.errors import Pixel2CatchError
+from pixel2catch.files import json_text
+from pixel2catch.installation import PACKAGE, install_command
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
 """Colour of each state; the word tells without colour, too."""
 
 EXIT_BAD = 1  #: Exit status where something that is needed does not work.
-PACKAGE = "pixel2catch"
 NVIDIA_DRIVER = Path("/proc/driver/nvidia/version")  #: Where Linux says which driver is loaded.
+
+CUDA_BUILD = "'uv pip install --torch-backend=auto --reinstall-package torch torch'"
+"""How a build of PyTorch is installed that fits this machine. Source: documentation of uv."""
 
 LEAST_FREE = 1e9
 """Free space that a run may need [bytes]. Source: ours; a run folder has some megabytes, a study 200."""
@@ -60,12 +63,12 @@ class Broken(Exception):  # noqa: N818
 def optional(module: str, distribution: str, extra: str) -> str:
     """The version of a package that is needed for a part only, if it can be imported and is in range."""
     if importlib.util.find_spec(module) is None:
-        raise Absent(f"not installed: pip install '{PACKAGE}[{extra}]'")
+        raise Absent(f"not installed: {install_command(extra)}")
     imported = importlib.import_module(module)
     version = getattr(imported, "__version__", None) or importlib.metadata.version(distribution)
     wanted = requirements(extra).get(distribution, SpecifierSet())
     if not wanted.contains(version, prereleases=True):
-        raise Broken(f"{version} is not in {wanted}: pip install --upgrade '{PACKAGE}[{extra}]'")
+        raise Broken(f"{version} is not in {wanted}: {install_command(extra)} --upgrade")
     return version
 
 
@@ -103,7 +106,7 @@ def packages() -> str:
         if not versions.contains(version, prereleases=True):
             wrong.append(f"{name} {version} is not in {versions}")
     if wrong:
-        raise Broken(f"{', '.join(wrong)}: pip install -r requirements.txt, or make setup")
+        raise Broken(f"{', '.join(wrong)}: {install_command()} --upgrade")
     return f"{len(wanted)} in the ranges of {PACKAGE} {importlib.metadata.version(PACKAGE)}"
 
 
@@ -159,8 +162,8 @@ def cuda() -> str:
     said = "; ".join(str(warning.message) for warning in caught) or "PyTorch does not say why"
     build = f"a build for CUDA {torch.version.cuda}" if torch.version.cuda else "a CPU build"
     raise Broken(
-        f"{_driver()}, but PyTorch {torch.__version__}, {build}, sees no GPU ({said}): install a CUDA build "
-        "of PyTorch, or a newer driver"
+        f"{_driver()}, but PyTorch {torch.__version__}, {build}, sees no GPU ({said}): take a build for this "
+        f"driver, {CUDA_BUILD}, or a newer driver"
     )
 
 
@@ -176,7 +179,7 @@ def warp() -> str:
 
     if not torch.cuda.is_available():
         raise Absent("needs a CUDA device")
-    return _in_process(_WARP_PROBE, "pip install -r requirements.txt, and a driver that this Warp supports")
+    return _in_process(_WARP_PROBE, f"{install_command()} --upgrade, and a driver that this Warp supports")
 
 
 def torchvision() -> str:
@@ -204,7 +207,7 @@ def _in_process(code: str, remedy: str) -> str:
 def dds() -> str:
     """Send a message from one node to another on this machine, as `rehearse` does."""
     if importlib.util.find_spec("cyclonedds") is None:
-        raise Absent(f"not looked at without cyclonedds: pip install '{PACKAGE}[deployment]'")
+        raise Absent(f"not looked at without cyclonedds: {install_command('deployment')}")
     from pixel2catch.ros2 import messages
     from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
@@ -284,7 +287,7 @@ def check(name: str, probe: Callable[[], str], *, is_needed: bool = False) -> Ch
     except (Broken, Pixel2CatchError) as error:
         state, found = "BAD", str(error)
     except Exception as error:  # the reason why a doctor is asked may be anything
-        state, found = "BAD", f"{type(error).__name__}: {error}: reinstall with make setup"
+        state, found = "BAD", f"{type(error).__name__}: {error}: install anew, {install_command()} --upgrade"
     return Check(name=name, state=state, found=found, is_needed=is_needed)
 
 
@@ -307,7 +310,7 @@ class Doctor:
         """
         checks = self._checks()
         if self.json:
-            print(json.dumps({"checks": [asdict(check) for check in checks]}, indent=2))
+            print(json_text({"checks": [asdict(check) for check in checks]}), end="")
         else:
             self._print(checks)
         if any(check.is_needed and check.state == "BAD" for check in checks):

@@ -2,7 +2,20 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from pixel2catch.checks import (
+    AtMostFull,
+    DynamicsPath,
+    NewFolder,
+    NotNegative,
+    OutputFile,
+    PhysicsRate,
+    Positive,
+    Seed,
+    Share,
+    Within,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,24 +39,30 @@ class Excite:
     robot: str | None = None
     workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
     #: File of the trajectory, such as excitation.npz; of several, excitation-1.npz and so on.
-    out: Path | None = None
-    picture: Path | None = None  #: File of a picture of commands and simulated motion, numbered likewise.
-    seconds: float = 40.0  #: Duration of a trajectory [s].
+    out: Annotated[Path, OutputFile((".npz",))] | None = None
+    picture: Annotated[Path, OutputFile((".png",))] | None = (
+        None  #: File of a picture of commands and simulated motion, numbered likewise.
+    )
+    seconds: Positive = 40.0  #: Duration of a trajectory [s].
     #: Factor on speeds, accelerations and jumps: begin small on a real robot. 1 is full: jumps like a
     #: policy's, which it takes to tell the inertia of the arm's drives.
-    speed: float = 0.2
-    seed: int = 0  #: Seed of everything that is drawn; each further recording has the next.
-    recordings: int = 1  #: Number of trajectories; a fit needs two at least, one to be held out.
-    dynamics: Path | None = None  #: Dynamics file of the robot that tries them. Default: the nominal robot.
+    speed: AtMostFull = 0.2
+    seed: Seed = 0  #: Seed of everything that is drawn; each further recording has the next.
+    recordings: Annotated[int, Within(1, 1000)] = (
+        1  #: Number of trajectories; a fit needs two at least, one to be held out.
+    )
+    dynamics: DynamicsPath | None = (
+        None  #: Dynamics file of the robot that tries them. Default: the nominal robot.
+    )
     #: New folder for what a robot would have recorded, recording-1.npz and so on, and truth.json.
-    rehearse: Path | None = None
+    rehearse: NewFolder | None = None
     #: Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
-    truth: Path | None = None
-    noise: float = 2e-4  #: Standard deviation of a measured position in a rehearsal [rad].
+    truth: DynamicsPath | None = None
+    noise: NotNegative = 2e-4  #: Standard deviation of a measured position in a rehearsal [rad].
     #: Share of turns of the sending and of the reading loop that take 40 ms in a rehearsal.
-    stall: float = 0.05
+    stall: Share = 0.05
     #: Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
-    physics_hz: float = 480.0
+    physics_hz: PhysicsRate = 480.0
 
     def run(self) -> None:
         """Draw, try, print and write."""
@@ -86,11 +105,8 @@ class Excite:
 
     def _require_free(self, files: "Sequence[Path]") -> None:
         """Refuse what would overwrite something, before the work."""
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.files import require_free_file, require_free_folder
 
-        if self.recordings < 1:
-            raise InvalidValueError(f"recordings is {self.recordings}; it must be 1 or more")
         for path in files:
             require_free_file(path)
         if self.rehearse:

@@ -37,7 +37,7 @@ class Export:
 
     def run(self) -> None:
         """Write it."""
-        from pixel2catch.evaluation.loading import DEFAULT_POLICY
+        from pixel2catch.shipped import DEFAULT_POLICY
 
         if self.web_demo:
             self._write_page(self.web_demo)

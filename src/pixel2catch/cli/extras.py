@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from pixel2catch.errors import PerceptionError
+from pixel2catch.installation import install_command
 
 
 @contextmanager
@@ -17,5 +18,5 @@ def needs_extra(extra: str) -> Iterator[None]:
         yield
     except ImportError as error:
         raise PerceptionError(
-            f"a package that this needs cannot be imported ({error}): pip install 'pixel2catch[{extra}]'."
+            f"a package that this needs cannot be imported ({error}): {install_command(extra)}."
         ) from None

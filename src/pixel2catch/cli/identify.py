@@ -1,12 +1,13 @@
 """`pixel2catch identify`: from recorded motion to the simulator's joint dynamics."""
 
-import json
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
+
+from pixel2catch.checks import DynamicsPath, OutputFolder, PhysicsRate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,7 +26,9 @@ class Identify:
     #: Whose joints to fit: ur5e, allegro, ur5e_allegro; of another work cell, its arms and hands by their
     #: names, or arm, hand, or its own name.
     robot: str
-    out: Path  #: New or empty folder for dynamics.json, report.html and result.json.
+    out: Annotated[
+        Path, OutputFolder(is_empty=True)
+    ]  #: New or empty folder for dynamics.json, report.html and result.json.
     workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
     #: The recording that is not fitted, to judge the fit: its name or number (from 1), or none. Default: the
     #: last of several.
@@ -40,15 +43,17 @@ class Identify:
     #: filter_lookahead latency.
     free: tuple[str, ...] = ()
     filter: bool = False  #: Fit the UR's servoJ filter in front of a stiff servo, or of that of --start.
-    start: Path | None = None  #: Dynamics file to start from: what is not fitted stays as it says.
-    physics_hz: float = 480.0  #: Physics steps in a second of the fit; more are more exact, and take longer.
+    start: DynamicsPath | None = None  #: Dynamics file to start from: what is not fitted stays as it says.
+    physics_hz: PhysicsRate = (
+        480.0  #: Physics steps in a second of the fit; more are more exact, and take longer.
+    )
     json: bool = False  #: Print the numbers of the report as one JSON object.
 
     def run(self) -> None:
         """Check, fit, and write the report."""
         from pixel2catch.circumstances import circumstances
         from pixel2catch.cli.console import results_console, say, working
-        from pixel2catch.files import require_free_folder
+        from pixel2catch.files import json_text, require_free_folder
         from pixel2catch.identification.identify import identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
         from pixel2catch.identification.report_tables import check_grid
@@ -69,7 +74,7 @@ class Identify:
             command = shlex.join(["pixel2catch", *now["command"][1:]])
             content = write_report(self.out, result, now | {"command": command})
         if self.json:
-            print(json.dumps(content, indent=2))
+            print(json_text(content), end="")
         else:
             _print_result(result)
         say(f"wrote {self.out / DYNAMICS}, and the report for people, {self.out / PAGE}")

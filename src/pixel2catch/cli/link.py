@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from pixel2catch.checks import AtMostFull, DynamicsPath
+
 if TYPE_CHECKING:
     from pixel2catch.deployment.recorder import Connection, Images
     from pixel2catch.ros2.profile import Profile
@@ -38,7 +40,7 @@ class Network:
     robot: Robot = field(default_factory=Robot)  #: The robot.
     transport: Literal["dds", "ros"] = "dds"  #: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
     loopback: bool = False  #: Speak to this machine only, as the digital twin does.
-    clock: float = 1.0  #: Seconds in a real second: 1, or the --clock of a digital twin.
+    clock: AtMostFull = 1.0  #: Seconds in a real second: 1, or the --clock of a digital twin.
 
     @contextmanager
     def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
@@ -54,10 +56,10 @@ class Network:
 class Link(Network):
     """How the robot is reached, and how fast it may be."""
 
-    speed: float = 1.0  #: Share of the full speed, up to 1.
+    speed: AtMostFull = 1.0  #: Share of the full speed, up to 1.
     #: Dynamics file of this robot, as `identify` writes it. Without one, commands to a robot are no faster
     #: than its joints may be, whatever its lag, and no policy catches at full speed; the twin needs none.
-    dynamics: Path | None = None
+    dynamics: DynamicsPath | None = None
     dry_run: bool = False  #: Send nothing to the robot: nobody announces a command.
 
     def connect(

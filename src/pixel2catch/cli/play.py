@@ -6,7 +6,9 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import CameraPath, Count, DynamicsPath, FilmPath, Seed
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.shipped import PolicyPath
 from pixel2catch.viewer.config import PageCfg
 
 
@@ -15,19 +17,19 @@ class Play:
     """Write a film of throws: robot and thrower, the catch in slow motion, the robot's camera in a corner."""
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
-    policy: Positional[Path | None] = None
+    policy: Positional[PolicyPath | None] = None
     #: The film, as .mp4, .webp or .gif; as .png it is a strip of stills of every throw.
-    out: Path = Path("play.mp4")
+    out: FilmPath = Path("play.mp4")
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
-    throws: int = 4  #: Number of throws.
-    seed: int = 0  #: Seed of everything that is drawn.
+    throws: Count = 4  #: Number of throws.
+    seed: Seed = 0  #: Seed of everything that is drawn.
     #: Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy that was
     #: trained with a dynamics file.
-    dynamics: Path | None = None
+    dynamics: DynamicsPath | None = None
     #: Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
     #: exactly.
-    camera: Path | None = None
+    camera: CameraPath | None = None
     web: bool = False  #: Whether to serve a page with throws to play with, instead of writing a video.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     #: From outside, with the robot's own view and the policy's box in a corner (both), or one of the two.
@@ -44,14 +46,6 @@ class Play:
         if self.web:
             self._serve()
             return
-        from pixel2catch.errors import InvalidValueError
-        from pixel2catch.files import require_file
-        from pixel2catch.rendering.video import FORMATS
-
-        require_file(self.out, FORMATS)
-        if self.throws < 1:
-            raise InvalidValueError(f"--throws is {self.throws}; it must be at least 1.")
-
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
@@ -75,6 +69,7 @@ class Play:
         if self.meshes:
             require_meshes(find_workcell(task.scene.workcell), self.meshes)
         throws = recorded_throws(cfg, policy, method)
+        self.out.parent.mkdir(parents=True, exist_ok=True)
         num_pictures = write_throws(
             self.out,
             throws,

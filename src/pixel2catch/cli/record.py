@@ -3,10 +3,11 @@
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import InputFile, OutputFolder
 from pixel2catch.cli.link import Link
 
 if TYPE_CHECKING:
@@ -23,8 +24,10 @@ class Record:
     Put the robot near the start pose before; it goes there within the first second.
     """
 
-    trajectory: Positional[Path]  #: File of the trajectory.
-    out: Path  #: New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
+    trajectory: Positional[Annotated[Path, InputFile()]]  #: File of the trajectory.
+    out: Annotated[
+        Path, OutputFolder(is_empty=True)
+    ]  #: New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
     link: Link = field(default_factory=Link)  #: How the robot is reached, and how fast it may be.
 
     def run(self) -> None:

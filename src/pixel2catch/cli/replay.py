@@ -1,6 +1,5 @@
 """`pixel2catch replay`: let perception and policy decide once more on a recorded deployment."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,8 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import NewFolder, NotNegative
 from pixel2catch.cli.deploy import Vision
 from pixel2catch.cli.link import Robot
+from pixel2catch.files import json_text
+from pixel2catch.shipped import PolicyPath
 from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
@@ -27,12 +29,12 @@ class Replay:
 
     recording: Positional[Path]  #: What `deploy --record` or `rehearse --record` wrote, with images.
     #: New folder for the recording (MCAP) of what was decided now; needed but with --web.
-    out: Path | None = None
+    out: NewFolder | None = None
     web: bool = False  #: Whether to serve a page that shows the recording, instead of deciding once more.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
-    policy: Path | None = None
-    perception_ms: float = 10.0  #: Time that perception takes for an image.
+    policy: PolicyPath | None = None
+    perception_ms: NotNegative = 10.0  #: Time that perception takes for an image.
     json: bool = False  #: Print the report as one JSON object.
     robot: Robot = field(default_factory=Robot)  #: The robot of then.
     vision: Vision = field(default_factory=Vision)  #: What looks for the object.
@@ -62,7 +64,7 @@ class Replay:
             "deploy": statistics.summary(),
             "decided": compare(then, now, find_workcell(profile.workcell)),
         }
-        print(json.dumps(report) if self.json else "\n".join([*notes, *_lines(report)]))
+        print(json_text(report) if self.json else "\n".join([*notes, *_lines(report)]) + "\n", end="")
 
     def _show(self, profile: "Profile", camera: "CameraSpec") -> None:
         """Show the recording until Ctrl-C."""

@@ -5,7 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Within
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison.jobs import Job, Slot
@@ -34,25 +36,27 @@ class Reproduce:
     """
 
     methods: tuple[str, ...] = METHODS  #: Methods to compare.
-    seeds: int = 3  #: Trainings of each method.
+    seeds: Annotated[int, Within(1, 1000)] = 3  #: Trainings of each method.
     #: Settings of the trainings: fast, cpu or paper. Default: fast on CUDA, else cpu.
     preset: Literal["fast", "cpu", "paper"] | None = None
     #: Length of a training: control steps, summed over the environments. Default: the preset's.
-    transitions: int | None = None
+    transitions: Annotated[int, Within(1)] | None = None
     #: Physics steps in a second of the trainings, one or several. Default: the preset's.
-    physics_hz: tuple[float, ...] | None = None
+    physics_hz: tuple[PhysicsRate, ...] | None = None
     #: Other options of `pixel2catch train`, as NAME=VALUE, such as num_envs=4096 or
     #: env.sensing.latency_steps=1,3.
     training: tuple[str, ...] = ()
     #: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
-    device: tuple[str, ...] = ()
+    device: tuple[Device, ...] = ()
     #: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1.
-    jobs_per_device: int | None = None
-    num_envs: int = 100  #: Throws in a round of an evaluation.
-    trials: int = 10  #: Rounds of an evaluation.
-    evaluation_device: tuple[str, ...] = ("cpu",)  #: Where to evaluate: cpu, or one or several CUDA devices.
-    evaluation_physics_hz: float = 600.0  #: Physics steps in a second of the evaluations.
-    out: Path = Path("results")  #: Folder of the study.
+    jobs_per_device: Count | None = None
+    num_envs: Count = 100  #: Throws in a round of an evaluation.
+    trials: Count = 10  #: Rounds of an evaluation.
+    evaluation_device: tuple[Device, ...] = (
+        "cpu",
+    )  #: Where to evaluate: cpu, or one or several CUDA devices.
+    evaluation_physics_hz: PhysicsRate = 600.0  #: Physics steps in a second of the evaluations.
+    out: ResultsFolder = Path("results")  #: Folder of the study.
     report_only: bool = False  #: Train and evaluate nothing; write the report of what is there.
 
     def run(self) -> None:
@@ -152,13 +156,9 @@ class Reproduce:
 
     def _plan(self, training: dict[str, Any]) -> "Plan":
         """What is asked, with everything that changes results."""
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.comparison.plan import Plan
         from pixel2catch.methods import find_method
 
-        for name in ("seeds", "num_envs", "trials", "jobs_per_device"):
-            if getattr(self, name) is not None and getattr(self, name) < 1:
-                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be at least 1.")
         evaluation = {
             "num_envs": self.num_envs,
             "trials": self.trials,
@@ -219,6 +219,8 @@ def _session() -> dict[str, Any]:
 def _options(options: Mapping[str, Any]) -> list[str]:
     args: list[str] = []
     for name, value in options.items():
+        if value is None:
+            continue
         values = value if isinstance(value, tuple | list) else [value]
         args += [f"--{name.replace('_', '-')}", *map(str, values)]
     return args

@@ -2,15 +2,20 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from tyro.conf import Positional
+
+from pixel2catch.checks import OutputFile
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """Write the MuJoCo model of robot, table, camera and object to a file."""
 
-    file: Positional[Path]  #: Where to write: FILE.xml, self-contained, or FILE.mjb, binary.
+    file: Positional[
+        Annotated[Path, OutputFile((".xml", ".mjb"))]
+    ]  #: Where to write: FILE.xml, self-contained, or FILE.mjb, binary.
     object: str = "cube_s"  #: Name of the object that is in the scene.
     workcell: str = "ur5e_allegro"  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
 

@@ -1,13 +1,14 @@
 """`pixel2catch stress`: every policy under what the real world does and the training does not."""
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
@@ -20,26 +21,28 @@ class Stress:
     """Evaluate policies under disturbances, the same throws for all. Goes on where it was interrupted."""
 
     #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default: all shipped.
-    policies: Positional[tuple[Path, ...]] = ()
+    policies: Positional[tuple[PolicyPath, ...]] = ()
     #: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
     axes: tuple[str, ...] = ()
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
-    num_envs: int = 100  #: Throws in a round.
-    trials: int = 2  #: Rounds.
-    seed: int = 0  #: Seed of everything that is drawn.
-    device: str = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
+    num_envs: Count = 100  #: Throws in a round.
+    trials: Count = 2  #: Rounds.
+    seed: Seed = 0  #: Seed of everything that is drawn.
+    device: Device = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
     #: Policies and settings that are tried at once, each in a process with one thread; on the CPU.
-    jobs: int = 1
-    physics_hz: float = 600.0  #: Physics steps in a second, a multiple of 30.
+    jobs: Count = 1
+    physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
     #: Any field of the task, before it is disturbed, also as --env.throws.peak-z 1.5 1.9. All fields: stress
     #: --env.help.
     env: FieldOptions = ()
-    out: Path = Path("stress")  #: Folder of the results; other objects need another one.
+    out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
     json: bool = False  #: Print the table as one JSON object.
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
+        from rich.console import Console
+
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
         from pixel2catch.envs.cfg import CatchEnvCfg
@@ -47,6 +50,8 @@ class Stress:
         from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
+        from pixel2catch.files import json_text
+        from pixel2catch.progress import ProgressBar
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg
 
@@ -66,9 +71,10 @@ class Stress:
             name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
             say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
 
-        table = make_table(results, measure(results, cfg, report, self.jobs))
+        with ProgressBar("stress", 1.0, console=Console(stderr=True, highlight=False)) as bar:
+            table = make_table(results, measure(results, cfg, report, self.jobs, bar.show))
+        print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
         write_report(self.out, table)
-        print(json.dumps(table, indent=2) if self.json else as_markdown(table), end="\n" if self.json else "")
         say(f"wrote {self.out}: table.md, table.tex, table.csv, table.json, heatmap.png")
 
     def _with_fields(self, setting: "Setting") -> "Setting":

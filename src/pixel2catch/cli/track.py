@@ -1,7 +1,6 @@
 """`pixel2catch track`: what the perception sees in a video, a rosbag or a camera, and how fast it is."""
 
 import csv
-import json
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -15,11 +14,12 @@ from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional
 
+from pixel2catch.checks import NewFolder, NotNegative, Positive
 from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import PerceptionError
-from pixel2catch.files import plain, require_free_folder, write_atomically
+from pixel2catch.files import json_text, require_free_folder, write_atomically
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
 
@@ -41,9 +41,9 @@ class Track:
 
     #: A video file, a rosbag2 (its folder, .mcap or .db3), or a camera: its number or /dev/videoN.
     source: Positional[str]
-    out: Path = Path("track")  #: New or empty folder for track.mp4, features.csv and summary.json.
-    at: float = 0.0  #: When the throw begins and the object is pointed out [s after the first image].
-    seconds: float | None = None  #: When to stop [s after the first image]. Default: at the end.
+    out: NewFolder = Path("track")  #: New or empty folder for track.mp4, features.csv and summary.json.
+    at: NotNegative = 0.0  #: When the throw begins and the object is pointed out [s after the first image].
+    seconds: Positive | None = None  #: When to stop [s after the first image]. Default: at the end.
     topic: str | None = None  #: Topic of the images in a rosbag. Default: the only one.
     joint_states: str = "/joint_states"  #: Topic of the joint states in a rosbag, for --mask-robot.
     #: Ignore motion where the robot is; the rosbag must have the states of all joints.
@@ -69,8 +69,8 @@ class Track:
             )
         source = {"source": self.source, "segmenter": self.perception.segmenter}
         summary = {**source, **tally.summary(), "notes": notes}
-        text = json.dumps(summary | {"circumstances": circumstances()}, indent=2, default=plain)
-        write_atomically({self.out / SUMMARY: f"{text}\n".encode()})
+        text = json_text(summary | {"circumstances": circumstances()})
+        write_atomically({self.out / SUMMARY: text.encode()})
         _print_result(tally, summary, as_json=self.json)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
 
@@ -133,7 +133,7 @@ class Track:
 def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> None:
     """Print the times of the stages, what was seen, and whether it is fast enough."""
     if as_json:
-        print(json.dumps(summary, indent=2))
+        print(json_text(summary), end="")
         return
 
     table = Table(title="time of each stage [ms]")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from pixel2catch.checks import ResultsFolder
 from pixel2catch.cli.fields import FieldOptions, with_fields
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
 from pixel2catch.viewer.config import PageCfg
@@ -19,11 +20,31 @@ if TYPE_CHECKING:
 else:
     # The fields of the configuration, each None unless it is given: then the preset or the run decides.
     OF_TRAIN = {name: Annotated[Any, tyro.conf.Suppress] for name in ("method", "env")}
+
+    def _default(name: str) -> str:
+        """What a field is without the option, in help: the preset's, where presets differ.
+
+        The machine decides on the device, and what a factory makes is told otherwise, for it loads much.
+        """
+        default = TrainCfg.__dataclass_fields__[name].default
+        if name == "device" or default in (None, dataclasses.MISSING):
+            return ""
+        others = {preset: values[name] for preset, values in PRESETS.items() if name in values}
+        texts = [_text(default), *(f"{preset}: {_text(value)}" for preset, value in others.items())]
+        return f"(default: {'; '.join(texts)})"
+
+    def _text(value: Any) -> str:
+        return " ".join(f"{entry:g}" for entry in value) if isinstance(value, tuple) else str(value)
+
     TrainOptions = dataclasses.make_dataclass(
         "TrainOptions",
         [
-            (name, OF_TRAIN.get(name, kind | None), None)
-            for name, kind in typing.get_type_hints(TrainCfg).items()
+            (
+                name,
+                OF_TRAIN.get(name, Annotated[kind | None, tyro.conf.arg(help_behavior_hint=_default(name))]),
+                None,
+            )
+            for name, kind in typing.get_type_hints(TrainCfg, include_extras=True).items()
         ],
         bases=(TrainCfg,),
         namespace={"__post_init__": lambda _: None},
@@ -45,7 +66,7 @@ class Train:
     workcell: str | None = None
     #: Starting values: fast (a big GPU), cpu (two cores) or paper. Default: fast on CUDA, else cpu.
     preset: Literal["fast", "cpu", "paper"] | None = None
-    out: Path | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
+    out: ResultsFolder | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
     #: Go on from the last checkpoint in that folder, with its configuration and what is given here.
     resume: bool = False
     web: bool = False  #: Whether to serve a page with curves and with throws of the newest policy.
@@ -63,7 +84,9 @@ class Train:
         cfg = self.with_task(self.resolve())
         method = find_method(cfg.method, find_workcell(cfg.env.scene.workcell))
         with self._page(cfg):
-            run(cfg, method, self._folder, resume=self.resume)
+            result = run(cfg, method, self._folder, resume=self.resume)
+        if result.status == "interrupted":
+            raise KeyboardInterrupt
 
     def _page(self, cfg: TrainCfg) -> AbstractContextManager[None]:
         """The page of this training, if there is to be one; of several processes the first has it."""
@@ -89,10 +112,7 @@ class Train:
             InvalidValueError: If no training is possible with the values.
             PolicyMismatchError: If there is no policy to start from, or to imitate.
         """
-        import torch
-
-        from pixel2catch.evaluation.loading import policy_folder
-        from pixel2catch.sim.simulation import require_cuda
+        from pixel2catch.shipped import policy_folder
 
         given = {name: value for name, value in vars(self.options).items() if value is not None}
         if self.method:
@@ -100,6 +120,10 @@ class Train:
         for name in ("start", "teacher"):
             if name in given:
                 given[name] = policy_folder(given[name])
+        import torch
+
+        from pixel2catch.sim.simulation import require_cuda
+
         if self.resume and (self._folder / CONFIG_FILE).exists():
             named = PRESETS[self.preset] if self.preset else {}
             cfg = dataclasses.replace(TrainCfg.of_run(self._folder), **named | given)

@@ -1,9 +1,10 @@
 """`pixel2catch twin`: the lab on the wire, without a lab."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pixel2catch.checks import Domain
+from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin.config import TwinCfg
 from pixel2catch.viewer.config import PageCfg
 
@@ -20,11 +21,11 @@ class Twin:
     for throws on /twin/command, and /twin/state says what is true. See docs/deployment.md.
     """
 
-    policy: Path | None = None  #: Policy whose hand and camera the twin has. Default: catch_alone+fit.
+    policy: PolicyPath | None = None  #: Policy whose hand and camera the twin has. Default: catch_alone+fit.
     twin: TwinCfg = field(default_factory=TwinCfg)  #: How the twin runs.
-    domain: int | None = None  #: DDS domain. Default: ROS_DOMAIN_ID, or 0.
     web: bool = False  #: Whether to serve a page that shows the twin and has buttons to throw.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
+    domain: Domain | None = None  #: DDS domain. Default: ROS_DOMAIN_ID, or 0.
 
     def run(self) -> None:
         """Serve, and say what happens."""

@@ -1,21 +1,20 @@
-"""Finding and reading policies: those of training runs and the one that the package ships."""
+"""Reading policies, and the task in which they act."""
 
 import hashlib
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import Any, cast
 
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.catch_env import CatchEnvCfg
-from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import Method
 from pixel2catch.policy import LoadedPolicy, contract_of, method_of
 from pixel2catch.policy.onnx_policy import load
 from pixel2catch.policy.policy import WEIGHTS_FILE
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells import find_workcell
 
 PHYSICS_HZ = 600.0
@@ -24,24 +23,6 @@ PHYSICS_HZ = 600.0
 At 120 Hz an object of 4.5 m/s is up to 38 mm inside the hand before a step sees the contact, and a policy
 must not live by that; at 600 Hz it is 8 mm at the most.
 """
-
-DEFAULT_POLICY = "catch_alone+fit"  #: The shipped policy that commands take where none is named.
-
-
-def shipped_policies() -> dict[str, Path]:
-    """Folders of the policies that the package ships, by name.
-
-    Raises:
-        PolicyMismatchError: If this installation has none.
-    """
-    folder = Path(str(resources.files("pixel2catch"))) / "policies"
-    found = {file.parent.name: file.parent for file in sorted(folder.glob("*/policy.json"))}
-    if DEFAULT_POLICY not in found:
-        raise PolicyMismatchError(
-            "this installation ships no policy; train one with 'pixel2catch train' and name its folder: "
-            "runs/NAME/policy."
-        )
-    return found
 
 
 def load_policy(folder: Path | None, device: str = "cpu") -> tuple[LoadedPolicy, Method]:
@@ -104,19 +85,3 @@ def camera_remark(policy: LoadedPolicy, task: CatchEnvCfg) -> Iterator[str]:
 
 def _camera_of(policy: LoadedPolicy) -> CameraSpec:
     return CameraSpec(**cast(dict[str, Any], policy.contract.camera))
-
-
-def policy_folder(folder: Path | None) -> Path:
-    """The own folder, or the ONNX file, of the policy that `load_policy` reads.
-
-    Raises:
-        PolicyMismatchError: If there is none.
-    """
-    if folder is None or not folder.exists():
-        folder = shipped_policies().get(str(folder or DEFAULT_POLICY), folder)
-    if folder is None or not folder.exists():
-        raise PolicyMismatchError(
-            f"there is no folder '{folder}', and no shipped policy of that name; those are: "
-            f"{', '.join(shipped_policies())}."
-        )
-    return folder / "policy" if (folder / "policy").is_dir() else folder

@@ -39,11 +39,12 @@ def assess(
     method: Method,
     cfg: EvaluationCfg,
     on_round: Callable[[Trials], None] = lambda _: None,
+    on_share: Callable[[float], None] = lambda _: None,
     on_throws: Callable[[list[RecordedThrow]], None] | None = None,
 ) -> Metrics:
     """Evaluate a policy and return its metrics, with how they were obtained; arguments as of `evaluate`."""
     started = time.perf_counter()
-    trials = evaluate(actor, method, cfg, on_round, on_throws)
+    trials = evaluate(actor, method, cfg, on_round, on_share, on_throws)
     return {
         "method": method.name,
         "objects_thrown": list(cfg.objects),

@@ -1,7 +1,6 @@
 """An evaluation as one page: rates, objects, where throws come down, what each kind of miss looks like."""
 
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,7 +20,7 @@ from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
 from pixel2catch.evaluation.report import Cells, objects_rows, percent, png, quality_rows, results_rows
 from pixel2catch.evaluation.throw_collection import ThrowCollection
-from pixel2catch.files import plain, write_atomically
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.offline_page import (
     Cell,
@@ -89,7 +88,7 @@ def evaluation_page(
     """
     low_to_high = percent(result["success_rate"], result["success_rate_interval"], digits=1)
     caught = f"Of {result['trials']:,} throws, {low_to_high} % were caught (S.R., 95 % interval)."
-    settings = json.dumps(asdict(cfg), indent=2, default=plain)
+    settings = json_text(asdict(cfg))
     rows = {name: result}
     return page(
         f"Evaluation of {result['method']}: {name}",

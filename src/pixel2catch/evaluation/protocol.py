@@ -9,6 +9,7 @@ the hold is verified.
 Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic policy; ours: the tests.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import pi
@@ -19,9 +20,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.checks import Count, Device, Seed, require_valid
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
-from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.actions import JointCommand
 from pixel2catch.mdp.columns import put, take
 from pixel2catch.mdp.masks import select
@@ -55,18 +56,16 @@ class EvaluationCfg:
     """What is thrown at a policy."""
 
     objects: tuple[str, ...]  #: Names of the objects; each throw draws one.
-    num_envs: int = 100  #: Throws in a round. Source: paper.
-    trials: int = 10  #: Rounds. Source: paper.
-    seed: int = 0  #: Seed of everything that is drawn.
-    device: str = "cpu"  #: "cpu" or a CUDA device.
+    num_envs: Count = 100  #: Throws in a round. Source: paper.
+    trials: Count = 10  #: Rounds. Source: paper.
+    seed: Seed = 0  #: Seed of everything that is drawn.
+    device: Device = "cpu"  #: "cpu" or a CUDA device.
     #: The task, with all its noise; objects and endings are set here.
     task: CatchEnvCfg = field(default_factory=CatchEnvCfg)
 
     def __post_init__(self) -> None:
         """Refuse an evaluation of nothing."""
-        for name in ("num_envs", "trials"):
-            if getattr(self, name) < 1:
-                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be at least 1.")
+        require_valid(self)
 
     def make_env(self, method: Method) -> CatchEnv:
         """The environments: like those of training, but only the loss of the object ends an episode."""
@@ -156,14 +155,16 @@ def evaluate(
     method: Method,
     cfg: EvaluationCfg,
     on_round: Callable[[Trials], None] = lambda _: None,
+    on_share: Callable[[float], None] = lambda _: None,
     on_throws: Callable[[list[RecordedThrow]], None] | None = None,
 ) -> Trials:
     """Evaluate a policy of a method.
 
     After every round `on_round` is called with its trials, and `on_throws`, if given, with its throws, which
-    are only recorded for it.
+    are only recorded for it; after every control step `on_share` with the share of all rounds that is done.
     """
-    return play_rounds(cfg.make_env(method), actor, cfg.trials, on_round, on_throws=on_throws)
+    env = cfg.make_env(method)
+    return play_rounds(env, actor, cfg.trials, on_round, on_share, on_throws=on_throws)
 
 
 def play_rounds(
@@ -171,6 +172,7 @@ def play_rounds(
     actor: Actor,
     num_rounds: int,
     on_round: Callable[[Trials], None] = lambda _: None,
+    on_share: Callable[[float], None] = lambda _: None,
     seed: int | None = None,
     on_throws: Callable[[list[RecordedThrow]], None] | None = None,
 ) -> Trials:
@@ -186,8 +188,16 @@ def play_rounds(
             if seed is not None:
                 env.seed(seed + number)
             recorder = ThrowRecorder(env) if on_throws else None
-            rounds.append(run_round(env, actor, recorder.watch) if recorder else run_round(env, actor))
+            done = itertools.count(number * ROUND_STEPS + 1)
+
+            def watch(step: Step, state: RoundState, recorder=recorder, done=done) -> None:
+                on_share(next(done) / (num_rounds * ROUND_STEPS))
+                if recorder:
+                    recorder.watch(step, state)
+
+            rounds.append(run_round(env, actor, watch))
             on_round(rounds[-1])
+            on_share((number + 1) / num_rounds)
             if recorder and on_throws:
                 on_throws(recorder.throws(rounds[-1]))
     finally:

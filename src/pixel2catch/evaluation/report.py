@@ -87,20 +87,24 @@ def _table(title: str, rows: Sequence[Cells]) -> Table:
     """A table for the terminal; numbers, right of the first column, are aligned to the right."""
     table = Table(title=title)
     for number, column in enumerate(rows[0]):
-        table.add_column(column, justify="right" if number else "left")
+        table.add_column(column, justify="right" if number else "left", no_wrap=not number)
     for row in rows:
         table.add_row(*(row.get(column, "") for column in rows[0]))
     return table
 
 
 def _cells(rates: Metrics) -> dict[str, str]:
-    shown = {title: percent(rates[name], rates[f"{name}_interval"]) for title, name in RATES.items()}
+    texts = {title: percent(rates[name], rates[f"{name}_interval"]) for title, name in RATES.items()}
+    # A narrow terminal then breaks before the interval, not within it.
+    shown = {title: text.replace(", ", "\N{EN DASH}") for title, text in texts.items()}
     return {"trials": f"{rates['trials']}", **shown}
 
 
 def _quality(result: Metrics) -> dict[str, str]:
     def scaled(name: str, factor: float, unit: str, digits: int = 1) -> str:
-        return "-" if result[name] is None else f"{factor * result[name]:.{digits}f} {unit}"
+        if result[name] is None:
+            return "-"
+        return f"{round(factor * result[name], digits) + 0.0:.{digits}f} {unit}"  # + 0.0: no -0.0
 
     return {
         **{f"failed: {name}".replace("_", " "): f"{100 * v:.1f} %" for name, v in result["failures"].items()},

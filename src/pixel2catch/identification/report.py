@@ -5,7 +5,6 @@ colours of its pictures apart. Source: Okabe and Ito 2008; grey: ours.
 """
 
 import io
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from pixel2catch.files import require_free_folder, write_atomically
+from pixel2catch.files import json_text, require_free_folder, write_atomically
 from pixel2catch.identification.fit import LATENCY_UNIT
 from pixel2catch.identification.identify import Identification, Motion, half_widths, ratios, tracking_errors
 from pixel2catch.identification.joints import short, specs_of
@@ -89,7 +88,7 @@ def write_report(folder: Path, result: Identification, circumstances: Mapping[st
     content = numbers(result, circumstances)
     files = {
         PAGE: report_page(result, circumstances).encode(),
-        NUMBERS: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode(),
+        NUMBERS: json_text(content).encode(),
     }
     require_free_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)

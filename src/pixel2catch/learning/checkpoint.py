@@ -16,7 +16,7 @@ import torch
 
 from pixel2catch.circumstances import circumstances
 from pixel2catch.errors import CheckpointError
-from pixel2catch.files import plain, write_atomically
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import PolicyContract
 
@@ -169,4 +169,4 @@ class RunFolder:
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, all or nothing."""
-        write_atomically({self.path / name: (json.dumps(content, indent=2, default=plain) + "\n").encode()})
+        write_atomically({self.path / name: json_text(content).encode()})

@@ -1,12 +1,26 @@
 """What a training run can be told, and the presets; imports nothing heavy, as the command line reads it."""
 
 import dataclasses
-import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+from pixel2catch.checks import (
+    CameraPath,
+    Count,
+    Device,
+    DynamicsPath,
+    NotNegative,
+    PhysicsRate,
+    Positive,
+    Seed,
+    Share,
+    Within,
+    require_valid,
+)
 from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
-from pixel2catch.files import decoded
+from pixel2catch.files import decoded, read_json_object
+
+Width = Annotated[int, Within(1, 65_536)]  #: Units of a layer.
 
 CONFIG_FILE = "config.json"  #: The resolved configuration in the folder of a run.
 
@@ -36,76 +50,76 @@ class TrainCfg:
     """Name of the method."""
     env: Any = None
     """The environments: a `CatchEnvCfg` with the task's values and what is given."""
-    num_envs: int = 4096
+    num_envs: Count = 4096
     """Environments that are simulated side by side, in all processes of torchrun together."""
-    device: str = "cuda"
+    device: Device = "cuda"
     """Where to simulate and learn: cpu, cuda (each process on its own device), cuda:1, ... Default: cuda
     where there is one."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of networks, exploration and environments."""
-    physics_hz: tuple[float, ...] = (120.0, 120.0, 240.0)
+    physics_hz: tuple[PhysicsRate, ...] = (120.0, 120.0, 240.0)
     """Physics steps in a second, multiples of 30; several: one after the other, in equal shares of the
     training, coarse first (120: paper), then finer, so that the policy does not live by what coarse steps do
     to an impact (ours)."""
-    dynamics: Path | None = None
+    dynamics: DynamicsPath | None = None
     """Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps a copy.
     Evaluations take it by their own --dynamics only. Default: the nominal robot."""
-    camera: Path | None = None
+    camera: CameraPath | None = None
     """Camera file of the camera that is simulated, as `calibrate` writes it; the run keeps a copy. Every
     episode draws pose and focal length within what the file leaves open. Its images must be rectified, and
     the policy is for this camera. Default: the release's camera, known exactly."""
     task: str = "nominal"
     """What it is trained for: nominal, the paper's task; wide, with what laboratories do to it (ours); or
-    wide_sharp, the same with boxes to 2 px. Default: nominal."""
-    latency_steps: tuple[float, float] = dataclasses.field(default_factory=_released_latency)
+    wide_sharp, the same with boxes to 2 px."""
+    latency_steps: tuple[NotNegative, NotNegative] = dataclasses.field(default_factory=_released_latency)
     """Control steps between image and delivered box in nominal episodes: least and most. Default: 1 2, as the
     release."""
     start: Path | None = None
     """Policy to go on from, of the same method: its folder, that of its training run, or the name of a
     shipped one. Value networks begin anew, and so does exploration: give an --initial-log-std of about -2.
     Default: untrained networks."""
-    start_transitions: int = 2_000_000
+    start_transitions: Annotated[int, Within(1)] = 2_000_000
     """Transitions after such a start in which the value networks alone learn; in as many again the learning
     rate rises. Source: ours."""
     teacher: Path | None = None
     """Policy whose actions are imitated at first, in the states that the pupil comes to, named likewise; it
     may be of another method, such as one that is told where the object is."""
-    teacher_share: float = 0.5
+    teacher_share: Share = 0.5
     """Share of the training over which the weight of imitation falls from 1 to 0, and that of the rewards
     rises from 0 to 1. Source: ours."""
-    transitions: int = 51_200_000
+    transitions: Annotated[int, Within(1)] = 51_200_000
     """Length of the training: control steps, summed over the environments. Source: release."""
-    rollout_steps: int = 8
+    rollout_steps: Count = 8
     """Control steps of every environment between two updates."""
-    epochs: int = 4
+    epochs: Count = 4
     """Passes over a rollout in an update. Source: release."""
-    mini_batches: int = 4
+    mini_batches: Count = 4
     """Gradient steps a pass. Source: release."""
     schedule: Literal["linear", "kl"] = "linear"
     """How the learning rate changes: linear over the transitions, or kl adaptive."""
-    learning_rate: float = 1e-3
+    learning_rate: Positive = 1e-3
     """Learning rate at the start."""
-    final_learning_rate: float = 3e-5
+    final_learning_rate: NotNegative = 3e-5
     """Learning rate at the end (linear), or its lower bound (kl)."""
-    kl_target: float = 0.016
+    kl_target: Positive = 0.016
     """KL divergence that the kl schedule aims at. Source: paper, Sec. IV-E."""
-    discount: float = 0.99
+    discount: Share = 0.99
     """Discount factor (gamma) of a control step. Source: paper, Sec. IV-E."""
-    gae_lambda: float = 0.95
+    gae_lambda: Share = 0.95
     """Lambda of the generalised advantage estimate. Source: release."""
-    ratio_clip: float = 0.2
+    ratio_clip: Positive = 0.2
     """Clip (epsilon) of the probability ratio. Source: paper, Sec. IV-E."""
-    value_clip: float = 0.2
+    value_clip: Positive = 0.2
     """Clip of the change of a (standardised) value in an update. Source: release."""
-    value_loss_scale: float = 2.0
+    value_loss_scale: NotNegative = 2.0
     """Weight of the value loss. Source: release."""
-    entropy_scale: float = 0.0
+    entropy_scale: NotNegative = 0.0
     """Weight of the entropy bonus. Source: release."""
-    gradient_clip: float = 1.0
+    gradient_clip: Positive = 1.0
     """Largest norm of an agent's gradient. Source: release."""
-    hidden: tuple[int, ...] = dataclasses.field(default_factory=_paper_layers)
-    """Sizes of the hidden layers of all networks. Source: paper, Sec. IV-E."""
-    recurrent: int = 0
+    hidden: tuple[Width, ...] = dataclasses.field(default_factory=_paper_layers)
+    """Sizes of the hidden layers of all networks. Default: 512 256 128, as in the paper, Sec. IV-E."""
+    recurrent: Annotated[int, Within(0, 65_536)] = 0
     """Size of a recurrent unit (GRU) before the hidden layers of all networks, learnt over whole rollouts; 0
     for none. Source: ours."""
     initial_log_std: float = -0.7
@@ -115,37 +129,23 @@ class TrainCfg:
     wandb: str | None = None
     """Project of Weights & Biases that gets configuration and curves, too; its environment variables, such as
     WANDB_MODE=offline, hold. Default: none."""
-    checkpoint_seconds: float = 60.0
+    checkpoint_seconds: NotNegative = 60.0
     """Time between two checkpoints [s]."""
-    report_seconds: float = 10.0
+    report_seconds: NotNegative = 10.0
     """Time between two report lines where there is no terminal [s]."""
 
     def __post_init__(self) -> None:
         """Refuse values with which no training is possible."""
-        for name in (
-            "num_envs",
-            "transitions",
-            "start_transitions",
-            "rollout_steps",
-            "epochs",
-            "mini_batches",
-            "learning_rate",
-        ):
-            if getattr(self, name) <= 0:
-                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be greater than 0.")
-        for name in ("discount", "gae_lambda", "teacher_share"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InvalidValueError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
+        require_valid(self)
         is_wrong = {
             "physics_hz is empty; it needs a rate, such as 120.": not self.physics_hz,
             f"latency_steps is {self.latency_steps}; give 0 or more, then the same or more.": not (
-                0 <= self.latency_steps[0] <= self.latency_steps[1]
+                self.latency_steps[0] <= self.latency_steps[1]
             ),
             f"num_envs * rollout_steps = {self.rollout_transitions} transitions cannot be split into "
             f"{self.mini_batches} equal mini-batches; change one of the three.": (
                 self.rollout_transitions % self.mini_batches
             ),
-            f"recurrent is {self.recurrent}; it must be 0 or more.": self.recurrent < 0,
             f"num_envs = {self.num_envs} cannot be split into {self.mini_batches} equal mini-batches of "
             "whole rollouts, which recurrent networks need; change one of the two.": (
                 self.recurrent and self.num_envs % self.mini_batches
@@ -186,7 +186,7 @@ class TrainCfg:
 
         file = folder / CONFIG_FILE
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
+            content = read_json_object(file)
             values = content["train"] | {"method": content["policy"]["method"]}
             kept = {name: str(folder / f"{name}.json") for name in ("dynamics", "camera") if values[name]}
             return dataclasses.replace(decoded(cls, values | kept), env=decoded(CatchEnvCfg, content["env"]))

@@ -4,19 +4,18 @@ import csv
 import importlib
 import io
 import json
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
 from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
+from pixel2catch.progress import ProgressBar
 
 METRICS_FILE = "metrics.csv"
 WANDB_FILE = "wandb.id"  #: Which run of Weights & Biases a run folder has, to go on with it.
@@ -28,21 +27,14 @@ class TrainingLog:
 
     def __init__(self, cfg: TrainCfg, folder: Path, transitions: int, *, is_silent: bool) -> None:
         """Begin to show and write, after some transitions; if silent, neither, since another process does."""
-        self._console = Console(highlight=False, soft_wrap=True, quiet=is_silent)
-        self._total, self._report_seconds, self._next_report = cfg.transitions, cfg.report_seconds, 0.0
-        self._bar = Progress(
-            TextColumn("training"),
-            BarColumn(),
-            TextColumn("{task.percentage:>5.1f} %"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            TextColumn("{task.description}"),
+        self._console = Console(highlight=False, quiet=is_silent)
+        self._bar = ProgressBar(
+            "training",
+            cfg.transitions,
+            done=transitions,
             console=self._console,
-            disable=not self._console.is_terminal,
+            line_seconds=cfg.report_seconds,
         )
-        self._task = self._bar.add_task("", total=cfg.transitions, completed=transitions)
-        self._bar.start()
         self._csv = self._tensorboard = self._wandb = None
         if not is_silent:
             self._csv = CsvLog(folder / METRICS_FILE, transitions)
@@ -51,7 +43,8 @@ class TrainingLog:
             self._wandb = WandbRun(cfg.wandb, folder) if cfg.wandb else None
 
     def __enter__(self) -> "TrainingLog":
-        """Nothing more to open."""
+        """Show the bar."""
+        self._bar.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -60,20 +53,11 @@ class TrainingLog:
             self.attempt("TensorBoard events", self._tensorboard.close)
         if self._wandb is not None:
             self.attempt("the run of Weights & Biases", self._wandb.close)
-        self._bar.stop()
+        self._bar.__exit__()
 
     def write(self, row: Row) -> None:
         """Show and write a row of metrics."""
-        line = describe(row)
-        self._bar.update(self._task, completed=row["transitions"], description=line)
-        if not self._console.is_terminal and time.monotonic() >= self._next_report:
-            self._next_report = time.monotonic() + self._report_seconds
-            left = (self._total - row["transitions"]) / max(row["transitions_per_second"], 1e-9)
-            share = f"{100 * row['transitions'] / self._total:.1f} %"
-            self.say(
-                f"{share} · {row['transitions'] / 1e6:.2f} M transitions · {line}"
-                f" · {max(left, 0.0):.0f} s left"
-            )
+        self._bar.show(row["transitions"], f"{row['transitions'] / 1e6:.2f} M transitions · {describe(row)}")
         if self._csv is not None:
             self.attempt("metrics", partial(self._csv.write, row))
         if self._tensorboard is not None:
@@ -90,7 +74,7 @@ class TrainingLog:
 
     def say(self, text: str) -> None:
         """Print a line."""
-        self._console.print(text, markup=False)
+        self._console.print(text, markup=False, soft_wrap=True)
 
 
 def describe(row: Row) -> str:

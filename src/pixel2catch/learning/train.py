@@ -222,9 +222,11 @@ class _Training:
         try:
             self._save()
         except OSError as error:
+            earlier = "There is no earlier checkpoint: free some space and begin anew."
+            if self.folder.checkpoint.exists():
+                earlier = "An earlier checkpoint there is still good: free some space, then --resume."
             raise CheckpointError(
-                f"the end of the training could not be written to '{self.folder.path}': {error}. "
-                "An earlier checkpoint there is still good: free some space and go on with --resume."
+                f"the end of the training could not be written to '{self.folder.path}': {error}. {earlier}"
             ) from error
         transitions, minutes = self.progress.transitions, self.progress.seconds / 60
         log.say(

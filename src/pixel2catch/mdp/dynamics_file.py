@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.files import write_atomically
+from pixel2catch.files import read_json_object, write_atomically
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -50,7 +50,7 @@ class DynamicsFile:
         if path is None:
             return cls(dynamics=JointDynamics.nominal(specs=workcell.joints), workcell=workcell)
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = read_json_object(path)
             version, ranges = content.pop("format_version"), content.pop("gain_ranges", {})
             if version != FORMAT_VERSION:
                 raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")

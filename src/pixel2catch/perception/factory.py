@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from pixel2catch.checks import CameraPath, Count, Device, Share
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
@@ -31,13 +32,15 @@ class PerceptionArgs:
     region: Corners | None = None
     #: First and last hue of the object [degrees]: red 340 20, green 90 150, blue 210 270.
     color: Span | None = None
-    saturation: Span = (0.4, 1.0)  #: Smallest and largest saturation of --color.
-    value: Span = (0.2, 1.0)  #: Smallest and largest brightness of --color.
-    camera: Path | None = None  #: Camera file as `calibrate` writes it. Default: the camera of the policies.
+    saturation: tuple[Share, Share] = (0.4, 1.0)  #: Smallest and largest saturation of --color.
+    value: tuple[Share, Share] = (0.2, 1.0)  #: Smallest and largest brightness of --color.
+    camera: CameraPath | None = (
+        None  #: Camera file as `calibrate` writes it. Default: the camera of the policies.
+    )
     checkpoint: Path | None = None  #: Folder of a SAM 2.1 checkpoint in the format of transformers.
     #: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
-    image_size: int | None = None
-    device: str = "cpu"  #: Where SAM 2 runs: cpu, cuda, cuda:1, ...
+    image_size: Count | None = None
+    device: Device = "cpu"  #: Where SAM 2 runs: cpu, cuda, cuda:1, ...
 
     def prepare(self) -> None:
         """Leave the cores to others, unless SAM 2 is to run on them."""

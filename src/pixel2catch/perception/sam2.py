@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from torch.utils import _pytree as pytree
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.installation import install_command
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     Image,
@@ -68,15 +69,13 @@ BOX_LABELS, POINT_LABELS = (2, 3), (1,)
 
 def _import_advice(error: BaseException) -> str:
     if isinstance(error, ModuleNotFoundError) and error.name in ("huggingface_hub", "transformers"):
-        return (
-            "SAM 2 needs the package transformers, which is not installed: pip install 'pixel2catch[sam2]'."
-        )
+        return f"SAM 2 needs the package transformers, which is not installed: {install_command('sam2')}."
     while cause := error.__cause__ or error.__context__:  # transformers wraps it
         error = cause
     return (
         f"SAM 2 cannot be imported from transformers: {error}. If that is about torchvision, it "
         f"does not match PyTorch {torch.__version__}; it is not needed: pip uninstall torchvision, or "
-        "install the version made for this PyTorch. If not: pip install --upgrade 'pixel2catch[sam2]'."
+        "install the version made for this PyTorch. If not: {install_command('sam2')} --upgrade"
     )
 
 

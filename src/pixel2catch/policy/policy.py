@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from pixel2catch.errors import PolicyMismatchError
-from pixel2catch.files import write_atomically
+from pixel2catch.files import read_json_object, write_atomically
 from pixel2catch.policy.contract import PolicyContract
 from pixel2catch.policy.networks import HIDDEN, AgentNetwork
 
@@ -122,15 +122,15 @@ class Policy(nn.Module):
 def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     try:
         text = (folder / CONTRACT_FILE).read_text()
+        description = read_json_object(folder / CONTRACT_FILE)
         with safetensors.safe_open(folder / WEIGHTS_FILE, framework="pt") as file:
             saved_text = (file.metadata() or {}).get("policy")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-        description = json.loads(text)
-    except (FileNotFoundError, NotADirectoryError) as error:
+    except FileNotFoundError as error:
         raise PolicyMismatchError(
             f"no policy in '{folder}': it needs {WEIGHTS_FILE} and {CONTRACT_FILE}, as training writes them."
         ) from error
-    except (SafetensorError, json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (SafetensorError, ValueError) as error:
         raise PolicyMismatchError(f"the policy in '{folder}' is damaged: {error}") from error
     if saved_text != text:
         raise PolicyMismatchError(

@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from PIL import Image
 
-from pixel2catch.files import require_file
+from pixel2catch.checks import OutputFile
 from pixel2catch.rendering.camera import OBJECT_POS
 from pixel2catch.rendering.caption import add_caption, add_inset
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
@@ -182,7 +182,7 @@ def write_throws(
         InvalidValueError: If the file cannot be written; nothing was drawn then.
         DeviceUnavailableError: If nothing can be drawn on this machine; the message says what to install.
     """
-    require_file(path, FORMATS)
+    OutputFile(FORMATS).require("the film", path)
     if path.suffix.lower() == ".png":
         Image.fromarray(np.concatenate(strips(throws, scene, views, meshes))).save(path)
         return STILLS * len(throws)

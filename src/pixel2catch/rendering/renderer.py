@@ -35,6 +35,9 @@ robots that have nothing of the former."""
 UNDRAWN_GROUP = max(DRAWN_GROUPS) + 1
 
 
+MUJOCO_GL = ("", *GL_BACKENDS, "glfw", "on", "off", "enable", "disable", "true", "false", "1", "0")
+"""What the variable of that name may be. Source: MuJoCo; what is none of `GL_BACKENDS` has no effect here."""
+
 _PROBE = """
 import importlib, sys, mujoco
 context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(8, 8)
@@ -75,9 +78,13 @@ def find_gl_backend() -> str:
 
     Raises:
         DeviceUnavailableError: If none works; the message names the Debian packages to install.
+        InvalidValueError: If MUJOCO_GL has a value that means nothing.
     """
     bound = os.environ.get("PYOPENGL_PLATFORM", "").lower()
-    wished = bound or os.environ.get("MUJOCO_GL", "").lower()
+    named = os.environ.get("MUJOCO_GL", "").lower()
+    if named not in MUJOCO_GL:
+        raise InvalidValueError(f"MUJOCO_GL is '{named}'; unset it, or set it to {' or '.join(GL_BACKENDS)}.")
+    wished = bound or named
     candidates = sorted(GL_BACKENDS, key=lambda name: name != wished)
     for name in candidates[:1] if bound in GL_BACKENDS else candidates:
         if _draws(name):

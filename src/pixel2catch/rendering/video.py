@@ -12,8 +12,8 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from PIL import Image
 
+from pixel2catch.checks import OutputFile
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import require_file
 
 WEBP_QUALITY, WEBP_EFFORT = 60, 4  #: Of 100 and of 6.
 BOX_COLOR = (80, 255, 80)
@@ -28,9 +28,9 @@ def write_film(path: Path, pictures: Iterable[UInt8[ndarray, "height width 3"]],
     """Write pictures as a video or an animation that repeats, by the file's ending, and return their number.
 
     Raises:
-        InvalidValueError: As `require_file`.
+        InvalidValueError: The file cannot be written, or its name ends otherwise.
     """
-    require_file(path, FORMATS)
+    OutputFile(FORMATS).require("the film", path)
     num_pictures = 0
     if path.suffix.lower() == ".mp4":
         with VideoWriter(path, fps=fps) as video:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixel2catch.errors import PerceptionError, Pixel2CatchError, RecordingError
+from pixel2catch.installation import install_command
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -30,9 +31,7 @@ def opened_bag(
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as missing:
-        raise error(
-            f"{path}: reading bags needs {missing.name}; pip install 'pixel2catch[{extra}]'."
-        ) from None
+        raise error(f"{path}: reading bags needs {missing.name}; {install_command(extra)}.") from None
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             yield reader

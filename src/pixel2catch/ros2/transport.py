@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import final
 
 from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
+from pixel2catch.installation import install_command
 
 
 class Clock(ABC):
@@ -123,7 +124,7 @@ class Transport(ABC):
 
 
 TRANSPORTS = {
-    "dds": "pip install 'pixel2catch[deployment]'",
+    "dds": install_command("deployment"),
     "ros": "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or take the transport dds",
 }
 """Names of the transports, and how to get what they need."""

@@ -11,7 +11,10 @@ from jaxtyping import Bool, Float, Shaped
 from mujoco.batch import MODEL_FIELDS, Batch
 from torch import Tensor
 
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
+
+BYTES_PER_ENV = 250_000  #: Memory of an environment [bytes]. Source: ours; measured with a thousand.
 
 _VELOCITY_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
 
@@ -26,6 +29,7 @@ class BatchSimulation(Simulation):
     def __init__(self, model: mujoco.MjModel, num_envs: int, num_threads: int = 0) -> None:
         """Create the environments at the model's defaults; 0 threads are those of all processors."""
         super().__init__(model, num_envs, torch.device("cpu"), torch.float64)
+        _require_memory(num_envs)
         num_threads = num_threads or len(os.sched_getaffinity(0))
         self._batch = Batch(model, num_envs, min(num_threads, num_envs), persistent=True)
 
@@ -65,6 +69,17 @@ class BatchSimulation(Simulation):
 
     def close(self) -> None:
         """Nothing to do: the threads end with the object."""
+
+
+def _require_memory(num_envs: int) -> None:
+    """Refuse what this machine cannot hold, before the system ends the process without a word.
+
+    Raises:
+        InvalidValueError: With what fits.
+    """
+    fits = int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / BYTES_PER_ENV)
+    if num_envs > fits:
+        raise InvalidValueError(f"num_envs is {num_envs:,}; the memory of this machine holds {fits:,}.")
 
 
 def _as_tensor(array: np.ndarray) -> Tensor:

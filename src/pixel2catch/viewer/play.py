@@ -10,10 +10,10 @@ import torch
 import viser
 
 from pixel2catch.errors import Pixel2CatchError
-from pixel2catch.evaluation.loading import DEFAULT_POLICY, shipped_policies
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
 from pixel2catch.scene.scene import OBJECT_START
+from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
 from pixel2catch.viewer.config import PlayCfg
 from pixel2catch.viewer.disturbances import DISTURBANCES, Setting
 from pixel2catch.viewer.playback import Playback

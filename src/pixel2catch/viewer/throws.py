@@ -12,15 +12,16 @@ from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.envs.catch_env import CatchEnv, Step
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.episode import FAILURES, Episode, failure
-from pixel2catch.evaluation.loading import load_policy, policy_folder, task_of
+from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, RoundState, round_steps
 from pixel2catch.mdp.throws import flight_path
 from pixel2catch.methods import Method
-from pixel2catch.policy import Policy
+from pixel2catch.policy import LoadedPolicy
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import select_objects
+from pixel2catch.shipped import policy_folder
 from pixel2catch.viewer.disturbances import Setting, disturbed, released_at
 from pixel2catch.viewer.scene import Path as FlightPath
 
@@ -76,7 +77,7 @@ class Thrower:
     def __init__(self, dynamics: Path | None = None, camera: Path | None = None) -> None:
         """Nothing is loaded before the first order; files are as of `task_of`."""
         self._dynamics, self._camera = dynamics, camera
-        self._policies: dict[str, tuple[Policy, Method]] = {}
+        self._policies: dict[str, tuple[LoadedPolicy, Method]] = {}
         self._written: dict[str, float] = {}
         self._env: CatchEnv | None = None
         self._order: ThrowOrder | None = None
@@ -112,7 +113,7 @@ class Thrower:
             self._env.close()
         self._env = None
 
-    def _loaded(self, policy: str) -> tuple[Policy, Method]:
+    def _loaded(self, policy: str) -> tuple[LoadedPolicy, Method]:
         """The policy; read again when a training has written a newer one."""
         file = policy_folder(Path(policy)) / "policy.safetensors"
         written = file.stat().st_mtime if file.exists() else 0.0
@@ -126,7 +127,7 @@ class Thrower:
 class Throwing:
     """A throw that goes on."""
 
-    def __init__(self, env: CatchEnv, policy: Policy, order: ThrowOrder, number: int) -> None:
+    def __init__(self, env: CatchEnv, policy: LoadedPolicy, order: ThrowOrder, number: int) -> None:
         """Nothing happens before the first of `frames`."""
         self._env, self._policy, self.order, self.number = env, policy, order, number
         self._camera = env.cfg.sensing.camera.camera

@@ -11,7 +11,7 @@ from pixel2catch.errors import StudyError
 from pixel2catch.evaluation.loading import fingerprint
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.report import differences
-from pixel2catch.files import write_atomically
+from pixel2catch.files import as_json, json_text, write_atomically
 
 GROUPS = ("seen", "unseen")  #: Sets of objects that every policy is evaluated on. Source: paper, Sec. V.
 
@@ -131,7 +131,7 @@ class ComparisonFolder:
         asked = {"methods": plan.methods, "seeds": plan.seeds, "configuration": plan.configuration}
         content = {"plan": asked, "sessions": [*self.sessions(), *sessions]}
         self.path.mkdir(parents=True, exist_ok=True)
-        write_atomically({self.path / FILE: (json.dumps(content, indent=2) + "\n").encode()})
+        write_atomically({self.path / FILE: json_text(content).encode()})
 
     def _content(self) -> Json | None:
         file = self.path / FILE
@@ -143,7 +143,7 @@ class ComparisonFolder:
     def _extended(self, plan: Plan) -> Plan:
         """The plan with what the study asked before."""
         before = self.plan()
-        asked = json.loads(json.dumps(plan.configuration))
+        asked = as_json(plan.configuration)
         changes = differences(before.configuration, asked, "in the study")
         if changes:
             raise StudyError(

@@ -1,6 +1,5 @@
 """The report of a comparison: tables, pictures, and one page with all of them."""
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -25,6 +24,7 @@ from pixel2catch.evaluation.report import (
     png,
     write_files,
 )
+from pixel2catch.files import json_text
 from pixel2catch.mdp.throws import ThrowCfg
 
 DASH = "\N{EN DASH}"  #: What stands where there is no number.
@@ -159,12 +159,12 @@ def _tables(folder: ComparisonFolder, plan: Plan) -> tuple[dict[str, str], dict[
         "trainings": markdown(trainings_table(trainings)),
         "by_object": markdown(by_object_table(objects)),
     }
-    content = json.dumps({"results": summary, "objects": objects, "trainings": trainings}, indent=2)
+    content = json_text({"results": summary, "objects": objects, "trainings": trainings})
     return tables, {
         "table.md": "\n".join((tables["rates"], tables["quality"], tables["trainings"])),
         "table.tex": latex(rates),
         "table.csv": flat_csv(summary),
-        "table.json": content + "\n",
+        "table.json": content,
         "by_object.md": tables["by_object"],
         "by_object.csv": flat_csv(objects),
         "trainings.csv": flat_csv(trainings),

@@ -15,22 +15,22 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
-from itertools import starmap
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pixel2catch.errors import InvalidValueError, StudyError
-from pixel2catch.evaluation.loading import fingerprint, load_policy, shipped_policies, task_of
+from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_rounds
 from pixel2catch.evaluation.report import differences
 from pixel2catch.evaluation.stress.suite import Setting
-from pixel2catch.files import plain, write_atomically
+from pixel2catch.files import as_json, json_text, write_atomically
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.own_files import import_files
 from pixel2catch.policy import leaves
+from pixel2catch.shipped import shipped_policies
 
 Json = dict[str, Any]
 Returned = TypeVar("Returned")
@@ -104,12 +104,13 @@ def measure(
     cfg: EvaluationCfg,
     on_result: Callable[[int, Result, Metrics], None] = lambda *_: None,
     jobs: int = 1,
+    on_share: Callable[[float], None] = lambda _: None,
 ) -> tuple[Json, ...]:
     """Compute the results that are not there, so many jobs at once, and return all.
 
     Of the task only the physics rate counts, the rest is each policy's. Each job is a process of its own;
     only on the CPU there may be more than one. `on_result` is called with number, result and metrics of every
-    one that was computed, as soon as it was.
+    one that was computed, as soon as it was; `on_share` with the share of them that is done, more often.
 
     Raises:
         InvalidValueError: If there can not be so many jobs.
@@ -125,19 +126,27 @@ def measure(
     contents = [each.read() for each in results]
     missing = [number for number, content in enumerate(contents) if content is None]
     jobs = min(jobs, len(missing))
-    calls = [(results[number], cfg, jobs <= 1) for number in missing]
-    measured = in_processes(jobs, _measure, calls) if jobs > 1 else enumerate(starmap(_measure, calls))
-    for index, found in measured:
+    calls = [(results[number], cfg) for number in missing]
+    measured = in_processes(jobs, _measure, calls) if jobs > 1 else _one_by_one(calls, on_share)
+    for done, (index, found) in enumerate(measured, start=1):
+        on_share(done / len(missing))
         number = missing[index]
         each, content = results[number], origins[number] | {"metrics": found}
         each.file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically({each.file: (json.dumps(content, indent=2) + "\n").encode()})
+        write_atomically({each.file: json_text(content).encode()})
         contents[number] = content
         on_result(number + 1, each, found)
     return tuple(content for content in contents if content is not None)
 
 
-def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: bool = True) -> Trials:
+def throw_rounds(
+    actor: Actor,
+    method: Method,
+    cfg: EvaluationCfg,
+    *,
+    is_alone: bool = True,
+    on_share: Callable[[float], None] = lambda _: None,
+) -> Trials:
     """Evaluate a policy, each round with a seed of its own: then all policies get the same throws.
 
     What a setting disturbs is drawn after the throws, so that they are those of the nominal setting. A policy
@@ -145,11 +154,23 @@ def throw_rounds(actor: Actor, method: Method, cfg: EvaluationCfg, *, is_alone: 
     """
     with nullcontext() if is_alone else _one_processor():
         env = cfg.make_env(method)
-    return play_rounds(env, actor, cfg.trials, seed=cfg.seed)
+    return play_rounds(env, actor, cfg.trials, on_share=on_share, seed=cfg.seed)
 
 
-def _measure(result: Result, cfg: EvaluationCfg, is_alone: bool) -> Metrics:
-    return metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=is_alone))
+def _measure(result: Result, cfg: EvaluationCfg) -> Metrics:
+    return metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=False))
+
+
+def _one_by_one(
+    calls: Sequence[tuple[Result, EvaluationCfg]], on_share: Callable[[float], None]
+) -> Iterator[tuple[int, Metrics]]:
+    """Yield number and metrics of each, measured in this process."""
+    for number, (result, cfg) in enumerate(calls):
+
+        def tell(share: float, begun: int = number) -> None:
+            on_share((begun + share) / len(calls))
+
+        yield number, metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), on_share=tell))
 
 
 @contextmanager
@@ -187,7 +208,7 @@ def _origin(result: Result, cfg: EvaluationCfg) -> Json:
         "method": method.name,
         "policy_sha256": fingerprint(result.policy.folder),
         "setting": result.setting.name,
-        "evaluation": json.loads(json.dumps(asdict(evaluation), default=plain)),
+        "evaluation": as_json(asdict(evaluation)),
     }
 
 
@@ -221,6 +242,10 @@ def in_processes(
             numbers = {pool.submit(function, *call): number for number, call in enumerate(calls)}
         for future in as_completed(numbers):
             yield numbers[future], future.result()
+    except KeyboardInterrupt:
+        for process in active_children():  # the pool itself would wait for what they are doing
+            process.terminate()
+        raise
     except BrokenProcessPool as error:
         raise StudyError(
             f"one of {jobs} processes was ended from outside; if memory was short, give fewer --jobs. What "

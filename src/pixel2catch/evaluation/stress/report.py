@@ -1,6 +1,5 @@
 """The report of the stress suite: tables, a picture, and the methods in their order beside the real one."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations, pairwise
@@ -20,6 +19,7 @@ from pixel2catch.evaluation.report import Cells, csv_text, latex, markdown, perc
 from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.suite import REALITY
 from pixel2catch.evaluation.stress.trained import is_trained_on
+from pixel2catch.files import json_text
 
 SHOWN = ("tracking_rate", "success_rate", "verified_hold_rate")  #: Rates that the tables keep.
 
@@ -67,7 +67,7 @@ def make_table(results: Sequence[Result], contents: Sequence[Json]) -> Json:
 def write_report(out: Path, table: Json) -> None:
     """Write the files of the report, all or none."""
     files = {
-        "table.json": json.dumps(table, indent=2) + "\n",
+        "table.json": json_text(table),
         "table.csv": as_csv(table),
         "table.md": as_markdown(table) + _sources(table),
         "table.tex": latex(_rows(table), num_text_columns=1),

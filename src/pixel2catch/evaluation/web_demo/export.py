@@ -23,7 +23,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.world import MASS_POWER, NUM_SURFACE_POINTS, OCCLUDER_GROUPS
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.files import plain, require_free_folder
+from pixel2catch.files import as_json, require_free_folder
 from pixel2catch.mdp import terminations
 from pixel2catch.policy import Policy
 from pixel2catch.policy.networks import INPUT_CLIP
@@ -76,7 +76,7 @@ def write_web_demo(policy_folder: Path | None, out: Path) -> tuple[str, ...]:
     for name in (*SEEN, *UNSEEN):
         (out / "scenes" / f"{name}.xml").write_text(_scene_xml(task, name), encoding="utf-8")
     policy.save(out / "policy")
-    content = json.dumps(_task_content(task, workcell), default=plain, separators=(",", ":"))
+    content = json.dumps(as_json(_task_content(task, workcell)), separators=(",", ":"), allow_nan=False)
     (out / "task.json").write_text(content, encoding="utf-8")
     for name, text in page.items():
         (out / name).write_text(text, encoding="utf-8")

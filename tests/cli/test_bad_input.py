@@ -1,0 +1,229 @@
+"""Whatever is given to a command: one line that says what is right, the right exit status, no traceback."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pixel2catch.checks import require_valid
+from pixel2catch.cli.main import COMMANDS, main, parse
+from pixel2catch.envs.tasks import find_task
+from pixel2catch.learning.config import PRESETS, preset
+
+TRAIN = "train --device cpu --num-envs 4 --rollout-steps 2 --mini-batches 2 --hidden 8"
+
+BAD = [
+    ("fly", "unknown command 'fly'"),
+    ("evalute", "Did you mean 'evaluate'?"),
+    ("evaluate propsed", "Did you mean 'proposed'?"),
+    ("play single_agnt-seed0", "Did you mean 'single_agent-seed0'?"),
+    ("deploy propsed", "Did you mean 'proposed'?"),
+    ("rehearse propsed", "Did you mean 'proposed'?"),
+    ("stress proposed propsed", "Did you mean 'proposed'?"),
+    ("train propse", "Did you mean 'proposed'?"),
+    ("train catch+fit --teacher propsed", "Did you mean 'proposed'?"),
+    ("evaluate {file}", "is a file; name the folder of a policy"),
+    ("evaluate {empty}", "holds no policy"),
+    ("evaluate {list_policy}", "holds a list, not a JSON object"),
+    ("bench --num-envs 99999999999", "num_envs is 99,999,999,999; it must be from 1 to"),
+    ("bench --num-envs 9999999", "num_envs is 9,999,999; the memory of this machine holds"),
+    ("evaluate --num-envs -3", "num_envs is -3; it must be from 1 to"),
+    ("evaluate --trials 0", "trials is 0"),
+    ("catch --throws 0", "throws is 0"),
+    ("play --throws 0", "throws is 0"),
+    ("excite --recordings 100000", "recordings is 100,000; it must be from 1 to 1000"),
+    ("reproduce --seeds 0", "seeds is 0"),
+    ("evaluate --seed -1", "seed is -1; it must be from 0 to 4,294,967,295"),
+    ("play --seed 999999999999999999999999", "it must be from 0 to 4,294,967,295"),
+    ("train --seed 1" + 400 * "0", "seed is huge"),
+    ("bench --seconds 0", "seconds is 0; it must be greater than 0"),
+    ("bench --seconds inf", "seconds is inf; it must be a finite number"),
+    ("evaluate --physics-hz nan", "physics_hz is nan"),
+    ("evaluate --physics-hz inf", "physics_hz is inf; it must be from 30 to 30000"),
+    ("evaluate --physics-hz 100", "physics_hz is 100; it must be a multiple"),
+    ("train --learning-rate nan", "learning_rate is nan"),
+    ("train --discount 1.5", "discount is 1.5; it must be from 0 to 1"),
+    ("train --physics-hz 120 nan", "physics_hz is nan"),
+    ("train --hidden 512 0", "hidden is 0"),
+    ("train --num-envs 0", "num_envs is 0"),
+    ("train --device cpu --env.throws.peak-z nan 1", "nan"),
+    ("evaluate --device gpu", "device is 'gpu'; it must be cpu, cuda, or cuda:1"),
+    ("train --device cuda:x", "device is 'cuda:x'"),
+    ("stress --device tpu", "device is 'tpu'"),
+    ("reproduce --evaluation-device cpu gpu", "evaluation_device is 'gpu'"),
+    ("twin --web 99999", "web is 99999; it must be from 1 to 65535"),
+    ("twin --web 8080 --domain 500", "domain is 500; it must be from 0 to 232"),
+    ("rehearse --domain -1", "domain is -1"),
+    ("twin --clock 2", "clock is 2; it must be greater than 0, and at most 1"),
+    ("deploy --speed 0", "speed is 0"),
+    ("replay {empty} --out {new} --perception-ms nan", "perception_ms is nan"),
+    ("evaluate --out .", "out is '.', a folder; name a file in it"),
+    ("evaluate --out {file}/x.json", "nothing can be written in"),
+    ("stress --out {file}", "a file; name a folder"),
+    ("train --out {file}", "a file; name a folder"),
+    ("play --out x.gif", "out is 'x.gif'; end the file's name in .mp4"),
+    ("play --out {empty}", "end the file's name in .mp4"),
+    ("catch --video .", "end the file's name in .mp4"),
+    ("scene x.stl", "end the file's name in .xml or .mjb"),
+    ("track 0 --out {full}", "is not an empty folder"),
+    ("calibrate --print-marker {file}", "end the file's name in .png or .pdf"),
+    ("evaluate --dynamics {list}", "holds a list, not a JSON object"),
+    ("evaluate --camera {list}", "holds a list, not a JSON object"),
+    ("evaluate --dynamics {text}", "cannot read the dynamics file"),
+    ("evaluate --dynamics nowhere.json", "dynamics is 'nowhere.json', which is not there"),
+    ("train --dynamics {empty}", "a folder; name a file in it"),
+    ("record nowhere.npz --out {new}", "trajectory is 'nowhere.npz', which is not there"),
+]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Files and folders of the wrong kind, by what the command lines call them."""
+    folder = tmp_path_factory.mktemp("places")
+    names = ("file", "empty", "full", "list", "text", "list_policy", "new")
+    found = {name: folder / name for name in names}
+    for name in ("empty", "full", "list_policy"):
+        found[name].mkdir()
+    for file in (found["file"], found["full"] / "something"):
+        file.touch()
+    for file in (found["list"], found["list_policy"] / "policy.json"):
+        file.write_text("[1]")
+    found["text"].write_text("not JSON")
+    return found
+
+
+@pytest.mark.parametrize(("line", "words"), BAD, ids=[line[:60] for line, _ in BAD])
+def test_one_line_says_what_is_right(
+    line: str, words: str, places: dict[str, Path], capsys: pytest.CaptureFixture[str]
+):
+    before = sorted(path for place in places.values() for path in place.parent.rglob("*"))
+    assert main([word.format_map(places) for word in line.split()]) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith("pixel2catch: error: ")
+    assert words in output.err
+    assert sorted(path for place in places.values() for path in place.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.__name__.lower())
+def test_the_defaults_of_commands_are_valid(command: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    needed = {
+        "scene": "x.xml",
+        "record": "x --out new",
+        "identify": "x --robot ur5e --out new",
+        "replay": "x --out new",
+        "track": "0",
+        "operate": "/dev/input/event3",
+    }
+    name = command.__name__.lower()
+    parsed = parse([name, *needed.get(name, "").split()])
+    assert type(parsed) is command
+    if name not in ("record", "identify"):  # their inputs are not there
+        require_valid(parsed)
+
+
+@pytest.mark.parametrize("task", ["nominal", "wide", "wide_sharp"])
+def test_presets_and_tasks_are_valid(task: str):
+    require_valid(find_task(task))
+    for name in PRESETS:
+        require_valid(preset(name))
+
+
+def started(line: str, folder: Path, **options: object) -> subprocess.Popen[str]:
+    """A command in a process of its own, whose output is read as it comes."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "pixel2catch", *line.split()],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        **options,  # type: ignore[call-overload]
+    )
+
+
+STRESS = "stress proposed --axes nominal --trials 500"
+
+
+@pytest.mark.parametrize(
+    ("line", "sign", "number", "status", "words"),
+    [
+        (f"{TRAIN} --report-seconds 0 --out run", "k/s", signal.SIGINT, 130, "interrupted: "),
+        pytest.param(
+            f"{TRAIN} --report-seconds 0 --out run",
+            "k/s",
+            signal.SIGTERM,
+            130,
+            "interrupted: ",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "evaluate --num-envs 4 --trials 500",
+            "seen: ",
+            signal.SIGINT,
+            130,
+            "pixel2catch: interrupted",
+            marks=pytest.mark.slow,
+        ),
+        (STRESS, "stress: ", signal.SIGTERM, 143, "pixel2catch: terminated"),
+    ],
+    ids=["train-SIGINT", "train-SIGTERM", "evaluate-SIGINT", "stress-SIGTERM"],
+)
+def test_what_is_stopped_says_so(
+    line: str, sign: str, number: signal.Signals, status: int, words: str, tmp_path: Path
+):
+    with started(line, tmp_path) as process:
+        assert process.stdout is not None
+        said = []
+        for text in process.stdout:
+            said.append(text)
+            if sign in text:
+                process.send_signal(number)
+                break
+        said += process.stdout.readlines()
+    assert process.returncode == status, "".join(said)
+    assert words in "".join(said)
+    assert "Traceback" not in "".join(said)
+
+
+def _small_files() -> None:
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a full disk in small: writing fails behind 20 kB
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+
+def test_a_full_disk_gives_no_false_comfort(tmp_path: Path):
+    line = f"{TRAIN} --transitions 32 --checkpoint-seconds 0 --out run"
+    with started(line, tmp_path, preexec_fn=_small_files) as process:
+        said = process.communicate()[0]
+    assert process.returncode == 2, said
+    assert "could not be written" in said
+    assert "no earlier checkpoint" in said
+    assert "finished" not in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")
+def test_results_that_nobody_can_read_are_an_error(tmp_path: Path):
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "pixel2catch", "scene", "scene.xml"]
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path
+        )
+    assert done.returncode == 2
+    assert "pixel2catch: error: No space left on device" in done.stderr
+
+
+def test_results_are_strict_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """A training that ends before an episode has no rates: null, which JSON has, not NaN."""
+    assert main([*TRAIN.split(), "--transitions", "8", "--out", str(tmp_path / "run")]) == 0
+    text = (tmp_path / "run" / "summary.json").read_text()
+
+    def refuse(name: str) -> None:
+        raise AssertionError(name)
+
+    assert json.loads(text, parse_constant=refuse)["metrics"]["success_rate"] is None
