@@ -10,7 +10,7 @@ PINS := requirements.txt requirements-dev.txt pyproject.toml
 
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: setup catch test check wheel format help
+.PHONY: setup catch test check docs wheel format help
 .DELETE_ON_ERROR:
 
 setup: $(READY) ## make .venv from the pinned versions (once; again when they change)
@@ -41,6 +41,9 @@ check: $(READY) ## formatting, lint, types, import rules, spelling
 	@$(BIN)/basedpyright --pythonpath $(BIN)/python
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/codespell
+
+docs: $(READY) ## build the site of docs/ into site/; warnings are errors
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 wheel: $(READY) ## build the wheel, and try it away from here
 	@.ci/try_wheel

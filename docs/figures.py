@@ -1,0 +1,229 @@
+"""The figures of docs/, drawn from the code that they explain: `python docs/figures.py` writes them all."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy import ndarray
+
+from pixel2catch.camera.box_history import FIT_FEATURES, box_fit
+from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
+from pixel2catch.camera.pinhole import project
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.evaluation.comparison.figures import PALETTE, STYLE, throws_figure
+from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.motion import Motion, MotionLimits, TargetInterpolator, towards, wished
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+FOLDER = Path(__file__).parent / "figures"
+SVG: dict[Any, Any] = STYLE | {"svg.fonttype": "none", "svg.hashsalt": "pixel2catch"}
+POLICY = Path("catch_alone+fit")
+OBJECT = "cube_s"
+FEATURES_SEED = 4  #: A throw that crosses the image.
+NUM_THROWS = 30  #: Throws that a median is of.
+LONG = len(FIT_FEATURES)  #: Where the features of the long fit begin.
+TRUTH, BOX, FIT, SHORT = PALETTE[5], PALETTE[3], PALETTE[0], PALETTE[6]
+
+LATE: dict[str, dict[str, Any]] = {
+    "nominal: 1 or 2 steps": {},
+    "3 steps late": {"latency_steps": (3, 3)},
+    "every second image": {"image_period": 2.0},
+    "6 steps without an image": {"blackout_steps": 6},
+}
+"""Sensors by name; a step is a control step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flights:
+    """Throws at the shipped policy: a row for each control step, a column for each throw."""
+
+    steps: ndarray  #: Control steps since the release; none once the hand has touched the object.
+    truth: ndarray  #: Where the object's centre is in the image (u, v) [px].
+    box: ndarray  #: The newest measured box [px].
+    features: ndarray  #: `PIXEL_FEATURES` of it.
+    age: ndarray  #: Its age [ms].
+    short: ndarray  #: Where the fit with the short memory puts the object now (u, v) [px].
+    long: ndarray  #: Where the other one does [px].
+    target: ndarray  #: Joint targets [rad].
+
+
+def fly(cfg: CatchEnvCfg, num_throws: int = 1, seed: int = 0) -> Flights:
+    """Throw, and keep what was seen until the object is at the hand."""
+    policy, method = load_policy(POLICY)
+    env = CatchEnv(replace(cfg, objects=(OBJECT,)), method, num_envs=num_throws, seed=seed)
+    rows: list[tuple[ndarray, ...]] = []
+    try:
+        observation = env.reset()
+        before, hover = None, env._episode.throw.hover_steps.clone()
+        is_over = torch.zeros(num_throws, dtype=torch.bool)
+        while not is_over.all():
+            step = env.step(policy.act(observation.policy))
+            observation, seen, truth = step.observation, step.measurement, env.world.privileged(step.log)
+            is_over |= step.terminated | truth.is_touching.any(dim=1)
+            pixel, _ = project(RGB_CAMERA, truth.object_pos[:, None])
+            features = pixel_features(seen.box if before is None else before, seen.box, RGB_CAMERA)
+            fits = box_fit(seen.boxes.box, seen.boxes.age, RGB_CAMERA)
+            steps = torch.where(is_over, torch.nan, step.record.steps - hover)
+            age = seen.boxes.age[:, 0] * (1e3 * CONTROL_DT)
+            values = (steps, pixel[:, 0], seen.box, features, age, _pixels(fits), _pixels(fits[:, LONG:]))
+            rows.append(tuple(value.clone().numpy() for value in (*values, step.joint_pos_target)))
+            before = seen.box.clone()
+    finally:
+        env.close()
+    columns = map(np.array, zip(*rows, strict=True))
+    return Flights(**dict(zip(Flights.__annotations__, columns, strict=True)))
+
+
+def _pixels(fit: torch.Tensor) -> torch.Tensor:
+    """Where a fit puts the object in the image (u, v) [px]."""
+    u, v = fit[:, 0], fit[:, 1]
+    return torch.stack((RGB_CAMERA.fx * u + RGB_CAMERA.cx, RGB_CAMERA.fy * v + RGB_CAMERA.cy), dim=-1)
+
+
+def task(**sensing: Any) -> CatchEnvCfg:
+    """The task of an evaluation with other sensors."""
+    return task_of(load_policy(POLICY)[0]).with_sensing(**sensing)
+
+
+def throws() -> Figure:
+    """Camera, robot and throws."""
+    return throws_figure(ThrowCfg())
+
+
+def features() -> Figure:
+    """What one throw looks like to a policy: boxes in the image, and the pixel features over time."""
+    flight = fly(task(), seed=FEATURES_SEED)
+    rows = ~np.isnan(flight.steps[:, 0])
+    time = flight.steps[rows, 0] * CONTROL_DT
+    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    parts: Any = figure.subfigures(1, 2, width_ratios=(1.1, 1.0))
+    image: Axes = parts[0].subplots()
+    image.plot(*flight.truth[rows, 0].T, color=TRUTH, linewidth=1.0, label="centre of the object")
+    for number, (x0, y0, x1, y1) in enumerate(flight.box[rows, 0]):
+        label = "boxes that the policy gets" if number == 0 else None
+        image.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=BOX, label=label))
+    image.set(xlim=(0, RGB_CAMERA.width), ylim=(RGB_CAMERA.height, 0), xlabel="u [px]", ylabel="v [px]")
+    image.set_aspect("equal")
+    image.legend(loc="lower left", fontsize=8)
+    panels = parts[1].subplots(3, 1, sharex=True)
+    groups = (("cx", "cy"), ("dcx", "dcy"), ("dw", "dh"))
+    labels = ("share of the image", "change [px]", "change [px]")
+    for axes, names, label in zip(panels, groups, labels, strict=True):
+        for name, color in zip(names, (PALETTE[0], PALETTE[1]), strict=True):
+            values = flight.features[rows, 0, PIXEL_FEATURES.index(name)]
+            axes.plot(time, values, color=color, label=name)
+        axes.axvline(0.0, color=TRUTH, linewidth=0.8, linestyle=":")
+        axes.set_ylabel(label, fontsize=8)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+        axes.grid()
+    panels[-1].set_xlabel("time since the release [s] (dotted)")
+    return figure
+
+
+def latency() -> Figure:
+    """How old boxes are, and what a fitted path makes of that, in the median of throws."""
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    panels = figure.subplots(2, len(LATE), sharex=True, sharey="row")
+    for (age, error), (title, sensing) in zip(panels.T, LATE.items(), strict=True):
+        flights = fly(task(**sensing), NUM_THROWS)
+        centre = (flights.box[..., :2] + flights.box[..., 2:]) / 2
+        steps = np.arange(-5, 22)
+        rows = ~np.isnan(flights.steps[:, 0])
+        time = flights.steps[rows, 0] * CONTROL_DT
+        age.step(time, flights.age[rows, 0], where="post", color=BOX)
+        age.set_title(title, fontsize=9)
+        lines = (
+            (centre, BOX, "newest box"),
+            (flights.long, FIT, "long fit"),
+            (flights.short, SHORT, "short fit"),
+        )
+        for where, color, label in lines:
+            away = np.linalg.norm(where - flights.truth, axis=-1)
+            error.plot(steps * CONTROL_DT, _by_step(flights, away, steps), color=color, label=label)
+        error.set(xlabel="since the release [s]", xlim=(-0.2, 0.72), ylim=(0, 100))
+        age.grid()
+        error.grid()
+    panels[0, 0].set_ylabel("age of the box\nin one throw [ms]", fontsize=9)
+    panels[1, 0].set_ylabel("median distance from\nthe object's centre [px]", fontsize=9)
+    panels[1, 0].legend(loc="upper left", fontsize=8)
+    return figure
+
+
+def _by_step(flights: Flights, values: ndarray, steps: ndarray) -> ndarray:
+    """The median of values over all throws, by the control steps since the release."""
+    return np.array([np.median(values[flights.steps == step]) for step in steps])
+
+
+def servo() -> Figure:
+    """From the policy's targets at 30 Hz to commands at 500 Hz: a throw, and a jump that is too large."""
+    limits = ServoLimits.of(UR5E_ALLEGRO).motion.only(slice(1, 2))
+    flight = fly(task(), seed=FEATURES_SEED)
+    jump = np.repeat((-1.9, -1.4), (6, 24))
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    panels = figure.subplots(2, 2, sharex="col")
+    titles = ("shoulder lift in a throw", "a jump of 0.5 rad")
+    for (position, speed), title, targets in zip(
+        panels.T, titles, (flight.target[:, 0, 1], jump), strict=True
+    ):
+        time, command, rate = _commands(targets, limits)
+        ticks = np.arange(len(targets)) * CONTROL_DT
+        position.step(ticks, targets, where="post", color=BOX, label="targets, 30 Hz")
+        position.plot(time, command, color=FIT, label="commands, 500 Hz")
+        position.set_title(title, fontsize=9)
+        speed.plot(time, rate, color=FIT)
+        for bound in (-1, 1):
+            speed.axhline(bound * limits.speed[0], color=TRUTH, linewidth=0.8, linestyle=":")
+        speed.set_xlabel("time [s]")
+        for axes in (position, speed):
+            axes.grid()
+    panels[0, 0].set_ylabel("position [rad]")
+    panels[1, 0].set_ylabel("speed of the command [rad/s]\n(dotted: its limit)")
+    panels[0, 0].legend(fontsize=8)
+    return figure
+
+
+def _commands(targets: ndarray, limits: MotionLimits) -> tuple[ndarray, ndarray, ndarray]:
+    """Times [s], positions [rad] and speeds [rad/s] of the commands that follow targets."""
+    start = np.array([[targets[0]]])
+    course, motion = TargetInterpolator.resting(start), Motion(position=start, velocity=0.0 * start)
+    rows = []
+    for tick in range(round(len(targets) * CONTROL_DT / limits.dt)):
+        now = np.array([tick * limits.dt])
+        number = np.floor(now / CONTROL_DT + 1e-9)
+        target = np.array([[targets[int(number[0])]]])
+        course = course.turned(np.array([True]), target, now, number)
+        motion = towards(motion, wished(motion, course.at(now), limits), limits)
+        rows.append((now[0], motion.position[0, 0], motion.velocity[0, 0]))
+    return tuple(np.array(rows).T)  # type: ignore[return-value]
+
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "throws": throws,
+    "features": features,
+    "latency": latency,
+    "servo": servo,
+}
+
+
+def write(folder: Path = FOLDER, names: Iterable[str] = FIGURES) -> None:
+    """Draw figures into a folder."""
+    folder.mkdir(exist_ok=True)
+    torch.set_num_threads(1)
+    for name in names:
+        with matplotlib.rc_context(SVG):
+            FIGURES[name]().savefig(folder / f"{name}.svg", metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    write()
