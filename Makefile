@@ -33,7 +33,7 @@ catch: $(READY) ## catch a thrown object with the shipped policy
 	@$(BIN)/pixel2catch catch
 
 test: $(READY) ## run the tests
-	@$(BIN)/pytest -n 3 --dist loadfile
+	@$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 check: $(READY) ## formatting, lint, types, import rules, spelling
 	@$(BIN)/ruff format --check --quiet .

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.policy_pipeline import Controller
-from pixel2catch.errors import NonFiniteError, PolicyMismatchError
+from pixel2catch.errors import NonFiniteError, PolicyMismatchError, UnknownNameError
 from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, run_round
 from pixel2catch.evaluation.stress.measuring import _entry
@@ -229,7 +229,7 @@ def test_damaged_foreign_and_missing_files(file: Path, tmp_path: Path) -> None:
     onnx.save(model, foreign)
     with pytest.raises(PolicyMismatchError, match="an ONNX file, but no policy; make one with"):
         load(foreign)
-    with pytest.raises(PolicyMismatchError, match=r"missing\.onnx"):
+    with pytest.raises(UnknownNameError, match=r"missing\.onnx"):
         load_policy(tmp_path / "missing.onnx")
     with pytest.raises(PolicyMismatchError, match=r"no policy in '.*damaged\.onnx'"):
         Policy.load(damaged)

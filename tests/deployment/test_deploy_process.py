@@ -22,7 +22,7 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
 
-RATE = 0.03
+RATE = 0.05
 """Rate of the clock: what a busy machine makes wait for half a second is not late by this one."""
 
 PROFILE = Profile.load("ur5e_allegro_v4")

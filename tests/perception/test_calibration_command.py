@@ -155,4 +155,4 @@ def test_a_board_pose_takes_a_unit_quaternion(laboratory: Path, capsys: pytest.C
 
 def test_nothing_to_do_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "--print-marker" in error_of(capsys, "--out", tmp_path / "camera.json")
-    assert "no .png and no .pdf" in error_of(capsys, "--print-marker", tmp_path / "board.jpg")
+    assert "end the file's name in .png or .pdf" in error_of(capsys, "--print-marker", tmp_path / "board.jpg")

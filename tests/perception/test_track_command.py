@@ -19,6 +19,7 @@ from tiny_sam2 import save_tiny_sam2
 
 from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO
+from pixel2catch.installation import install_command
 from pixel2catch.perception.annotate import HEADER, PLOT_HEIGHT, PLOT_ROWS
 from pixel2catch.perception.tracking import COLUMNS
 from pixel2catch.scene.constants import CONTROL_DT
@@ -156,7 +157,7 @@ def test_what_is_printed_says_whether_it_is_fast_enough(
         (["throw.mp4", "--box", "1", "2", "3", "4", "--point", "5", "6"], "not both"),
         (["throw.mp4", "--region", "0", "0", "999", "10"], "is not on the image"),
         (["throw.mp4", "--workcell", "ur10e"], "unknown work cell 'ur10e'"),
-        (["throw.mp4", "--camera", "nowhere.json"], "cannot read the camera file 'nowhere.json'"),
+        (["throw.mp4", "--camera", "nowhere.json"], "camera is 'nowhere.json', which is not there"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(
@@ -190,7 +191,7 @@ def test_a_missing_extra_is_named(files: Path, tmp_path: Path):
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "pip install 'pixel2catch[perception]'" in done.stderr
+    assert install_command("perception") in done.stderr
 
 
 def interrupt_once_there(file: Path) -> None:

@@ -219,8 +219,10 @@ def _session() -> dict[str, Any]:
 def _options(options: Mapping[str, Any]) -> list[str]:
     args: list[str] = []
     for name, value in options.items():
-        if value is None:
+        if value is None or value == {}:
             continue
+        if isinstance(value, Mapping):
+            value = [part for pair in value.items() for part in pair]
         values = value if isinstance(value, tuple | list) else [value]
         args += [f"--{name.replace('_', '-')}", *map(str, values)]
     return args

@@ -14,6 +14,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import write_atomically
+from pixel2catch.installation import install_command
 from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
 from pixel2catch.progress import ProgressBar
 
@@ -98,7 +99,7 @@ def wandb_package() -> Any:
     try:
         return importlib.import_module("wandb")
     except ImportError as error:
-        raise InvalidValueError(f"--wandb needs wandb ({error}): pip install 'pixel2catch[wandb]'.") from None
+        raise InvalidValueError(f"--wandb needs wandb ({error}): {install_command('wandb')}.") from None
 
 
 class WandbRun:

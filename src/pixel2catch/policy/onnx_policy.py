@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from pixel2catch.errors import NonFiniteError, PolicyMismatchError
+from pixel2catch.installation import install_command
 from pixel2catch.policy.contract import PolicyContract
 from pixel2catch.policy.networks import INPUT_CLIP, AgentNetwork
 from pixel2catch.policy.policy import Policy
@@ -231,7 +232,7 @@ def _needs_libraries() -> Iterator[None]:
         yield
     except ImportError as error:
         raise PolicyMismatchError(
-            f"ONNX files need a package that cannot be imported ({error}): pip install 'pixel2catch[onnx]'."
+            f"ONNX files need a package that cannot be imported ({error}): {install_command('onnx')}."
         ) from None
 
 

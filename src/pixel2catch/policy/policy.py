@@ -126,7 +126,7 @@ def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         with safetensors.safe_open(folder / WEIGHTS_FILE, framework="pt") as file:
             saved_text = (file.metadata() or {}).get("policy")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except FileNotFoundError as error:
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise PolicyMismatchError(
             f"no policy in '{folder}': it needs {WEIGHTS_FILE} and {CONTRACT_FILE}, as training writes them."
         ) from error

@@ -1,6 +1,6 @@
 """Objects from mesh files (.stl, .obj, ...): convex parts by decomposition, mass properties of the mesh.
 
-Reading needs trimesh, decomposition CoACD: `pip install 'pixel2catch[meshes]'`.
+Reading needs trimesh, decomposition CoACD: the extra `meshes`.
 """
 
 import importlib
@@ -14,6 +14,7 @@ from numpy import ndarray
 from scipy.spatial import ConvexHull
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.installation import install_command
 from pixel2catch.scene import shapes
 from pixel2catch.scene.objects import OBJECT_MASS, ObjectSpec, of_solid
 from pixel2catch.scene.shapes import ConvexPart, moments, moments_inside
@@ -69,7 +70,7 @@ def _read(file: Path) -> Any:
     """
     trimesh = _package("trimesh")
     if trimesh is None:
-        raise InvalidValueError("meshes are read by trimesh: pip install 'pixel2catch[meshes]'.")
+        raise InvalidValueError(f"meshes are read by trimesh: {install_command('meshes')}.")
     try:
         mesh = trimesh.load_mesh(file)
         mesh.fix_normals()
@@ -92,7 +93,7 @@ def _decomposed(mesh: Any, max_parts: int) -> list[Float[ndarray, "_ 3"]]:
     coacd = _package("coacd")
     if others and coacd is None:
         warnings.warn(
-            "without CoACD a mesh collides as the hulls of its surfaces: pip install 'pixel2catch[meshes]'",
+            f"without CoACD a mesh collides as the hulls of its surfaces: {install_command('meshes')}",
             stacklevel=3,
         )
     if coacd is None or len(bodies) == max_parts:
