@@ -1,6 +1,6 @@
 import os
 
-# One thread for each process of the tests: several of them share the cores. Tables are as wide as without xdist.
+# One thread for each process of the tests, as several share the cores; tables as wide as without xdist.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.pop("COLUMNS", None)
 
