@@ -85,7 +85,7 @@ def test_the_command_writes_the_page_and_names_what_is_missing(
 def test_the_documents_name_the_pinned_packages(demo: Path):
     versions = json.loads((demo / "package.json").read_text())["dependencies"]
     packages = " ".join(f"{name}@{version}" for name, version in versions.items())
-    for name in ("README.md", "CONTRIBUTING.md"):
+    for name in ("docs/web_demo.md", "CONTRIBUTING.md"):
         (line,) = re.findall(r"npm install .*?--prefix \S+ ([^`\n]+)", (ROOT / name).read_text("utf-8"))
         assert line == packages
 
