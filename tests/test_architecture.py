@@ -97,3 +97,11 @@ def test_files_and_functions_are_short(path: Path):
 def test_shapes_are_checked_while_testing():
     with pytest.raises(TypeCheckError):
         pixel_features(torch.zeros(2, 4), torch.zeros(2, 3), RGB_CAMERA)
+
+
+def test_continuous_integration_runs_everything():
+    lines = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if line.startswith("make ")] == [
+        f"make {target}" for target in ("setup", "check", "docs", "wheel", "test")
+    ]
+    assert "set -euo pipefail" in lines
