@@ -22,7 +22,7 @@ def main(out: Path = Path("runs/size"), transitions: int = 1_000_000, num_envs: 
     result = p2c.train(
         size_and_age, out, transitions=transitions, num_envs=num_envs, hidden=(64, 64), recurrent=32
     )
-    print(result.status, p2c.load_policy(out).contract.agents)
+    print(result.status, p2c.load_policy(out).contract.method)
 
 
 if __name__ == "__main__":

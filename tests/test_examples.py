@@ -25,7 +25,7 @@ PRINTED = {
     "evaluate_policies": "proposed-seed0, 300 g: ",
     "last_five_boxes": "('last_boxes[t]', 25)",
     "own_learner": "update 1: mean reward ",
-    "own_method": "finished size_and_age (64, 64) 32",
+    "own_method": "finished size_and_age",
     "own_object": "'cup': ",
     "own_reward": "arm.held_speed: ",
     "own_robot": "nearer [",
