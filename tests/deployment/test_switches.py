@@ -208,7 +208,14 @@ def until(queue: Subscription, num: int) -> list[bool]:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", 20_000 * "[", '{"mode": 5}', '{"mode": "run", "message": "", "found": "all"}']
+    "text",
+    [
+        *("", "[]", "{}", 20_000 * "[", '{"mode": 5}', '{"mode": "run", "message": "", "found": "all"}'),
+        *(
+            f'{{"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": [], "box": {box}}}'
+            for box in ("5", "[1, 2, 3]", '[1, 2, 3, "x"]', "[0, 0, Infinity, NaN]", "[0, 0, 1e300, 9]")
+        ),
+    ],
 )
 def test_a_status_that_is_none_changes_nothing(text: str):
     clock, broker = StepClock(lambda _: None), Broker()

@@ -155,3 +155,13 @@ def test_what_the_deployment_sees_is_in_the_picture_and_its_state_in_the_table(s
     assert "| cx | 0.19 |" in shown.page.wire.text.content  # 120 of 640
     green = np.argwhere((shown.page.wire.picture.image == BOX_COLOR).all(axis=-1))
     assert (green.min(axis=0).tolist(), green.max(axis=0).tolist()) == ([50, 110], [79, 129])
+
+
+def test_what_cannot_be_read_shows_nothing(shown: Shown):
+    garbage = b"\x00\x01\x00\x00garbage"
+    for topic in (PROFILE.camera.image, PROFILE.robots[0].state_topic, PROFILE.operator.status):
+        shown.bench.node.publisher(topic).publish(garbage)
+    shown.go_on(30)
+    shown.tell(mode="run")
+    shown.go_on(30)
+    assert "| deploy: mode | run |" in shown.page.wire.text.content

@@ -89,7 +89,7 @@ class Link(Network):
         from pixel2catch.cli.console import say
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
-        from pixel2catch.servo.limits import ServoLimits
+        from pixel2catch.servo.limits import JointLimits, ServoLimits
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(profile.workcell)
@@ -99,4 +99,5 @@ class Link(Network):
         elif not self.loopback:
             say("no --dynamics: commands are no faster than the joints may be; identify the robot to catch")
         is_identified = self.loopback or self.dynamics is not None
-        return ServoLimits.of(workcell, self.speed, dynamics, is_identified=is_identified)
+        joints = JointLimits.of(workcell, self.speed, dynamics, is_identified=is_identified)
+        return ServoLimits.of(workcell, joints)

@@ -15,6 +15,7 @@ from pixel2catch.ros2.transport import Clock, Subscription, Transport
 SWITCH_TIME = 0.04
 """Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of what the servo waits."""
 
+FARTHEST = 1e6  #: Distance from the image's corner at which no box is [px].
 DEPTH = 64  #: Messages that are kept from one look to the next.
 
 
@@ -68,7 +69,11 @@ def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
 
 
 def _is_status(said: dict[str, Any]) -> bool:
-    """Whether it is the status of a deployment, as far as an operator needs it."""
+    """Whether it is the status of a deployment, as far as operators and pages need it."""
+    box = said.get("box")
+    is_box = isinstance(box, list) and len(box) == 4 and all(isinstance(edge, int | float) for edge in box)
+    if box is not None and not (is_box and all(abs(edge) < FARTHEST for edge in box)):
+        return False
     lists = [said.get(name) for name in ("stopped_by", "refused", "found")]
     texts = [said.get("mode"), said.get("message"), *(text for each in lists for text in each or ())]
     return all(isinstance(each, list) for each in lists) and all(isinstance(text, str) for text in texts)

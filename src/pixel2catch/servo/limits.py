@@ -156,17 +156,9 @@ class ServoLimits:
     ramp_time: float = 1.0
 
     @classmethod
-    def of(
-        cls,
-        workcell: WorkcellSpec,
-        share: float = 1.0,
-        dynamics: JointDynamics | None = None,
-        *,
-        is_identified: bool = True,
-    ) -> "ServoLimits":
-        """Those of a work cell, at a share of the full speed; see `JointLimits.of`."""
-        joints = JointLimits.of(workcell, share, dynamics, is_identified=is_identified)
-        return cls(joints=joints, workspace=Workspace(workcell=workcell))
+    def of(cls, workcell: WorkcellSpec, joints: JointLimits | None = None) -> "ServoLimits":
+        """Those of a work cell, and of its joints if there are no others."""
+        return cls(joints=joints or JointLimits.of(workcell), workspace=Workspace(workcell=workcell))
 
     def __post_init__(self) -> None:
         """Refuse limits under which a stop takes too long."""

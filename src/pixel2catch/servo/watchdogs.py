@@ -86,7 +86,8 @@ class JointTrack:
 
         No joint is faster than `most` [rad/s].
         """
-        is_known, is_new = np.isfinite(self.stamp), np.isfinite(position) & ~(stamp <= self.stamp)
+        is_known = np.isfinite(self.stamp)
+        is_new = np.isfinite(position) & np.isfinite(stamp) & ~(stamp <= self.stamp)
         elapsed = np.where(is_known & is_new, stamp - self.stamp, 0.0)
         moved = np.where(is_known & is_new, position - self.position, 0.0)
         is_jump = np.abs(moved) > most * (elapsed + JITTER)

@@ -1,6 +1,7 @@
 """What is on the wire of a deployment, on a page: the robot, the camera's image, the states."""
 
 from collections import deque
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import torch
 import viser
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
+from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
 from pixel2catch.rendering.video import draw_box
@@ -55,9 +57,10 @@ class WireView:
         """Show what has arrived, by the newest status of the deployment and state of the twin."""
         for subscription in self._joints:
             for message in subscription.take():
-                reading = messages.read_joint_state(message.data)
-                for part in self._parts:
-                    part.merge(reading, self._joint_pos)
+                with suppress(DeploymentError):  # a message that cannot be read shows nothing
+                    reading = messages.read_joint_state(message.data)
+                    for part in self._parts:
+                        part.merge(reading, self._joint_pos)
         with self._server.atomic():
             self._move(state)
             self._tell(status, state)
@@ -81,10 +84,11 @@ class WireView:
         if box:
             self._boxes.append(box)
         for message in self._images.take():
-            pixels = messages.read_image(message.data).pixels.copy()
-            if box:
-                draw_box(pixels, np.array(box, dtype=float))
-            self.picture.show(pixels)
+            with suppress(DeploymentError):
+                pixels = messages.read_image(message.data).pixels.copy()
+                if box:
+                    draw_box(pixels, np.array(box, dtype=float))
+                self.picture.show(pixels)
         rows = {**self._features(), **{f"deploy: {name}": value for name, value in status.items()}}
         rows |= {f"twin: {name}": value for name, value in state.items() if name != "object_pose"}
         table = "\n".join(f"| {name} | {_short(value)} |" for name, value in rows.items())
