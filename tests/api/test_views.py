@@ -34,7 +34,10 @@ def test_environments_are_made_by_name():
     env = p2c.make("catch+boxes3", num_envs=2, objects=["real_cube", "cross"], seed=1)
     actions = {name: torch.zeros(2, size) for name, size in env.action_sizes.items()}
     assert env.step(actions).rewards["arm"].shape == (2,)
-    assert {env.world.objects.names[row] for row in env.object_id} <= {"real_cube", "cross"}
+    assert {env.world.objects.names[row] for row in env.episode.parameters.object_id} <= {
+        "real_cube",
+        "cross",
+    }
     with pytest.raises(InvalidValueError, match="an action of agent 'arm' is NaN"):
         env.step(actions | {"arm": torch.full((2, 6), float("nan"))})
     env.step(actions)

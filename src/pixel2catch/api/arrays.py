@@ -81,7 +81,7 @@ class Pictures:
         """
         if not self._is_drawing:
             return None
-        names, ids = self._env.world.objects.names, self._env.object_id.tolist()
+        names, ids = self._env.world.objects.names, self._env.episode.parameters.object_id.tolist()
         positions = array(self._env.world.simulation.bind("qpos"))
         return [self._renderer(names[row]).image(qpos) for row, qpos in zip(ids, positions, strict=True)]
 

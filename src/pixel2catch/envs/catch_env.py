@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
@@ -176,11 +176,6 @@ class CatchEnv:
     def close(self) -> None:
         """Free the simulation."""
         self.world.simulation.close()
-
-    @property
-    def object_id(self) -> Int[Tensor, " num_envs"]:
-        """What is thrown in each environment, as a row of the object table."""
-        return self._episode.record.object_id
 
     def _require_numbers(self) -> None:
         found = zip(self.method.agents, self._is_nan.tolist(), strict=True)
