@@ -41,6 +41,8 @@ class JointLimits:
     upper: Joints  #: Highest command [rad].
     speed: Joints  #: Largest speed of a command [rad/s].
     acceleration: Joints  #: Largest acceleration of a command [rad/s²].
+    jerk: Joints  #: Largest jerk of a command [rad/s³].
+    deceleration: Joints  #: Deceleration in a stop of a joint that was as fast as a command [rad/s²].
     step: Joints  #: Largest change of a command in a tick [rad].
     lag: Joints  #: How long a joint is behind its command [s].
     lead: Joints  #: How far a command goes ahead of its joint [rad].
@@ -101,6 +103,8 @@ class JointLimits:
             upper=ends[1] - margin[1],
             speed=share * each(10.0, 20.0) if is_identified else even_speed,
             acceleration=each(300.0, 2000.0),
+            jerk=each(60e3, 400e3),
+            deceleration=each(20.0, 100.0),
             step=each(0.03, 0.04),
             lag=lag,
             lead=lead,
@@ -114,6 +118,11 @@ class JointLimits:
             start_distance=each(0.5, np.inf),
             position_age=each(0.02, 0.05),
         )
+
+    @property
+    def stop_time(self) -> Joints:
+        """Time in which a stop takes each joint to rest [s]."""
+        return self.lead / (self.lag * self.deceleration)
 
     def __post_init__(self) -> None:
         """Refuse limits that are none."""
@@ -183,5 +192,6 @@ class ServoLimits:
             upper=joints.upper,
             speed=np.minimum(joints.speed, joints.step / self.dt),
             acceleration=joints.acceleration,
+            jerk=joints.jerk,
             dt=self.dt,
         )
