@@ -341,7 +341,8 @@ class ServoCore:
         is_returning = state.is_returning & (state.ticks * dt < RETURN_TIME)
         lead = state.lead * np.maximum((left - dt) / joints.stop_time, 0.0)
         back = (found.joint_pos + lead).clip(state.hold - joints.lead, state.hold + joints.lead)
-        back = wished(motion, back.clip(joints.lower, joints.upper), self._motion)
+        speed = np.where(left > dt, found.track.speed - state.lead / joints.stop_time, 0.0)
+        back = speed + wished(motion, back.clip(joints.lower, joints.upper), self._motion)
         return np.where(is_returning[:, None], back, slower)
 
     def _moved(self, state: ServoState, found: Findings, goal: Rows) -> tuple[ServoState, Bits]:
