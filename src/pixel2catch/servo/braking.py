@@ -1,8 +1,6 @@
 """What keeps commands in the workspace: a tick is taken only if the arms can brake inside after it."""
 
 import numpy as np
-from jaxtyping import Float64, Int64
-from numpy.lib.stride_tricks import sliding_window_view
 
 from pixel2catch.servo.motion import Flags, Motion, MotionLimits, Recent, braked, braking
 from pixel2catch.servo.workspace import Workspace
@@ -15,7 +13,6 @@ class WorkspaceBrake:
         """Keep all joints to limits, and the arms among them inside."""
         self._workspace, self._columns = workspace, workspace.joints
         self._arm = limits.only(self._columns)
-        self._weights = self._arm.weights.transpose(1, 2, 0)
 
     def kept_inside(self, motion: Motion, recent: Recent, wanted: Motion, is_watched: Flags) -> Motion:
         """The wanted tick, or as much of it as lets the arms brake without leaving the workspace.
@@ -24,11 +21,10 @@ class WorkspaceBrake:
         can still brake.
         """
         arm = self._columns
-        rows = np.flatnonzero(is_watched & wanted.velocity[:, arm].any(axis=-1))
-        if not len(rows):
-            return wanted
-        recent = recent[1:, :, arm]
-        rows = rows[~self._can_stop(wanted.only(rows, arm), recent[:, rows])]
+        rows = (is_watched & np.logical_or.reduce(wanted.velocity[:, arm], axis=-1)).nonzero()[0]
+        recent = recent[len(recent) + 1 - len(self._arm.weights) :, :, arm]
+        if len(rows):
+            rows = rows[~self._can_stop(wanted.only(rows, arm), recent[:, rows])]
         if not len(rows):
             return wanted
         recent, before, goal = recent[:, rows], motion.only(rows, arm), wanted.only(rows, arm)
@@ -42,15 +38,16 @@ class WorkspaceBrake:
         kept[np.ix_(rows, arm)] = velocity
         return motion.moved(kept, self._arm.dt)
 
-    def _can_stop(self, motion: Motion, before: Float64[np.ndarray, "ticks rows joints"]) -> Flags:
+    def _can_stop(self, motion: Motion, recent: Recent) -> Flags:
         """Whether the arms stay in the workspace at every tick of braking, the present one included.
 
-        The positions before are those that count in a command beside the present one, oldest first.
+        The recent positions are those that count in a command beside the present one, oldest first.
         """
-        longest = np.ceil(np.abs(motion.velocity) / self._arm.change).max(axis=-1) + len(before)
+        longest = np.ceil(np.abs(motion.velocity) / self._arm.change).max(axis=-1) + len(recent)
         ticks = np.arange(int(longest.max()) + 1)
-        path = np.concatenate((before, braked(motion, self._arm, ticks[:, None, None])))
-        commands = np.add.reduce(sliding_window_view(path, len(before) + 1, axis=0) * self._weights, axis=-1)
-        is_inside = ticks[:, None] > longest
-        is_inside[~is_inside] = self._workspace.contains(commands[~is_inside])
-        return np.logical_and.reduce(is_inside, axis=0)
+        path = np.concatenate((recent, braked(motion, self._arm, ticks[:, None, None])))
+        commands = sum(path[i : i + len(ticks)] * share for i, share in enumerate(self._arm.weights))
+        is_braking = ticks[:, None] <= longest
+        is_outside = np.zeros(is_braking.shape, dtype=np.bool_)
+        is_outside[is_braking] = ~self._workspace.contains(commands[is_braking])
+        return ~np.logical_or.reduce(is_outside, axis=0)

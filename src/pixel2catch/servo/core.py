@@ -18,8 +18,10 @@ Rows are independent robots: one in the laboratory, thousands in tests.
 
 from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
+from functools import cached_property
 
 import numpy as np
+from jaxtyping import Bool
 
 from pixel2catch.servo.braking import WorkspaceBrake
 from pixel2catch.servo.limits import RETURN_TIME, STOP_TIME, ServoLimits
@@ -32,6 +34,7 @@ from pixel2catch.servo.motion import (
     TargetInterpolator,
     Times,
     averaged,
+    clipped,
     towards,
     wished,
 )
@@ -113,15 +116,15 @@ class ServoState:
     def is_in(self, first: Mode, last: Mode | None = None) -> Flags:
         """Which rows are in a mode, or in one of those from the first to the last."""
         if last is None:
-            return self.mode == int(first)
-        return (self.mode >= int(first)) & (self.mode <= int(last))
+            return self.mode == first.value
+        return (self.mode >= first.value) & (self.mode <= last.value)
 
-    @property
+    @cached_property
     def is_driven(self) -> Flags:
         """Which rows the policy moves, in the ramp or after it."""
         return self.is_in(Mode.RAMP, Mode.RUN)
 
-    @property
+    @cached_property
     def is_active(self) -> Flags:
         """Which rows a fault stops."""
         return self.is_in(Mode.ARMED, Mode.RUN)
@@ -160,11 +163,13 @@ class Findings:
         """Look at everything."""
         joints = limits.joints
         track, is_jump = state.track.continued(inputs.joint_pos, inputs.joint_stamp, joints.jump_speed)
-        is_beyond = ((inputs.joint_pos < joints.least) | (inputs.joint_pos > joints.most)).any(axis=-1)
-        is_fast = (np.abs(track.speed) > joints.joint_speed).any(axis=-1)
         joint_pos = np.where(np.isfinite(inputs.joint_pos), inputs.joint_pos, state.command)
-        is_off = (np.abs(joint_pos - state.expected) > joints.tracking_error).any(axis=-1)
-        is_far = (np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance).any(axis=-1)
+        is_beyond, is_fast, is_off, is_far = of_any_joint(
+            (inputs.joint_pos < joints.least) | (inputs.joint_pos > joints.most),
+            np.abs(track.speed) > joints.joint_speed,
+            np.abs(joint_pos - state.expected) > joints.tracking_error,
+            np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance,
+        )
         return cls(
             joint_pos=joint_pos,
             robot=faults_of_robot(inputs, limits, state.now)
@@ -184,6 +189,11 @@ class Findings:
     def is_measured(self) -> Flags:
         """Whether the positions of all joints are fresh numbers."""
         return (self.robot & _NOT_MEASURED) == 0
+
+
+def of_any_joint(*flags: Bool[np.ndarray, "rows joints"]) -> Bool[np.ndarray, "kinds rows"]:
+    """Which flags hold of any joint of a row."""
+    return np.logical_or.reduce(flags, axis=-1)
 
 
 def changed(
@@ -289,6 +299,8 @@ class ServoCore:
         self._motion = limits.motion
         self._brake = WorkspaceBrake(limits.workspace, self._motion)
         self._even_speed = limits.joints.lead / limits.joints.lag
+        self._ahead = limits.dt + self._motion.delay
+        self._reach = limits.joints.lead + self._even_speed * self._motion.delay
         self._follow = np.minimum(limits.dt / limits.joints.lag, 1.0)
 
     def tick(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Output]:
@@ -315,20 +327,20 @@ class ServoCore:
         """The state on its way to the policy's newest target, and whether that is out of limits."""
         joints, target, is_driven = self.limits.joints, inputs.joint_pos_target, state.is_driven
         interpolator = state.interpolator.turned(
-            is_driven, target.clip(joints.lower, joints.upper), inputs.now, inputs.target_stamp
+            is_driven, clipped(target, joints.lower, joints.upper), inputs.now, inputs.target_stamp
         )
         is_out = (target < joints.lower - ROUNDING) | (target > joints.upper + ROUNDING)
-        return replace(state, interpolator=interpolator), is_driven & is_out.any(axis=-1)
+        return replace(state, interpolator=interpolator), is_driven & of_any_joint(is_out)[0]
 
     def _goal(self, state: ServoState, found: Findings) -> tuple[Rows, Flags]:
         """Where armed robots shall go [rad], and whether that is held back to stay near the joints."""
         joints, hold, is_driven = self.limits.joints, state.hold, state.is_driven
         share = np.minimum((state.ticks + 1) * self.limits.dt / self.limits.ramp_time, 1.0)
         share = np.where(state.is_in(Mode.RAMP), share, 1.0)[:, None]
-        wanted = hold + share * (state.interpolator.at(state.now + self.limits.dt, self._motion.delay) - hold)
-        near = wanted.clip(found.joint_pos - joints.lead, found.joint_pos + joints.lead)
+        wanted = hold + share * (state.interpolator.at(state.now, self._ahead) - hold)
+        near = clipped(wanted, found.joint_pos - self._reach, found.joint_pos + self._reach)
         goal = np.where(is_driven[:, None], near, hold)
-        return goal.clip(joints.lower, joints.upper), is_driven & (near != wanted).any(axis=-1)
+        return clipped(goal, joints.lower, joints.upper), is_driven & of_any_joint(near != wanted)[0]
 
     def _stopping(self, state: ServoState, found: Findings) -> Rows:
         """Speeds that bring what is not armed to rest [rad/s]."""
@@ -355,10 +367,11 @@ class ServoCore:
         moved = self._brake.kept_inside(motion, state.recent, wanted, ~state.is_in(Mode.IDLE))
         recent = np.concatenate((state.recent[1:], moved.position[None]))
         command = averaged(recent, limits)
-        held_back = {
-            Clamp.SPEED: (np.abs(wish) > limits.speed).any(axis=-1),
-            Clamp.ACCELERATION: (np.abs(wish - motion.velocity) > limits.change + ROUNDING).any(axis=-1),
-            Clamp.WORKSPACE: (moved.velocity != wanted.velocity).any(axis=-1),
-        }
+        is_fast, is_sudden, is_kept = of_any_joint(
+            np.abs(wish) > limits.speed,
+            np.abs(wish - motion.velocity) > limits.change + ROUNDING,
+            moved.velocity != wanted.velocity,
+        )
+        held_back = {Clamp.SPEED: is_fast, Clamp.ACCELERATION: is_sudden, Clamp.WORKSPACE: is_kept}
         expected = state.expected + self._follow * (command - state.expected)
         return replace(state, motion=moved, recent=recent, command=command, expected=expected), bits(held_back)

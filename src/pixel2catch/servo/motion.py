@@ -73,8 +73,7 @@ class Motion:
         self, rows: Int64[np.ndarray, " some_rows"], joints: Int64[np.ndarray, " some_joints"]
     ) -> "Motion":
         """The motion of some joints of some rows."""
-        chosen = np.ix_(rows, joints)
-        return Motion(position=self.position[chosen], velocity=self.velocity[chosen])
+        return Motion(position=self.position[rows][:, joints], velocity=self.velocity[rows][:, joints])
 
     def moved(self, velocity: Rows, dt: float) -> "Motion":
         """A tick with a speed [rad/s]."""
@@ -105,7 +104,7 @@ def towards(motion: Motion, wish: Rows, limits: MotionLimits) -> Motion:
     below, above = np.minimum(fastest(np.maximum(room, 0.0), limits), limits.speed)
     slowest = np.maximum(motion.velocity - limits.change, -below)
     quickest = np.minimum(motion.velocity + limits.change, above)
-    return motion.moved(np.minimum(np.maximum(wish, slowest), quickest), limits.dt)
+    return motion.moved(clipped(wish, slowest, quickest), limits.dt)
 
 
 def braked(
@@ -121,6 +120,11 @@ def braked(
 def braking(motion: Motion, limits: MotionLimits) -> Rows:
     """Speeds after a tick of braking [rad/s]."""
     return np.copysign(np.maximum(np.abs(motion.velocity) - limits.change, 0.0), motion.velocity)
+
+
+def clipped(values: Rows, lower: Rows | Joints, upper: Rows | Joints) -> Rows:
+    """Values within bounds, in half the time of `np.clip`."""
+    return np.minimum(np.maximum(values, lower), upper)
 
 
 def averaged(positions: Recent, limits: MotionLimits) -> Rows:
