@@ -301,6 +301,7 @@ class ServoCore:
         self._even_speed = limits.joints.lead / limits.joints.lag
         self._ahead = limits.dt + self._motion.delay
         self._reach = limits.joints.lead + self._even_speed * self._motion.delay
+        self._stop_reach = limits.joints.lead + 0.5 * self._even_speed * limits.joints.stop_time
         self._follow = np.minimum(limits.dt / limits.joints.lag, 1.0)
 
     def tick(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Output]:
@@ -351,10 +352,10 @@ class ServoCore:
         if not state.is_returning.any():
             return slower
         is_returning = state.is_returning & (state.ticks * dt < RETURN_TIME)
-        lead = state.lead * np.maximum((left - dt) / joints.stop_time, 0.0)
-        back = (found.joint_pos + lead).clip(state.hold - joints.lead, state.hold + joints.lead)
-        speed = np.where(left > dt, found.track.speed - state.lead / joints.stop_time, 0.0)
-        back = speed + wished(motion, back.clip(joints.lower, joints.upper), self._motion)
+        speed = np.where(left > 0.0, found.track.speed - state.lead / joints.stop_time, 0.0)
+        back = found.joint_pos + state.lead * np.maximum(left / joints.stop_time, 0.0) + speed * self._ahead
+        back = clipped(back, state.hold - self._stop_reach, state.hold + self._stop_reach)
+        back = speed + wished(motion, clipped(back, joints.lower, joints.upper), self._motion)
         return np.where(is_returning[:, None], back, slower)
 
     def _moved(self, state: ServoState, found: Findings, goal: Rows) -> tuple[ServoState, Bits]:
