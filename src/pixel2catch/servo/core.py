@@ -61,6 +61,9 @@ class Mode(IntEnum):
     STOPPED = 4
 
 
+AnyFlags = Bool[np.ndarray, "rows joints"]
+
+
 class Clamp(IntFlag):
     """What kept a command from where the policy wants it."""
 
@@ -116,8 +119,8 @@ class ServoState:
     def is_in(self, first: Mode, last: Mode | None = None) -> Flags:
         """Which rows are in a mode, or in one of those from the first to the last."""
         if last is None:
-            return self.mode == first.value
-        return (self.mode >= first.value) & (self.mode <= last.value)
+            return self.mode == int(first)
+        return (self.mode >= int(first)) & (self.mode <= int(last))
 
     @cached_property
     def is_driven(self) -> Flags:
@@ -144,6 +147,7 @@ class Output:
     clamped: Bits  #: `Clamp` bits: what held the command back in this tick.
 
 
+_CLAMPS = np.array([*Clamp], dtype=np.int64)
 _LATE = int(Fault.POLICY_LATE)
 _SENSELESS = int(Fault.TARGET_NOT_FINITE | Fault.TARGET_FAR)
 _NOT_MEASURED = int(Fault.JOINTS_STALE | Fault.JOINTS_NOT_FINITE | Fault.JOINTS_IMPLAUSIBLE)
@@ -191,7 +195,7 @@ class Findings:
         return (self.robot & _NOT_MEASURED) == 0
 
 
-def of_any_joint(*flags: Bool[np.ndarray, "rows joints"]) -> Bool[np.ndarray, "kinds rows"]:
+def of_any_joint(*flags: AnyFlags) -> Bool[np.ndarray, "kinds rows"]:
     """Which flags hold of any joint of a row."""
     return np.logical_or.reduce(flags, axis=-1)
 
@@ -213,11 +217,16 @@ def changed(
         stopped_by=np.where(is_stop, stop, state.stopped_by * (mode == int(Mode.STOPPED))),
         now=inputs.now,
         track=found.track,
-        used_press=np.where(is_stop, np.fmax(inputs.pressed_stamp, state.used_press), state.used_press),
-        hold=np.where(is_stop[:, None], state.command, state.hold),
-        lead=np.where(is_stop[:, None], state.command - found.joint_pos, state.lead),
         is_returning=(is_stop | state.is_returning) & found.is_measured,
     )
+    if is_stop.any():
+        rows = is_stop[:, None]
+        turned = replace(
+            turned,
+            used_press=np.where(is_stop, np.fmax(inputs.pressed_stamp, state.used_press), state.used_press),
+            hold=np.where(rows, state.command, state.hold),
+            lead=np.where(rows, state.command - found.joint_pos, state.lead),
+        )
     is_new = inputs.arm_stamp > state.arm_stamp
     if not is_new.any():
         return turned, np.zeros_like(stop)
@@ -302,46 +311,40 @@ class ServoCore:
         self._ahead = limits.dt + self._motion.delay
         self._reach = limits.joints.lead + self._even_speed * self._motion.delay
         self._stop_reach = limits.joints.lead + 0.5 * self._even_speed * limits.joints.stop_time
+        self._sudden = self._motion.change + ROUNDING
         self._follow = np.minimum(limits.dt / limits.joints.lag, 1.0)
 
     def tick(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Output]:
         """Decide on the commands of this tick; one that is late must not be made up for by two at once."""
+        joints, target = self.limits.joints, inputs.joint_pos_target
         with np.errstate(invalid="ignore", over="ignore"):
             found = Findings.of(state, inputs, self.limits)
             state, refused = changed(state, inputs, found, self.limits)
-            state, beyond_limits = self._directed(state, inputs)
-            goal, beyond_lead = self._goal(state, found)
-            state, held_back = self._moved(state, found, goal)
+            allowed = clipped(target, joints.lower, joints.upper)
+            is_out = (np.abs(allowed - target) > ROUNDING) & state.is_driven[:, None]
+            way = state.interpolator.turned(state.is_driven, allowed, inputs.now, inputs.target_stamp)
+            goal, is_led = self._goal(state, found, way)
+            state, held_back = self._moved(state, found, way, goal)
         is_idle = state.is_in(Mode.IDLE)
         is_silent = is_idle | ((state.stopped_by & int(Fault.OTHER_PUBLISHER)) != 0)
-        clamped = held_back | bits({Clamp.POSITION: beyond_limits, Clamp.LEAD: beyond_lead})
         return state, Output(
             command=np.where(is_silent[:, None], np.nan, state.command),
             mode=state.mode,
             stopped_by=state.stopped_by,
             found=found.robot | found.policy,
             refused=refused,
-            clamped=np.where(is_idle, 0, clamped),
+            clamped=_CLAMPS @ of_any_joint(is_out, is_led, *held_back),
         )
 
-    def _directed(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Flags]:
-        """The state on its way to the policy's newest target, and whether that is out of limits."""
-        joints, target, is_driven = self.limits.joints, inputs.joint_pos_target, state.is_driven
-        interpolator = state.interpolator.turned(
-            is_driven, clipped(target, joints.lower, joints.upper), inputs.now, inputs.target_stamp
-        )
-        is_out = (target < joints.lower - ROUNDING) | (target > joints.upper + ROUNDING)
-        return replace(state, interpolator=interpolator), is_driven & of_any_joint(is_out)[0]
-
-    def _goal(self, state: ServoState, found: Findings) -> tuple[Rows, Flags]:
-        """Where armed robots shall go [rad], and whether that is held back to stay near the joints."""
-        joints, hold, is_driven = self.limits.joints, state.hold, state.is_driven
+    def _goal(self, state: ServoState, found: Findings, way: TargetInterpolator) -> tuple[Rows, AnyFlags]:
+        """Where armed robots shall go [rad], and which joints are held back to stay near where they are."""
+        joints, hold, is_driven = self.limits.joints, state.hold, state.is_driven[:, None]
         share = np.minimum((state.ticks + 1) * self.limits.dt / self.limits.ramp_time, 1.0)
         share = np.where(state.is_in(Mode.RAMP), share, 1.0)[:, None]
-        wanted = hold + share * (state.interpolator.at(state.now, self._ahead) - hold)
+        wanted = hold + share * (way.at(state.now, self._ahead) - hold)
         near = clipped(wanted, found.joint_pos - self._reach, found.joint_pos + self._reach)
-        goal = np.where(is_driven[:, None], near, hold)
-        return clipped(goal, joints.lower, joints.upper), is_driven & of_any_joint(near != wanted)[0]
+        goal = clipped(np.where(is_driven, near, hold), joints.lower, joints.upper)
+        return goal, (near != wanted) & is_driven
 
     def _stopping(self, state: ServoState, found: Findings) -> Rows:
         """Speeds that bring what is not armed to rest [rad/s]."""
@@ -358,21 +361,25 @@ class ServoCore:
         back = speed + wished(motion, clipped(back, joints.lower, joints.upper), self._motion)
         return np.where(is_returning[:, None], back, slower)
 
-    def _moved(self, state: ServoState, found: Findings, goal: Rows) -> tuple[ServoState, Bits]:
-        """The state a tick further on the way to a goal, and what held it back."""
+    def _moved(
+        self, state: ServoState, found: Findings, way: TargetInterpolator, goal: Rows
+    ) -> tuple[ServoState, tuple[AnyFlags, AnyFlags, AnyFlags]]:
+        """The state a tick further, and which joints speed, acceleration and the workspace have held back."""
         motion, limits = state.motion, self._motion
         wish, is_active = wished(motion, goal, limits), state.is_active
         if not is_active.all():
             wish = np.where(is_active[:, None], wish, self._stopping(state, found))
         wanted = towards(motion, wish, limits)
-        moved = self._brake.kept_inside(motion, state.recent, wanted, ~state.is_in(Mode.IDLE))
+        moved = self._brake.kept_inside(motion, state.recent, wanted, state.mode != int(Mode.IDLE))
         recent = np.concatenate((state.recent[1:], moved.position[None]))
         command = averaged(recent, limits)
-        is_fast, is_sudden, is_kept = of_any_joint(
-            np.abs(wish) > limits.speed,
-            np.abs(wish - motion.velocity) > limits.change + ROUNDING,
-            moved.velocity != wanted.velocity,
+        moved_state = replace(
+            state,
+            motion=moved,
+            recent=recent,
+            command=command,
+            interpolator=way,
+            expected=state.expected + self._follow * (command - state.expected),
         )
-        held_back = {Clamp.SPEED: is_fast, Clamp.ACCELERATION: is_sudden, Clamp.WORKSPACE: is_kept}
-        expected = state.expected + self._follow * (command - state.expected)
-        return replace(state, motion=moved, recent=recent, command=command, expected=expected), bits(held_back)
+        is_fast, is_sudden = np.abs(wish) > limits.speed, np.abs(wish - motion.velocity) > self._sudden
+        return moved_state, (is_fast, is_sudden, moved.velocity != wanted.velocity)
