@@ -104,7 +104,9 @@ class Chaos:
         about = (1.0 - scale) * self.robots.joint_pos
         self.lies = _Lies(
             scale=np.where(kind == 2, scale, np.where(is_over, 1.0, lies.scale)),
-            offset=np.where(kind == 1, offset, np.where(kind == 2, about, np.where(is_over, 0.0, lies.offset))),
+            offset=np.where(
+                kind == 1, offset, np.where(kind == 2, about, np.where(is_over, 0.0, lies.offset))
+            ),
             is_frozen=(kind == 3) | (lies.is_frozen & ~is_over),
             until=np.where(begins[:, 0], self.time + self.random.exponential(0.2, self.rows), lies.until),
         )

@@ -46,7 +46,9 @@ class WorkspaceBrake:
         longest = np.ceil(np.abs(motion.velocity) / self._arm.change).max(axis=-1) + len(recent)
         ticks = np.arange(int(longest.max()) + 1)
         path = np.concatenate((recent, braked(motion, self._arm, ticks[:, None, None])))
-        commands = sum(path[i : i + len(ticks)] * share for i, share in enumerate(self._arm.weights))
+        commands = np.zeros((len(ticks), *motion.position.shape))
+        for first, share in enumerate(self._arm.weights):
+            commands += share * path[first : first + len(ticks)]
         is_braking = ticks[:, None] <= longest
         is_outside = np.zeros(is_braking.shape, dtype=np.bool_)
         is_outside[is_braking] = ~self._workspace.contains(commands[is_braking])

@@ -38,6 +38,25 @@ class JointLimits:
 
     Speed and acceleration are those of the commands, which run ahead of the joints: a joint follows through
     its servo, and at a steady speed it is `lag` behind. Its own speed is therefore limited by `lead`.
+
+    Sources:
+        lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
+            its travel (UR), and `TRAVEL_MARGIN` is kept from it.
+        speed, acceleration: ours. In simulation the whole servo costs the shipped policies no success: of
+            100 throws `proposed`, `single_agent` and `only_center` catch 91, 93 and 96, without it 93, 92
+            and 94. With 4 rad/s and 100 rad/s² `proposed` loses 8.
+        jerk: ours; an arm's acceleration may turn in 10 ms, for which commands come 4 ms later, a finger's
+            in a tick: the slowest driver of a hand takes every fifth command.
+        deceleration: ours; that of an arm is five times that with which UR's driver stops one that nobody
+            commands any more, and lets it rest after 0.13 s and 0.16 rad from full speed.
+        step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
+        lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
+        joint_speed, jump_speed: ours; what a joint may do, or can, and what an estimate may be wrong by.
+        tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
+        moved_error: ours; three times `start_error`.
+        start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
+            finger's target is anywhere.
+        position_age: ours: ten cycles of the UR driver, five of the slowest Allegro driver.
     """
 
     lower: Joints  #: Lowest command [rad].
@@ -45,7 +64,7 @@ class JointLimits:
     speed: Joints  #: Largest speed of a command [rad/s].
     acceleration: Joints  #: Largest acceleration of a command [rad/s²].
     jerk: Joints  #: Largest jerk of a command [rad/s³].
-    deceleration: Joints  #: Deceleration in a stop of a joint that was as fast as a command [rad/s²].
+    deceleration: Joints  #: Deceleration in a stop from the full speed [rad/s²].
     step: Joints  #: Largest change of a command in a tick [rad].
     lag: Joints  #: How long a joint is behind its command [s].
     lead: Joints  #: How far a command goes ahead of its joint [rad].
@@ -76,25 +95,6 @@ class JointLimits:
         Joints of one role have the same limits where the spec does not say more. The lag is that of the
         dynamics of all joints, nominal if absent. Where it has not been identified, commands are no faster
         than joints may be: a joint with a shorter lag than told would otherwise be faster than it may.
-
-        Sources:
-            lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
-                its travel (UR), and `TRAVEL_MARGIN` is kept from it.
-            speed, acceleration: ours. In simulation the whole servo costs the shipped policies no success: of
-                100 throws `proposed`, `single_agent` and `only_center` catch 91, 93 and 96, without it 93, 92
-                and 94. With 4 rad/s and 100 rad/s² `proposed` loses 8.
-            jerk: ours; an arm's acceleration may turn in 10 ms, for which commands come 4 ms later, a finger's
-                in a tick: the slowest driver of a hand takes every fifth command.
-            deceleration: ours; a UR5e's category 2 stops have 10 to 40 rad/s², and its driver 4 rad/s² where
-                nobody commands it. From full speed an arm's joint rests after 0.13 s.
-            step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
-            lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
-            joint_speed, jump_speed: ours; what a joint may do, or can, and what an estimate may be wrong by.
-            tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
-            moved_error: ours; three times `start_error`.
-            start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
-                finger's target is anywhere.
-            position_age: ours: ten cycles of the UR driver, five of the slowest Allegro driver.
 
         Raises:
             InvalidValueError: The share is out of range.
@@ -198,13 +198,13 @@ class ServoLimits:
         braking = float(np.max(motion.speed / motion.acceleration + motion.window * self.dt))
         if braking > STOP_TIME - RETURN_TIME:
             raise InvalidValueError(
-                f"braking takes up to {braking:.3f} s; raise acceleration and jerk or lower the speed until it "
-                f"takes {STOP_TIME - RETURN_TIME:.1f} s"
+                f"braking takes up to {braking:.3f} s; raise acceleration and jerk or lower the speed until "
+                f"it takes {STOP_TIME - RETURN_TIME:.1f} s"
             )
         if (slowest := float(np.max(self.joints.stop_time))) > RETURN_TIME:
             raise InvalidValueError(
-                f"a stop takes a joint up to {slowest:.3f} s; raise the deceleration or lower the speed until "
-                f"it takes {RETURN_TIME:.1f} s"
+                f"a stop takes a joint up to {slowest:.3f} s; raise the deceleration or lower the speed "
+                f"until it takes {RETURN_TIME:.1f} s"
             )
 
     def in_words(self, ids: Int[np.ndarray, " some_joints"]) -> str:

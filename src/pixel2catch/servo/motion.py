@@ -107,9 +107,7 @@ def towards(motion: Motion, wish: Rows, limits: MotionLimits) -> Motion:
     return motion.moved(clipped(wish, slowest, quickest), limits.dt)
 
 
-def braked(
-    motion: Motion, limits: MotionLimits, num_ticks: Int64[np.ndarray, "ticks 1 1"]
-) -> Recent:
+def braked(motion: Motion, limits: MotionLimits, num_ticks: Int64[np.ndarray, "ticks 1 1"]) -> Recent:
     """Positions after some numbers of ticks of braking [rad]."""
     speed = np.abs(motion.velocity)
     whole = np.minimum(num_ticks, np.floor(speed / limits.change))
