@@ -30,7 +30,7 @@ class Lab:
 
     def __init__(self, num_rows: int = 1, limits: ServoLimits = LIMITS) -> None:
         self.core, self.limits = ServoCore(limits), limits
-        self.state = ServoState.idle(num_rows, len(JOINTS))
+        self.state = ServoState.idle(num_rows, limits)
         self.rows = num_rows
         self.time = 100.0
         self.target = np.tile(HOME, (num_rows, 1))

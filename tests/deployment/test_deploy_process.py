@@ -124,6 +124,8 @@ def test_it_stops_without_a_laboratory_goes_on_with_a_new_one_and_ends_without_i
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
         os.kill(int(child), signal.SIGKILL)
     assert watcher.deploy.wait(PATIENCE) == 2
-    assert "press its stop" in watcher.log.read_text(errors="replace")
+    said = watcher.log.read_text(errors="replace")
+    assert "press its stop" in said
+    assert "arm: joints up to 2.79 rad/s; commands up to 10 rad/s, 300 rad/s²" in said
     assert np.isfinite([command for _, command in watcher.commands]).all()
     assert (watcher.log.parent / "tape" / "tape.mcap").stat().st_size > 0

@@ -177,6 +177,10 @@ MISTAKES = [
     ("robots.0.command_size", 7, "places 0 to 6, joints and held have [0, 1, 2, 3, 4, 5]: give each place"),
     ("robots.1.held.4", GONE, "a command has places 0 to 15, joints and held have [0, 1, 2, 3, 5,"),
     ("robots.1.held.4", float("nan"), "the held angles must be numbers"),
+    ("robots.0.limits", {"velocity": 2}, "robots[0]: limits: unknown key 'velocity'"),
+    ("robots.0.limits", {"speed": 0}, "robots[0]: limits: speed is 0; it must be more than 0"),
+    ("robots.0.limits", {"jerk": float("nan")}, "robots[0]: limits: jerk is nan; it must be more than 0"),
+    ("robots.0.limits", {"speed": "2"}, "limits: speed: '2' is not of type float"),
     ("robots.1.rate_hz", 0, "robots[1]: rate_hz must be positive"),
     (
         "robots.0.command_topic.type",

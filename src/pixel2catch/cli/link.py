@@ -99,5 +99,10 @@ class Link(Network):
         elif not self.loopback:
             say("no --dynamics: commands are no faster than the joints may be; identify the robot to catch")
         is_identified = self.loopback or self.dynamics is not None
-        joints = JointLimits.of(workcell, self.speed, dynamics, is_identified=is_identified)
-        return ServoLimits.of(workcell, joints)
+        joints = JointLimits.of(
+            workcell, self.speed, dynamics, is_identified=is_identified, parts=profile.robots
+        )
+        limits = ServoLimits.of(workcell, joints)
+        for part in profile.robots:
+            say(f"{part.name}: {limits.in_words(part.ids)}")
+        return limits

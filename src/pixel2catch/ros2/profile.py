@@ -7,7 +7,7 @@ name file, key and fix.
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -42,6 +42,21 @@ class DriverJoint:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MotionBudget:
+    """How much a laboratory allows of the motion of a part; the servo's own limits hold beside it."""
+
+    speed: float = inf  #: Largest speed of a joint [rad/s].
+    acceleration: float = inf  #: Largest acceleration of a command [rad/s²].
+    jerk: float = inf  #: Largest jerk of a command [rad/s³].
+
+    def __post_init__(self) -> None:
+        """Refuse what would be no limit."""
+        for entry in fields(self):
+            if not (value := getattr(self, entry.name)) > 0.0:
+                raise InvalidValueError(f"{entry.name} is {value:g}; it must be more than 0")
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotPart:
     """One driver, of a joint group of the work cell; its profile checks it."""
 
@@ -53,6 +68,7 @@ class RobotPart:
     #: Where joints are kept that are none of ours [rad], by their place in a command.
     held: dict[int, float] = field(default_factory=dict)
     rate_hz: float  #: How often the driver takes a command [Hz].
+    limits: MotionBudget = MotionBudget()  #: What its joints are allowed, if less than the servo allows.
     joint_order: tuple[str, ...] = ()  #: All joints of the work cell, which the profile fills in.
 
     def require_complete(self) -> None:

@@ -242,7 +242,7 @@ class Servo:
         self._end, self._clock, self._core = end, clock, ServoCore(limits)
         self._subscriptions = ServoSubscriptions(transport, setup.profile, limits)
         self._commands = CommandPublisher(transport, setup, clock)
-        self._state, self._policy_command = ServoState.idle(1, num_joints), PolicyCommand.none(num_joints)
+        self._state, self._policy_command = ServoState.idle(1, limits), PolicyCommand.none(num_joints)
         self._is_ending = False
         #: What came up that nobody foresaw; the robot was stopped for it.
         self.unforeseen: Exception | None = None
