@@ -59,7 +59,11 @@ class Lab:
             is_safe=np.ones(self.rows, dtype=bool),
             speed_scaling=np.ones(self.rows),
             has_other_publisher=np.zeros(self.rows, dtype=bool),
+            is_status_known=np.ones(self.rows, dtype=bool),
+            has_controller=np.ones(self.rows, dtype=bool),
             has_other_operator=np.zeros(self.rows, dtype=bool),
+            has_subscriber=np.ones(self.rows, dtype=bool),
+            has_other_subscriber=np.zeros(self.rows, dtype=bool),
         )
 
     def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:

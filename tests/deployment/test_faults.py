@@ -35,7 +35,7 @@ class Watcher:
         self.start_laboratory()
         node = self.broker.node(self.clock)
         self._statuses = node.subscription(PROFILE.operator.status, 50)
-        self._commands = node.subscription(ARM, 50)
+        self._commands = node.subscription(ARM, 50, only_watches=True)
         self.statuses: list[dict[str, Any]] = []
         self.commands: list[tuple[float, np.ndarray]] = []
         policy, _ = load_policy(None)

@@ -44,6 +44,11 @@ class Fault(IntFlag):
     JOINT_SPEED = 131072
     OTHER_OPERATOR = 262144
     SWITCH_NOT_PRESSED = 524288
+    STATUS_UNKNOWN = 1 << 22
+    NO_SUBSCRIBER = 1 << 23
+    OTHER_SUBSCRIBER = 1 << 24
+    CONTROLLER = 1 << 25
+    JOINTS_FROZEN = 1 << 26
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,8 +68,12 @@ class ServoInputs:
     is_stop_requested: Flags  #: Whether the operator, or anything else, asks to stop.
     is_safe: Flags  #: Whether the robot's program runs in its normal safety mode.
     speed_scaling: Times  #: Share of the full speed at which the robot runs its program; 1 is full.
+    is_status_known: Flags  #: Whether the drivers have said all that is watched of them, and it holds.
+    has_controller: Flags  #: Whether the controllers that take our commands are active.
     has_other_publisher: Flags  #: Whether anybody else sends commands to the robot.
     has_other_operator: Flags  #: Whether several hold the switch, or ask to arm.
+    has_subscriber: Flags  #: Whether somebody takes the commands of each driver.
+    has_other_subscriber: Flags  #: Whether several take the commands of one.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,7 +140,11 @@ def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) 
             Fault.JOINTS_STALE: ~is_measured,
             Fault.JOINTS_NOT_FINITE: ~all_finite(inputs.joint_pos),
             Fault.SAFETY_MODE: ~inputs.is_safe,
-            Fault.SPEED_SCALING: ~(inputs.speed_scaling >= 1.0),
+            Fault.SPEED_SCALING: inputs.speed_scaling != 1.0,
+            Fault.STATUS_UNKNOWN: ~inputs.is_status_known,
+            Fault.CONTROLLER: ~inputs.has_controller,
+            Fault.NO_SUBSCRIBER: ~inputs.has_subscriber,
+            Fault.OTHER_SUBSCRIBER: inputs.has_other_subscriber,
             Fault.OTHER_PUBLISHER: inputs.has_other_publisher,
             Fault.OTHER_OPERATOR: inputs.has_other_operator,
             Fault.DEAD_MAN: ~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
