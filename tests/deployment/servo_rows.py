@@ -22,6 +22,12 @@ def given(**change: np.ndarray) -> Callable[[ServoInputs], ServoInputs]:
     return lambda good: replace(good, **change)
 
 
+def noisy(good: ServoInputs) -> ServoInputs:
+    """As encoders are."""
+    noise = 1e-5 * np.random.default_rng(int(1e4 * good.now[0])).standard_normal(good.joint_pos.shape)
+    return replace(good, joint_pos=good.joint_pos + noise)
+
+
 class Lab:
     """A core, and inputs in which all is well but for what a test changes.
 

@@ -185,7 +185,7 @@ def test_a_killed_laboratory_stops_everything_and_a_new_one_can_be_armed(watcher
     watcher.run()
     watcher.kill_laboratory()
     watcher.until(lambda: watcher.status["mode"] == "stopped")
-    assert {"joints stale", "image stale"} & set(watcher.status["stopped_by"])
+    assert {"joints stale", "image stale", "no subscriber"} & set(watcher.status["stopped_by"])
     watcher.start_laboratory()
     watcher.run()
 

@@ -95,7 +95,7 @@ class Servo:
         limits, num_joints = setup.limits, setup.limits.num_joints
         if setup.is_dry_run:
             anywhere = np.full(num_joints, np.inf)
-            limits = replace(limits, joints=replace(limits.joints, tracking_error=anywhere))
+            limits = replace(limits, joints=replace(limits.joints, tracking_error=anywhere, escape=anywhere))
         self._end, self._clock, self._core = end, clock, ServoCore(limits)
         self._commands = CommandPublisher(transport, setup, clock)
         publishers = self._commands.publishers
