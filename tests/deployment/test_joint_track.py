@@ -80,7 +80,7 @@ def test_an_elbow_that_is_measured_a_tenth_of_a_radian_off_stops(seconds: float)
 
 @pytest.mark.parametrize("share", [0.7, 1.0, 1.3])
 def test_swings_of_an_arm_whose_lag_is_a_little_wrong_are_explained(share: float):
-    """To and fro, as fast as it goes, with pauses."""
+    """There and back, as fast as it goes, with pauses."""
     lab = Lab().started()
     lab.lag = share * lab.lag
     for step in range(40):

@@ -50,8 +50,8 @@ class JointLimits:
     #: Distance of a finger's joint from what its commands explain that is a fault [rad]. Source: ours, twice
     #: what objects push fingers away in simulated catches.
     escape: Joints
-    #: Distance from a stopped command from which somebody has moved the joint [rad]. Source: ours, three times
-    #: `start_error`.
+    #: Distance from a stopped command from which somebody has moved the joint [rad]. Source: ours, three
+    #: times `start_error`.
     moved_error: Joints
     least: Joints  #: Lowest position that a joint can have [rad].
     most: Joints  #: Highest position that a joint can have [rad].
