@@ -39,10 +39,12 @@ from pixel2catch.servo.motion import (
     wished,
 )
 from pixel2catch.servo.watchdogs import (
+    Commanded,
     Fault,
     JointTrack,
     ServoInputs,
     bits,
+    faults_of_joints,
     faults_of_policy,
     faults_of_robot,
     is_recent,
@@ -166,24 +168,19 @@ class Findings:
     def of(cls, state: ServoState, inputs: ServoInputs, limits: ServoLimits) -> "Findings":
         """Look at everything."""
         joints = limits.joints
-        track, is_jump = state.track.continued(inputs.joint_pos, inputs.joint_stamp, joints.jump_speed)
+        commanded = Commanded(
+            position=state.command,
+            expected=state.expected,
+            is_followed=state.is_active & (state.ticks > 0),
+        )
+        track, of_joints = faults_of_joints(state.track, inputs, commanded, limits)
         joint_pos = np.where(np.isfinite(inputs.joint_pos), inputs.joint_pos, state.command)
-        is_beyond, is_fast, is_off, is_far = of_any_joint(
-            (inputs.joint_pos < joints.least) | (inputs.joint_pos > joints.most),
-            np.abs(track.speed) > joints.joint_speed,
-            np.abs(joint_pos - state.expected) > joints.tracking_error,
-            np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance,
+        is_far = np.logical_or.reduce(
+            np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance, axis=-1
         )
         return cls(
             joint_pos=joint_pos,
-            robot=faults_of_robot(inputs, limits, state.now)
-            | bits(
-                {
-                    Fault.JOINTS_IMPLAUSIBLE: is_beyond | is_jump,
-                    Fault.JOINT_SPEED: is_fast & state.is_active,
-                    Fault.TRACKING_ERROR: is_off & state.is_active,
-                }
-            ),
+            robot=faults_of_robot(inputs, limits, state.now) | of_joints,
             policy=faults_of_policy(inputs, limits)
             | bits({Fault.TARGET_FAR: is_far & state.is_in(Mode.ARMED)}),
             track=track,
