@@ -212,10 +212,11 @@ class ControlLoop:
         if self._mode in ACTIVE:
             self.statistics.count_step(took=end - began, is_missed=is_missed)
         trouble = self._recording.trouble if self._recording else ""
-        message = (
-            self._message or self._images.message or complaint or (seen.message if seen else "") or trouble
-        )
-        status = self.statistics.status(seen, self._images.take_notice() or message)
+        of_image = self._images.message or (seen.message if seen else "")
+        message = self._message or self._problem or of_image or complaint or trouble
+        sight = self._pipeline.sight
+        message = self._images.take_notice() or message
+        status = self.statistics.status(seen, message, sight.at(end), end - sight.box_stamp)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
             if policy_command:
@@ -223,12 +224,18 @@ class ControlLoop:
             self._recording.record_messages()
         return status
 
+    @property
+    def _problem(self) -> str:
+        """Why perception cannot be trusted; empty if it can."""
+        return self._images.problem or self._pipeline.sight.problem
+
     def _decide(self) -> tuple[PolicyCommand | None, str]:
         """A command, if there can be one, and what is wrong."""
         try:
-            return self._pipeline.decide(self._joint_pos, self._clock.now()), ""
+            policy_command = self._pipeline.decide(self._joint_pos, self._clock.now())
         except (NonFiniteError, DeploymentError) as error:
             return None, str(error)
+        return policy_command and replace(policy_command, is_perception_sound=not self._problem), ""
 
 
 def read_prompt(data: bytes) -> Prompt:

@@ -44,6 +44,8 @@ class Fault(IntFlag):
     JOINT_SPEED = 131072
     OTHER_OPERATOR = 262144
     SWITCH_NOT_PRESSED = 524288
+    OBJECT_LOST = 1048576
+    PERCEPTION_UNSOUND = 2097152
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,6 +58,8 @@ class ServoInputs:
     joint_pos_target: Rows  #: Newest targets of the policy [rad].
     target_stamp: Times  #: When they were decided [s].
     image_stamp: Times  #: When the newest image was taken [s].
+    box_stamp: Times  #: When the newest image was taken in which the object was seen [s].
+    is_perception_sound: Flags  #: Whether what perception says can be true.
     dead_man_stamp: Times  #: When the operator last held the dead-man switch [s].
     #: When the switch was last pressed after it had been let go, or silent for too long [s].
     pressed_stamp: Times
@@ -147,6 +151,8 @@ def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
             Fault.IMAGE_STALE: ~is_recent(inputs.now, inputs.image_stamp, limits.image_age),
             Fault.POLICY_LATE: ~is_recent(inputs.now, inputs.target_stamp, limits.target_age),
             Fault.TARGET_NOT_FINITE: ~all_finite(inputs.joint_pos_target),
+            Fault.OBJECT_LOST: ~is_recent(inputs.now, inputs.box_stamp, limits.box_age),
+            Fault.PERCEPTION_UNSOUND: ~inputs.is_perception_sound,
         }
     )
 
