@@ -18,7 +18,7 @@ from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import PixelFeatureExtractor
 from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.segmenter import Segmenter
+from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
@@ -46,6 +46,19 @@ def picture(box: tuple[float, float, float, float] | None = BOX) -> np.ndarray:
         xmin, ymin, xmax, ymax = map(int, box)
         image[ymin:ymax, xmin:xmax] = (200, 30, 20)
     return image
+
+
+class EverythingRed(Segmenter):
+    """Takes whatever is red for the object, wherever it is."""
+
+    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+        return self.track(image, ignored)
+
+    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+        return Segmentation(mask=RED.mask(image), score=1.0)
+
+    def reset(self) -> None:
+        pass
 
 
 def remembering(method: str = "shared_reward+boxes") -> Controller:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from loop_lab import BOX, HOME, PROFILE, RED, new_pipeline, picture, remembering
+from loop_lab import BOX, HOME, PROFILE, EverythingRed, new_pipeline, picture, remembering
 
 from pixel2catch.deployment.policy_pipeline import (
     BOX_AGE,
@@ -20,7 +20,7 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import LOSS_TIME
 from pixel2catch.servo.link import PolicyCommand
@@ -28,19 +28,6 @@ from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PROMPT = BoxPrompt(box=BOX)
-
-
-class EverythingRed(Segmenter):
-    """Takes whatever is red for the object, wherever it is."""
-
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
-        return self.track(image, ignored)
-
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
-        return Segmentation(mask=RED.mask(image), score=1.0)
-
-    def reset(self) -> None:
-        pass
 
 
 def moved(by: float) -> tuple[float, float, float, float]:

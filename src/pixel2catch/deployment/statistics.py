@@ -74,9 +74,9 @@ class RunStatistics:
         self._last = servo_status
 
     def status(
-        self, seen: Extraction | None, message: str, sight: Sight = Sight.NEVER, age: float = inf
+        self, seen: Extraction | None, message: str, sight: Sight | None = None, age: float = inf
     ) -> dict[str, Any]:
-        """What is going on now, and what is known of the object, seen so long ago [s].
+        """What is going on now, and what is known of the object, if one matters, seen so long ago [s].
 
         Requests that were refused are said once.
         """
@@ -90,7 +90,7 @@ class RunStatistics:
             "clamped": flag_names(Clamp, clamped),
             "box": seen.box[0].tolist() if seen and seen.is_valid else None,
             "verdict": str(seen.verdict) if seen else None,
-            "object": str(sight),
+            "object": sight and str(sight),
             "object_age_ms": round(1e3 * age, 1) if age < inf else None,
             "latency_ms": round(1e3 * self._latencies[-1], 2) if self._latencies else None,
             "num_missed": self.num_missed,
