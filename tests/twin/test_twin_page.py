@@ -148,9 +148,10 @@ def test_one_button_throws_and_catches():
 
 def test_what_the_deployment_sees_is_in_the_picture_and_its_state_in_the_table(shown: Shown):
     for box in ([100, 50, 120, 80], [110, 50, 130, 80]):
-        shown.tell(mode="run", box=box)
+        shown.tell(mode="run", box=box, object="searching", message="the image is frozen")
         shown.go_on(30)
     assert "| deploy: mode | run |" in shown.page.wire.text.content
+    assert "**run; object searching; the image is frozen**" in shown.page.wire.text.content
     assert "| dcx | 10.00 |" in shown.page.wire.text.content
     assert "| cx | 0.19 |" in shown.page.wire.text.content  # 120 of 640
     green = np.argwhere((shown.page.wire.picture.image == BOX_COLOR).all(axis=-1))

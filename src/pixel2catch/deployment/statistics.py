@@ -114,6 +114,21 @@ class RunStatistics:
         }
 
 
+def sentence(status: dict[str, Any]) -> str:
+    """A status in words, without what changes in every control step."""
+    parts = [status["mode"]]
+    for name in ("stopped_by", "refused"):
+        if status[name]:
+            parts.append(f"{name.replace('_', ' ')} {', '.join(status[name])}")
+    if status["mode"] == "idle" and status["found"]:
+        parts.append(f"not ready: {', '.join(status['found'])}")
+    if status.get("object"):
+        parts.append(f"object {status['object']}")
+    if status["message"]:
+        parts.append(status["message"])
+    return "; ".join(parts)
+
+
 def milliseconds(durations: deque[float]) -> dict[str, float] | None:
     """Percentiles of durations [s] in ms; none if there are none."""
     if not durations:

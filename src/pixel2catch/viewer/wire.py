@@ -9,6 +9,7 @@ import torch
 import viser
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
+from pixel2catch.deployment.statistics import sentence
 from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
@@ -92,7 +93,8 @@ class WireView:
         rows = {**self._features(), **{f"deploy: {name}": value for name, value in status.items()}}
         rows |= {f"twin: {name}": value for name, value in state.items() if name != "object_pose"}
         table = "\n".join(f"| {name} | {_short(value)} |" for name, value in rows.items())
-        self.text.content = f"| | |\n|---|---|\n{table}"
+        headline = f"**{sentence(status)}**\n\n" if status else ""
+        self.text.content = f"{headline}| | |\n|---|---|\n{table}"
 
     def _features(self) -> dict[str, str]:
         """What a policy reads of the boxes that the deployment sees."""
