@@ -6,7 +6,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from loop_lab import BOX, picture
+from loop_lab import BOX, moved, picture
 from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
 
 from pixel2catch.ros2 import messages
@@ -41,7 +41,7 @@ class CameraLab(WireLab):
         self._prompts = transport.publisher(profile.operator.prompt)
         self._stage, self._num_steps = transport, 0
         self.age, self.jump, self._stamp = AGE, 0.0, 0.0
-        self.box: tuple[float, ...] | None = BOX
+        self.is_object_there = True
         self.pixels: np.ndarray | None = None
         self._others: list[Publisher] = []
         self.faults: dict[str, Callable[[], Any]] = {
@@ -55,8 +55,8 @@ class CameraLab(WireLab):
             "joints shuffled": lambda: setattr(self, "change", shuffled),
             "images late": lambda: setattr(self, "age", 0.15),
             "wrong image size": lambda: setattr(self, "pixels", np.zeros((240, 320, 3), dtype=np.uint8)),
-            "image frozen": lambda: setattr(self, "pixels", picture(self.box)),
-            "object gone": lambda: setattr(self, "box", None),
+            "image frozen": lambda: setattr(self, "pixels", self._picture()),
+            "object gone": lambda: setattr(self, "is_object_there", False),
             "stamps go back": self._go_back,
             "another camera": lambda: self._others.append(transport.publisher(profile.camera.image)),
             "box jumps": lambda: setattr(self, "jump", 180.0),
@@ -68,7 +68,7 @@ class CameraLab(WireLab):
     def mend(self) -> None:
         """All is well again."""
         self.silent, self.change, self.age = set(), lambda reading: reading, AGE
-        self.box, self.pixels, self.jump, self.speed, self.is_held = BOX, None, 0.0, 100.0, True
+        self.is_object_there, self.pixels, self.jump, self.speed, self.is_held = True, None, 0.0, 100.0, True
         self._say_status()
 
     def step(self) -> None:
@@ -80,15 +80,18 @@ class CameraLab(WireLab):
 
     def _go_back(self) -> None:
         """Send an image that is older than the last, once."""
-        self._images.publish(messages.image(picture(self.box), self._stamp - 0.05))
+        self._images.publish(messages.image(self._picture(), self._stamp - 0.05))
 
     def _show(self) -> None:
-        """Send an image, with a stamp after the last one's; a box that jumps is elsewhere in every second."""
+        """Send an image, with a stamp after the last one's."""
         self._stamp = max(self._stamp + 1e-3, self.clock.stamp() - self.age)
-        away = self.jump * (self._num_steps // IMAGE_TICKS % 2)
-        box = self.box and tuple(edge + away for edge in self.box)
-        pixels = picture(box) if self.pixels is None else self.pixels
+        pixels = self._picture() if self.pixels is None else self.pixels
         self._images.publish(messages.image(pixels, self._stamp))
+
+    def _picture(self) -> np.ndarray:
+        """What there is to see; a box that jumps is elsewhere in every second picture."""
+        is_away = self._num_steps // IMAGE_TICKS % 2
+        return picture(moved(self.jump * is_away) if self.is_object_there else None)
 
 
 def laboratory(words: Connection, rate: float) -> None:

@@ -30,7 +30,9 @@ from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])
 PROFILE = Profile.load("ur5e_allegro_v4")
-BOX = (300.0, 200.0, 330.0, 230.0)
+Box = tuple[float, float, float, float]
+
+BOX: Box = (300.0, 200.0, 330.0, 230.0)
 ASKING = 1e-4
 """Time that passes while somebody asks for it [s]."""
 
@@ -38,7 +40,7 @@ RED = ColorRange(hue=(340.0, 20.0))
 NOISE = cycle(range(100, 140))
 
 
-def picture(box: tuple[float, float, float, float] | None = BOX) -> np.ndarray:
+def picture(box: Box | None = BOX) -> np.ndarray:
     """Grey, with a red rectangle; the first pixel is never that of the picture before."""
     image = np.full((480, 640, 3), 120, dtype=np.uint8)
     image[0, 0, 0] = next(NOISE)
@@ -147,3 +149,9 @@ def surroundings() -> Iterator[Surroundings]:
         stack.callback(servo.close)
         connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, recording=None)
         yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock, broker=broker)
+
+
+def moved(by: float) -> Box:
+    """The box, so far to the right and down [px]."""
+    xmin, ymin, xmax, ymax = BOX
+    return xmin + by, ymin + by, xmax + by, ymax + by

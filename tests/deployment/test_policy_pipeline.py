@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from loop_lab import BOX, HOME, PROFILE, EverythingRed, new_pipeline, picture, remembering
+from loop_lab import BOX, HOME, PROFILE, Box, EverythingRed, moved, new_pipeline, picture, remembering
 
 from pixel2catch.deployment.policy_pipeline import (
     BOX_AGE,
@@ -28,11 +28,6 @@ from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PROMPT = BoxPrompt(box=BOX)
-
-
-def moved(by: float) -> tuple[float, float, float, float]:
-    xmin, ymin, xmax, ymax = BOX
-    return xmin + by, ymin + by, xmax + by, ymax + by
 
 
 def frame(stamp: float, by: float = 0.0) -> CameraFrame:
@@ -166,7 +161,7 @@ def test_a_perception_that_hangs_is_said_and_gives_no_orders():
 ARM = slice(0, 6)
 
 
-def run(pipeline: PolicyPipeline, steps: range, box: tuple[float, float, float, float] | None) -> np.ndarray:
+def run(pipeline: PolicyPipeline, steps: range, box: Box | None) -> np.ndarray:
     """Targets of control steps in which the joints are where they were to be; each image is 20 ms old."""
     targets, joint_pos = list[np.ndarray](), HOME
     for step in steps:

@@ -61,7 +61,7 @@ class ImageChecks:
         self._next_poll = now + POLL_TIME
         topics = [topic for topic in (self._profile.image, self._profile.info) if topic]
         shared = [topic.name for topic in topics if self._transport.num_other_publishers(topic) > 1]
-        self._others = (shared and f"several publish {' and '.join(shared)}: end all but one camera.") or ""
+        self._others = f"several publish {' and '.join(shared)}: end all but one." if shared else ""
 
     def is_new(self, reading: ImageReading) -> bool:
         """Take note of the next image; say whether it is none that was there before."""
