@@ -9,6 +9,7 @@ import torch
 import viser
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
+from pixel2catch.deployment.sight import Sight
 from pixel2catch.deployment.statistics import sentence
 from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.camera import Exposure, Moment
@@ -80,8 +81,8 @@ class WireView:
         self.view.show(shown)
 
     def _tell(self, status: dict[str, Any], state: dict[str, Any]) -> None:
-        """Show the newest image with the box, and all states."""
-        box = status.get("box")
+        """Show the newest image with the box, unless that is an old one, and all states."""
+        box = status.get("box") if status.get("object", Sight.SEEN) == Sight.SEEN else None
         if box:
             self._boxes.append(box)
         for message in self._images.take():
