@@ -176,9 +176,6 @@ class ControlLoop:
         took, is_missed = self._look.took if self._look else 0.0, self._look is None
         self._look = None
         policy_command, complaint = self._decide()
-        if policy_command:
-            self.statistics.note_command(policy_command)
-            policy_command = replace(policy_command, image_stamp=min(self._images.stamp, now))
         self._timer.advance(now, is_even=policy_command is not None)
         self._due = self._timer.due
         return self._conclude(policy_command, complaint, began=now - took, is_missed=is_missed)
@@ -230,12 +227,17 @@ class ControlLoop:
         return self._images.problem or self._pipeline.sight.problem
 
     def _decide(self) -> tuple[PolicyCommand | None, str]:
-        """A command, if there can be one, and what is wrong."""
+        """A command, if there can be one, and what is wrong; the servo is told of the newest image."""
+        now = self._clock.now()
         try:
-            policy_command = self._pipeline.decide(self._joint_pos, self._clock.now())
+            policy_command = self._pipeline.decide(self._joint_pos, now)
         except (NonFiniteError, DeploymentError) as error:
             return None, str(error)
-        return policy_command and replace(policy_command, is_perception_sound=not self._problem), ""
+        if policy_command is None:
+            return None, ""
+        self.statistics.note_command(policy_command)
+        newest, is_sound = min(self._images.stamp, now), not self._problem
+        return replace(policy_command, image_stamp=newest, is_perception_sound=is_sound), ""
 
 
 def read_prompt(data: bytes) -> Prompt:
