@@ -220,6 +220,7 @@ def seen_by(draw: Draw) -> Iterator[SteppedRehearsal]:
         yield rehearsal
 
 
+@pytest.mark.slow
 def test_an_image_that_freezes_in_the_flight_stops_the_robot():
     frozen = list[np.ndarray]()
 
@@ -233,6 +234,7 @@ def test_an_image_that_freezes_in_the_flight_stops_the_robot():
     assert (outcome.stops, outcome.is_success) == (["perception unsound"], False)
 
 
+@pytest.mark.slow
 def test_an_object_that_vanishes_in_the_flight_leaves_the_arm_at_rest():
     """And armed: the robot is not stopped before the end of the throw."""
     flown, speeds = [0], dict[int, float]()
