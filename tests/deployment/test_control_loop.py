@@ -24,7 +24,6 @@ from pixel2catch.deployment.control_loop import ControlLoop, read_prompt
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
 from pixel2catch.deployment.perception_thread import CallerExecutor
 from pixel2catch.deployment.policy_pipeline import Controller
-from pixel2catch.deployment.statistics import sentence
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
@@ -232,11 +231,3 @@ def test_a_bad_prompt_is_told_and_begins_nothing(text: str):
         around.show(picture())
         led.point(text)
         assert "prompt" in led.step()["message"]
-
-
-def test_a_status_in_words_leaves_out_what_it_lacks():
-    assert sentence({"mode": "run", "box": [1, 2, 3, 4]}) == "run"
-    status = {"mode": "idle", "found": ["dead man"], "refused": ["clock", "workspace"], "message": "no lens"}
-    assert sentence(status) == "idle; refused clock, workspace; not ready: dead man; no lens"
-    status = {"mode": "stopped", "stopped_by": ["object lost"], "found": ["dead man"], "object": "lost"}
-    assert sentence(status) == "stopped; stopped by object lost; object: lost"

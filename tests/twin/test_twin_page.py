@@ -148,18 +148,13 @@ def test_one_button_throws_and_catches():
 
 def test_what_the_deployment_sees_is_in_the_picture_and_its_state_in_the_table(shown: Shown):
     for box in ([100, 50, 120, 80], [110, 50, 130, 80]):
-        shown.tell(mode="run", box=box, object="seen", message="the image is frozen")
+        shown.tell(mode="run", box=box)
         shown.go_on(30)
     assert "| deploy: mode | run |" in shown.page.wire.text.content
-    assert "**run; object: seen; the image is frozen**" in shown.page.wire.text.content
     assert "| dcx | 10.00 |" in shown.page.wire.text.content
     assert "| cx | 0.19 |" in shown.page.wire.text.content  # 120 of 640
     green = np.argwhere((shown.page.wire.picture.image == BOX_COLOR).all(axis=-1))
     assert (green.min(axis=0).tolist(), green.max(axis=0).tolist()) == ([50, 110], [79, 129])
-    shown.tell(mode="run", box=[110, 50, 130, 80], object="searching")
-    shown.go_on(30)
-    assert "**run; object: searching**" in shown.page.wire.text.content
-    assert not (shown.page.wire.picture.image == BOX_COLOR).all(axis=-1).any()
 
 
 def test_what_cannot_be_read_shows_nothing(shown: Shown):

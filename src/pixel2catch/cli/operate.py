@@ -29,12 +29,12 @@ class Operate:
     def run(self) -> None:
         """Operate until Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
+        from pixel2catch.cli.deploy import sentence
         from pixel2catch.cli.extras import needs_extra
         from pixel2catch.interruption import StopRequest
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.operator import OperatorConsole, operate_by_keys
-            from pixel2catch.deployment.statistics import sentence
             from pixel2catch.deployment.switches import Switches
         profile = self.network.robot.load()
         said = ""

@@ -114,24 +114,6 @@ class RunStatistics:
         }
 
 
-def sentence(status: dict[str, Any]) -> str:
-    """A status in words, without what changes in every control step; what it lacks is left out."""
-    is_idle = status.get("mode") == "idle"
-    told = (
-        ("", status.get("mode")),
-        ("stopped by ", status.get("stopped_by")),
-        ("refused ", status.get("refused")),
-        ("not ready: ", status.get("found") if is_idle else None),
-        ("object: ", status.get("object")),
-        ("", status.get("message")),
-    )
-    return "; ".join(f"{words}{_listed(value)}" for words, value in told if value)
-
-
-def _listed(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-
-
 def milliseconds(durations: deque[float]) -> dict[str, float] | None:
     """Percentiles of durations [s] in ms; none if there are none."""
     if not durations:

@@ -9,8 +9,6 @@ import torch
 import viser
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
-from pixel2catch.deployment.sight import Sight
-from pixel2catch.deployment.statistics import sentence
 from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import Bystanders
@@ -81,8 +79,8 @@ class WireView:
         self.view.show(shown)
 
     def _tell(self, status: dict[str, Any], state: dict[str, Any]) -> None:
-        """Show the newest image with the box, unless that is an old one, and all states."""
-        box = status.get("box") if status.get("object", Sight.SEEN) == Sight.SEEN else None
+        """Show the newest image with the box, and all states."""
+        box = status.get("box")
         if box:
             self._boxes.append(box)
         for message in self._images.take():
@@ -94,8 +92,7 @@ class WireView:
         rows = {**self._features(), **{f"deploy: {name}": value for name, value in status.items()}}
         rows |= {f"twin: {name}": value for name, value in state.items() if name != "object_pose"}
         table = "\n".join(f"| {name} | {_short(value)} |" for name, value in rows.items())
-        headline = f"**{sentence(status)}**\n\n" if status else ""
-        self.text.content = f"{headline}| | |\n|---|---|\n{table}"
+        self.text.content = f"| | |\n|---|---|\n{table}"
 
     def _features(self) -> dict[str, str]:
         """What a policy reads of the boxes that the deployment sees."""
