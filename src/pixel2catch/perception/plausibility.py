@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import hypot
 
 from jaxtyping import Float
 from torch import Tensor
@@ -65,7 +66,7 @@ def is_jump(
 
     It may shrink as it likes: what is hidden is smaller.
     """
-    first, last = (box - before).split(2, dim=1)
-    moved, grown = (0.5 * (first + last)).norm(), (last - first).max()
+    xmin, ymin, xmax, ymax = (box - before)[0].tolist()
     steps = max(steps, 1.0)
-    return bool(moved > cfg.largest_jump * steps) or bool(grown > cfg.largest_growth * steps)
+    moved, grown = 0.5 * hypot(xmin + xmax, ymin + ymax), max(xmax - xmin, ymax - ymin)
+    return moved > cfg.largest_jump * steps or grown > cfg.largest_growth * steps
