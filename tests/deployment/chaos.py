@@ -71,6 +71,8 @@ class Chaos:
             joint_pos_target=self._wrong(self.target, STRANGE),
             target_stamp=self._wrong(self.sent["target_stamp"], WRONG_STAMPS),
             image_stamp=self._wrong(self.sent["image_stamp"], WRONG_STAMPS),
+            box_stamp=self._wrong(self.sent["image_stamp"], WRONG_STAMPS),
+            is_perception_sound=~self._happens(),
             dead_man_stamp=self._wrong(self.sent["dead_man_stamp"], WRONG_STAMPS),
             pressed_stamp=self.pressed,
             arm_stamp=self._requests(),

@@ -91,6 +91,7 @@ class Laws:
         sees = (now - inputs.image_stamp <= limits.image_age) & (
             now - inputs.target_stamp <= limits.target_age
         )
+        sees &= (now - inputs.box_stamp <= limits.box_age) & inputs.is_perception_sound
         makes_sense = np.isfinite(inputs.joint_pos_target).all(axis=-1)
         assert (sees & makes_sense)[np.isin(output.mode, DRIVEN)].all()
 

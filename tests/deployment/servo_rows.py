@@ -58,6 +58,8 @@ class Lab:
             joint_pos_target=self.target.copy(),
             target_stamp=np.full(self.rows, self._target_stamp),
             image_stamp=now - 0.03,
+            box_stamp=now - 0.03,
+            is_perception_sound=np.ones(self.rows, dtype=bool),
             dead_man_stamp=now,
             pressed_stamp=np.full(self.rows, self.pressed),
             arm_stamp=np.full(self.rows, -np.inf),

@@ -84,8 +84,8 @@ class Watcher:
     def status(self) -> dict[str, Any]:
         return self.statuses[-1] if self.statuses else {"mode": "", "found": ["nothing yet"]}
 
-    def run(self) -> None:
-        """All is well, the operator presses the switch and arms, and the robot is commanded.
+    def run(self, modes: tuple[str, ...] = ("armed", "ramp", "run")) -> None:
+        """All is well, the operator presses the switch and arms, and the robot is in one of the modes.
 
         On a machine that is busy with tests the laboratory may itself be late: then it is armed anew.
         """
@@ -95,13 +95,13 @@ class Watcher:
         self.until(lambda: self.status["mode"] in ("idle", "stopped"))
         asked = [-1.0]
 
-        def is_commanded() -> bool:
+        def is_in_mode() -> bool:
             if self.status["mode"] in ("idle", "stopped") and self.clock.now() > asked[-1] + 2.0 * STOP_TIME:
                 self.say("arm")
                 asked.append(self.clock.now())
-            return self.status["mode"] in ("armed", "ramp", "run")
+            return self.status["mode"] in modes
 
-        self.until(is_commanded)
+        self.until(is_in_mode)
 
 
 @pytest.fixture
@@ -129,3 +129,21 @@ def test_it_stops_without_a_laboratory_goes_on_with_a_new_one_and_ends_without_i
     assert "arm: joints up to 2.79 rad/s; commands up to 10 rad/s, 300 rad/s²" in said
     assert np.isfinite([command for _, command in watcher.commands]).all()
     assert (watcher.log.parent / "tape" / "tape.mcap").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_a_frozen_image_a_second_camera_and_a_lost_object_stop_it(watcher: Watcher):
+    """It is said in words. A machine that is busy may stop it before: then once more."""
+    for fault, words in (
+        ("image frozen", "perception unsound"),
+        ("object gone", "object lost"),
+        ("another camera", "perception unsound"),
+    ):
+        while words not in watcher.status.get("stopped_by", ()):
+            watcher.run(("armed",))
+            watcher.say("point")
+            watcher.until(lambda: watcher.status["mode"] in ("ramp", "run", "stopped"))
+            watcher.say(fault)
+            watcher.until(lambda: watcher.status["mode"] == "stopped")
+            print(fault, watcher.status["stopped_by"])
+        watcher.say("switch let go")

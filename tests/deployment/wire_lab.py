@@ -73,7 +73,12 @@ class WireLab:
             now = self.clock.now()
             image_stamp = now - self.image_age
             self.loop.send(
-                PolicyCommand(joint_pos_target=self.target, target_stamp=now, image_stamp=image_stamp)
+                PolicyCommand(
+                    joint_pos_target=self.target,
+                    target_stamp=now,
+                    image_stamp=image_stamp,
+                    box_stamp=image_stamp,
+                )
             )
         self.servo_statuses += self.loop.receive()
         self._tick += 1

@@ -132,6 +132,8 @@ def sentence(status: dict[str, Any]) -> str:
             parts.append(f"{name.replace('_', ' ')} {', '.join(status[name])}")
     if status["mode"] == "idle" and status["found"]:
         parts.append(f"not ready: {', '.join(status['found'])}")
+    if status.get("object"):
+        parts.append(f"object: {status['object']}")
     if status["message"]:
         parts.append(status["message"])
     return "; ".join(parts)

@@ -176,9 +176,6 @@ class ControlLoop:
         took, is_missed = self._look.took if self._look else 0.0, self._look is None
         self._look = None
         policy_command, complaint = self._decide()
-        if policy_command:
-            self.statistics.note_command(policy_command)
-            policy_command = replace(policy_command, image_stamp=min(self._images.stamp, now))
         self._timer.advance(now, is_even=policy_command is not None)
         self._due = self._timer.due
         return self._conclude(policy_command, complaint, began=now - took, is_missed=is_missed)
@@ -212,10 +209,11 @@ class ControlLoop:
         if self._mode in ACTIVE:
             self.statistics.count_step(took=end - began, is_missed=is_missed)
         trouble = self._recording.trouble if self._recording else ""
-        message = (
-            self._message or self._images.message or complaint or (seen.message if seen else "") or trouble
-        )
-        status = self.statistics.status(seen, self._images.take_notice() or message)
+        of_image = self._images.message or (seen.message if seen else "")
+        message = self._message or self._problem or of_image or complaint or trouble
+        sight = self._pipeline.sight
+        message = self._images.take_notice() or message
+        status = self.statistics.status(seen, message, sight.at(end), end - sight.box_stamp)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
             if policy_command:
@@ -223,12 +221,23 @@ class ControlLoop:
             self._recording.record_messages()
         return status
 
+    @property
+    def _problem(self) -> str:
+        """Why perception cannot be trusted; empty if it can."""
+        return self._images.problem or self._pipeline.sight.problem
+
     def _decide(self) -> tuple[PolicyCommand | None, str]:
-        """A command, if there can be one, and what is wrong."""
+        """A command, if there can be one, and what is wrong; the servo is told of the newest image."""
+        now = self._clock.now()
         try:
-            return self._pipeline.decide(self._joint_pos, self._clock.now()), ""
+            policy_command = self._pipeline.decide(self._joint_pos, now)
         except (NonFiniteError, DeploymentError) as error:
             return None, str(error)
+        if policy_command is None:
+            return None, ""
+        self.statistics.note_command(policy_command)
+        newest, is_sound = min(self._images.stamp, now), not self._problem
+        return replace(policy_command, image_stamp=newest, is_perception_sound=is_sound), ""
 
 
 def read_prompt(data: bytes) -> Prompt:

@@ -119,7 +119,9 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
 
 
 SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)  #: Ticks of the servo, `ServoStatus.row`.
-ORDERS = Topic(name="/pixel2catch/orders", type=messages.FLOAT_ARRAY)  #: Its orders, `PolicyCommand.row`.
+ORDERS = Topic(
+    name="/pixel2catch/policy_command", type=messages.FLOAT_ARRAY
+)  #: Its orders, `PolicyCommand.row`.
 DEPTH = 512  #: Messages that are kept between two control steps.
 RESOLUTION = 1e-6  #: Least time between two messages of a topic [s]: readers of bags sort by it.
 Images = Literal["jpeg", "raw", "none"]  #: How images are recorded; raw ones are 27 MB a second.

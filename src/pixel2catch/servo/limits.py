@@ -18,6 +18,9 @@ from pixel2catch.servo.workspace import Workspace
 
 STOP_TIME = 0.3  #: Time after which the commands of a stop stand still [s]. Source: ours.
 RETURN_TIME = 0.2  #: Part of it to go back to where the joints are [s]; the rest is to brake. Source: ours.
+LOSS_TIME = 3.0
+"""Time since the object was last seen after which it is lost [s]. Source: ours; longer than a throw lasts."""
+
 BEYOND_TRAVEL = 0.3
 """Distance beyond the ends of its travel at which a joint cannot be [rad].
 
@@ -188,6 +191,8 @@ class ServoLimits:
     tick_age: float = 0.02
     #: Age of the newest image that is a fault [s].
     image_age: float = 0.1
+    #: Age of the newest box of the object that is a fault [s]; before, the control loop holds the arm.
+    box_age: float = LOSS_TIME
     #: Age of the newest targets that is a fault [s].
     target_age: float = 2.0 * CONTROL_DT
     #: Time since the operator last held the dead-man switch that is a fault [s], and up to which a request

@@ -39,9 +39,7 @@ def set_niceness(niceness: int) -> None:
 
 
 PATIENCE = 10.0  #: Real time in which a servo process ends after its link is closed [s]. Source: ours.
-HELD_SPEED = (
-    0.5  #: Speed at which joints that are none of ours go to where they are kept [rad/s]. Source: ours.
-)
+HELD_SPEED = 0.5  #: Speed at which joints that are none of ours go where they are kept [rad/s]. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -217,6 +217,8 @@ class ServoSubscriptions:
             joint_pos_target=policy_command.joint_pos_target[None],
             target_stamp=np.array([policy_command.target_stamp]),
             image_stamp=np.array([policy_command.image_stamp]),
+            box_stamp=np.array([policy_command.box_stamp]),
+            is_perception_sound=np.array([policy_command.is_perception_sound]),
             dead_man_stamp=np.array([operator.dead_man_stamp]),
             pressed_stamp=np.array([operator.pressed_stamp]),
             arm_stamp=np.array([operator.arm_stamp]),

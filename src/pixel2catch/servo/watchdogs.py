@@ -5,7 +5,7 @@ All stamps are of one monotonic clock. A stamp that is no number, or of the futu
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntFlag
+from enum import IntFlag, auto
 from typing import TypeVar
 
 import numpy as np
@@ -33,33 +33,35 @@ AnyFlag = TypeVar("AnyFlag", bound=IntFlag)
 
 
 class Fault(IntFlag):
-    """What stops the robot, or keeps it from being armed."""
+    """What stops the robot, or keeps it from being armed; recordings have the numbers: append."""
 
-    CLOCK = 1
-    JOINTS_STALE = 2
-    JOINTS_NOT_FINITE = 4
-    IMAGE_STALE = 8
-    POLICY_LATE = 16
-    TARGET_NOT_FINITE = 32
-    TARGET_FAR = 64
-    TRACKING_ERROR = 128
-    SAFETY_MODE = 256
-    SPEED_SCALING = 512
-    OTHER_PUBLISHER = 1024
-    DEAD_MAN = 2048
-    STOP_REQUEST = 4096
-    START_POSE = 8192
-    WORKSPACE = 16384
-    STILL_STOPPING = 32768
-    JOINTS_IMPLAUSIBLE = 65536
-    JOINT_SPEED = 131072
-    OTHER_OPERATOR = 262144
-    SWITCH_NOT_PRESSED = 524288
-    STATUS_UNKNOWN = 1 << 22
-    NO_SUBSCRIBER = 1 << 23
-    OTHER_SUBSCRIBER = 1 << 24
-    CONTROLLER = 1 << 25
-    JOINTS_FROZEN = 1 << 26
+    CLOCK = auto()
+    JOINTS_STALE = auto()
+    JOINTS_NOT_FINITE = auto()
+    IMAGE_STALE = auto()
+    POLICY_LATE = auto()
+    TARGET_NOT_FINITE = auto()
+    TARGET_FAR = auto()
+    TRACKING_ERROR = auto()
+    SAFETY_MODE = auto()
+    SPEED_SCALING = auto()
+    OTHER_PUBLISHER = auto()
+    DEAD_MAN = auto()
+    STOP_REQUEST = auto()
+    START_POSE = auto()
+    WORKSPACE = auto()
+    STILL_STOPPING = auto()
+    JOINTS_IMPLAUSIBLE = auto()
+    JOINT_SPEED = auto()
+    OTHER_OPERATOR = auto()
+    SWITCH_NOT_PRESSED = auto()
+    OBJECT_LOST = auto()
+    PERCEPTION_UNSOUND = auto()
+    STATUS_UNKNOWN = auto()
+    NO_SUBSCRIBER = auto()
+    OTHER_SUBSCRIBER = auto()
+    CONTROLLER = auto()
+    JOINTS_FROZEN = auto()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,6 +74,8 @@ class ServoInputs:
     joint_pos_target: Rows  #: Newest targets of the policy [rad].
     target_stamp: Times  #: When they were decided [s].
     image_stamp: Times  #: When the newest image was taken [s].
+    box_stamp: Times  #: When the newest image was taken in which the object was seen [s].
+    is_perception_sound: Flags  #: Whether what perception says can be true.
     dead_man_stamp: Times  #: When the operator last held the dead-man switch [s].
     #: When the switch was last pressed after it had been let go, or silent for too long [s].
     pressed_stamp: Times
@@ -242,6 +246,8 @@ def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
             Fault.IMAGE_STALE: ~is_recent(inputs.now, inputs.image_stamp, limits.image_age),
             Fault.POLICY_LATE: ~is_recent(inputs.now, inputs.target_stamp, limits.target_age),
             Fault.TARGET_NOT_FINITE: ~all_finite(inputs.joint_pos_target),
+            Fault.OBJECT_LOST: ~is_recent(inputs.now, inputs.box_stamp, limits.box_age),
+            Fault.PERCEPTION_UNSOUND: ~inputs.is_perception_sound,
         }
     )
 
