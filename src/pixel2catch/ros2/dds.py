@@ -280,9 +280,9 @@ class _DdsSubscription(Subscription):
 
     def take(self) -> list[Message]:
         samples = [each for each in self._reader.take(N=self._most) if not isinstance(each, InvalidSample)]
-        now, stamp, before = self._clock.now(), self._clock.stamp(), self._taken
+        now, before = self._clock.now(), self._taken
         self._taken = now
-        ages = [stamp - 1e-9 * self._clock.rate * each.sample_info.source_timestamp for each in samples]
+        ages = [self._clock.age(each.sample_info.source_timestamp) for each in samples]
         return [
             Message(data=sample.cdr, arrival=min(max(now - age, before), now), age=age)
             for sample, age in zip(samples, ages, strict=True)

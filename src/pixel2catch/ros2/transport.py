@@ -50,6 +50,10 @@ class RealClock(Clock):
         """See `Clock.stamp`."""
         return self.rate * time.time()
 
+    def age(self, sent: int) -> float:
+        """How long ago it was that a sender's real clock showed a time since the epoch [ns]: seconds."""
+        return self.stamp() - 1e-9 * self.rate * sent
+
     def sleep_until(self, moment: float) -> None:
         """See `Clock.sleep_until`."""
         left = (moment - self.now()) / self.rate
