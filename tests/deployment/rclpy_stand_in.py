@@ -1,4 +1,4 @@
-"""What `rclpy_node` uses of rclpy, on the network in memory: it raises on whatever the real one does not have.
+"""What `rclpy_node` uses of rclpy, on the network in memory: it raises on what the real one does not have.
 
 `rclpy_api.json` says what that is: names and parameters, read from the version that it states.
 """
@@ -39,7 +39,7 @@ def as_in_rclpy(name: str) -> Callable[[Any], Any]:
     def decorate(function: Any) -> Any:
         @wraps(function)
         def call(*args: Any, **options: Any) -> Any:
-            parameters.bind(*args, **options)
+            parameters.bind(*args[function.__name__ == "__init__" :], **options)
             return function(*args, **options)
 
         return call

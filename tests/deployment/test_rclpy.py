@@ -5,18 +5,20 @@
 
 import importlib
 import inspect
-from contextlib import ExitStack
+import sys
+import threading
+from enum import Enum
+from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import pytest
 import rclpy_stand_in
-from networks import MakeNode, ros_nodes
-from rclpy_stand_in import API, STAND_IN, Network, as_in_rclpy, signature
+from rclpy_stand_in import API, STAND_IN, Network
 from servo_rows import LIMITS
 
-from domains import PATIENCE, own_domain
+from domains import PATIENCE
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
@@ -69,23 +71,100 @@ def test_an_rclpy_that_does_not_tell_the_age_of_a_message_is_refused(network: Ne
         make_transport("ros", "node", loopback=True, clock=RealClock())
 
 
-def test_what_rclpy_cannot_do_is_said_in_words(network: Network, monkeypatch):
-    with make_transport("ros", "node", loopback=True, clock=RealClock()) as node:
-        with pytest.raises(DeploymentError, match=r"/number: ROS 2 has no .* install lab_msgs"):
-            node.subscription(Topic(name="/number", type="lab_msgs/msg/Number"))
-    monkeypatch.setattr(rclpy_stand_in.Context, "require_usable", lambda context: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        rclpy_stand_in.Node(rclpy_stand_in.Context())
+def test_a_type_that_ros_2_does_not_have_is_refused(network: Network):
+    topic = Topic(name="/number", type="lab_msgs/msg/Number")
+    with (
+        make_transport("ros", "node", loopback=True, clock=RealClock()) as node,
+        pytest.raises(DeploymentError, match=r"/number: ROS 2 has no .* install lab_msgs"),
+    ):
+        node.subscription(topic)
+
+
+def test_what_keeps_rclpy_from_joining_is_said_in_words(network: Network, monkeypatch):
+    def refuse(*args: Any, **options: Any) -> None:
+        raise RuntimeError("ROS_DOMAIN_ID is not an integral number")
+
+    for name in ("create_node", "init"):
+        monkeypatch.setattr(sys.modules["rclpy"], name, refuse)
+        with pytest.raises(
+            DeploymentError, match=r"cannot join .*not an integral number.*look at ROS_DOMAIN_ID"
+        ):
+            make_transport("ros", "node", loopback=True, clock=RealClock())
+
+
+def test_a_node_may_be_closed_twice_and_its_thread_ends(network: Network):
+    before = set(threading.enumerate())
+    node = make_transport("ros", "node", loopback=True, clock=RealClock())
+    assert len(set(threading.enumerate()) - before) == 1
+    node.close()
+    node.close()
+    assert set(threading.enumerate()) == before
+
+
+def test_the_stand_in_has_nothing_that_is_not_in_the_table():
+    known = {*API["functions"], *API["members"]}
+    for module, members in STAND_IN.items():
+        for name, member in members.items():
+            assert f"{module}.{name}" in known or name == "Subscription"
+            if inspect.isclass(member) and not issubclass(member, Enum):
+                assert {each for each in vars(member) if not each.startswith("_")} <= OWN_OF_STAND_IN | {
+                    function.removeprefix(f"{module}.{name}.") for function in known
+                }
+
+
+OWN_OF_STAND_IN = {"network", "is_usable", "topic", "spin", "CallbackType"}
+"""What classes of the stand-in have beside it; `rclpy_node` uses the last one."""
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda rclpy, context: rclpy.init(args=[], context=context, domain=3),
+        lambda rclpy, context: rclpy.create_node(context=context),
+        lambda rclpy, context: rclpy.try_shutdown(context),
+        lambda rclpy, context: rclpy.shutdown(context=context),
+        lambda rclpy, context: rclpy.create_node("node", context=context),
+    ],
+    ids=["unknown option", "no name", "by position", "unknown function", "context before init"],
+)
+def test_the_stand_in_raises_on_what_rclpy_raises_on(network: Network, call: Any):
+    rclpy = sys.modules["rclpy"]
+    context = rclpy_stand_in.Context()
+    with pytest.raises((TypeError, AttributeError, RuntimeError)):
+        call(rclpy, context)
+
+
+@pytest.mark.skipif(not find_spec("rclpy"), reason="ROS 2 is not sourced")
+def test_the_table_is_that_of_the_real_rclpy():
+    if version("rclpy") != API["rclpy"]:
+        pytest.skip(f"the table is of rclpy {API['rclpy']}")
+    for name, text in API["functions"].items():
+        assert described(real(name)) == text, name
+    for name in ("rclpy.qos.QoSDurabilityPolicy", "rclpy.qos.QoSReliabilityPolicy"):
+        assert set(API["members"][name]) <= set(real(name).__members__)
+    assert hasattr(real("rclpy.signals.SignalHandlerOptions"), "NO")
+    assert hasattr(real("rclpy.subscription.Subscription"), "CallbackType")
+
+
+def real(name: str) -> Any:
+    """A function or class of the real rclpy by its name."""
+    place, _, last = name.rpartition(".")
+    try:
+        return getattr(importlib.import_module(place), last)
+    except ModuleNotFoundError:
+        return getattr(real(place), last)
 
 
 def described(function: Any) -> str:
-    """A function's parameters as the table has them."""
-    real = inspect.signature(function)
+    """A function's parameters as the table has them: a default that is no plain value is `...`."""
+    signature = inspect.signature(function)
     plain = [
         each.replace(
             annotation=each.empty,
-            default=each.default if isinstance(each.default, (type(None), bool, int, str, type)) else ...,
+            default=each.default if isinstance(each.default, (type(None), bool, int, float, str)) else ...,
         )
-        for each in real.parameters.values()
+        for each in signature.parameters.values()
     ]
-    return str(real.replace(parameters=plain, return_annotation=real.empty)).replace("Ellipsis", "...")
+    return str(signature.replace(parameters=plain, return_annotation=signature.empty)).replace(
+        "Ellipsis", "..."
+    )

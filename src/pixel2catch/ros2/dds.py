@@ -80,6 +80,9 @@ def _field_type(description: Any, store: Typestore) -> Any:
 
 
 MESSAGE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+MESSAGE_HASH = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
+"""Hash of its definition, without which each node of ROS 2 warns. Source: rosidl 4.6.5 (Jazzy); rosbags has
+another one, as it takes a `char` for a type of its own."""
 
 
 class NodeAnnouncement:
@@ -95,8 +98,8 @@ class NodeAnnouncement:
         self._writers: list[Any] = []
         self._type = dds_type(MESSAGE, store)
         topic = DdsTopic(participant, "ros_discovery_info", self._type)
-        latched = Qos(Policy.Durability.TransientLocal, NEVER_BLOCK, Policy.History.KeepLast(1))
-        self._writer = DataWriter(participant, topic, latched)
+        latched = Policy.Durability.TransientLocal, NEVER_BLOCK, Policy.History.KeepLast(1)
+        self._writer = DataWriter(participant, topic, Qos(*latched, _definition(MESSAGE_HASH)))
         self._announce()
 
     @classmethod
@@ -292,5 +295,10 @@ class _DdsSubscription(Subscription):
 def _qos(topic: Topic, depth: int, *policies: object) -> Qos:
     """The qualities of an endpoint, which tells its message's definition: ROS 2 (from Jazzy on) compares."""
     durability = Policy.Durability.TransientLocal if topic.is_latched else Policy.Durability.Volatile
-    definition = Policy.Userdata(f"typehash={STORE.hash_rihs01(topic.type)};".encode())
+    definition = _definition(STORE.hash_rihs01(topic.type))
     return Qos(durability, Policy.History.KeepLast(depth), definition, *policies)
+
+
+def _definition(type_hash: str) -> Policy.Userdata:
+    """What an endpoint says of its message's definition."""
+    return Policy.Userdata(f"typehash={type_hash};".encode())

@@ -57,8 +57,8 @@ class RosTransport(Transport):
         except RuntimeError as error:
             rclpy.try_shutdown(context=self._context)
             raise DeploymentError(
-                f"rclpy cannot join ({error}); look at ROS_DOMAIN_ID, RMW_IMPLEMENTATION, and the middleware's "
-                "own settings."
+                f"rclpy cannot join ({error}); look at ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the settings of "
+                "that middleware."
             ) from error
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
