@@ -158,13 +158,13 @@ def real(name: str) -> Any:
 def described(function: Any) -> str:
     """A function's parameters as the table has them: a default that is no plain value is `...`."""
     signature = inspect.signature(function)
-    plain = [
+    plain = (type(None), bool, int, float, str)
+    parameters = [
         each.replace(
             annotation=each.empty,
-            default=each.default if isinstance(each.default, (type(None), bool, int, float, str)) else ...,
+            default=each.default if each.default is each.empty or isinstance(each.default, plain) else ...,
         )
         for each in signature.parameters.values()
     ]
-    return str(signature.replace(parameters=plain, return_annotation=signature.empty)).replace(
-        "Ellipsis", "..."
-    )
+    text = str(signature.replace(parameters=parameters, return_annotation=signature.empty))
+    return text.replace("Ellipsis", "...")

@@ -1,6 +1,6 @@
 """The network of ROS 2 by rclpy, where ROS 2 is sourced: for middlewares that `dds` does not speak.
 
-Run with rclpy 7.1 (Jazzy) on Cyclone DDS; older versions than Iron's do not say when a message was sent.
+Tried with rclpy 7.1 (Jazzy) on Cyclone DDS; versions before Iron do not say when a message was sent.
 """
 
 # pyright: reportMissingImports=false
@@ -24,7 +24,7 @@ from pixel2catch.ros2.memory import MessageQueue, MessageQueues
 from pixel2catch.ros2.transport import Publisher, RealClock, Subscription, Topic, Transport
 
 LOCALHOST = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-"""What keeps ROS 2 to this machine: the first in Humble, the second from Iron on."""
+"""What keeps ROS 2 to this machine, the older setting first."""
 
 
 @final
