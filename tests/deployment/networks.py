@@ -8,7 +8,7 @@ import pytest
 import rclpy_stand_in
 
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.transport import RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 
 MakeNode = Callable[[str], Transport]
 """Makes a node with a name."""
@@ -20,7 +20,7 @@ def memory_nodes(stack: ExitStack) -> MakeNode:
 
 
 def dds_nodes(stack: ExitStack) -> MakeNode:
-    return lambda name: stack.enter_context(make_transport("dds", name, loopback=True, clock=RealClock()))
+    return lambda name: stack.enter_context(make_transport("dds", name, LOOPBACK, RealClock()))
 
 
 def ros_nodes(stack: ExitStack) -> MakeNode:
@@ -29,4 +29,4 @@ def ros_nodes(stack: ExitStack) -> MakeNode:
     patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if not find_spec("rclpy"):
         rclpy_stand_in.install(patch)
-    return lambda name: stack.enter_context(make_transport("ros", name, loopback=True, clock=RealClock()))
+    return lambda name: stack.enter_context(make_transport("ros", name, LOOPBACK, RealClock()))

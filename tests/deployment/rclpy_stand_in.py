@@ -9,6 +9,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 from functools import wraps
 from importlib.util import find_spec, module_from_spec
@@ -52,6 +53,7 @@ class Network:
 
     def __init__(self) -> None:
         self.broker, self.delay = Broker(), 0
+        self.nodes: list[Node] = []
 
 
 class Destroyable:
@@ -84,7 +86,8 @@ Signals = enumeration("rclpy.signals.SignalHandlerOptions")
 class QoSProfile:
     @as_in_rclpy("rclpy.qos.QoSProfile")
     def __init__(self, *, depth: int, reliability: Any, durability: Any) -> None:
-        self._depth, self._is_latched = depth, durability is Durability["TRANSIENT_LOCAL"]
+        self._depth, self.durability = depth, durability
+        self._is_latched = durability is Durability["TRANSIENT_LOCAL"]
         assert reliability is Reliability["RELIABLE"] or not self._is_latched
 
     def topic(self, msg_type: type, name: str) -> Topic:
@@ -104,12 +107,22 @@ class Publisher(Destroyable):
         self._publisher.publish(msg)
 
 
+@dataclass
+class TopicEndpointInfo:
+    """What rclpy tells of a publisher or a subscription; it can tell more."""
+
+    node_name: str
+    topic_type: str
+    qos_profile: QoSProfile
+
+
 class Subscription:
     class CallbackType:
         """Iron and newer versions have it; see `rclpy_node`."""
 
-    def __init__(self, callback: Any, messages: Any) -> None:
+    def __init__(self, callback: Any, messages: Any, topic: Topic, qos_profile: QoSProfile) -> None:
         self._callback, self.messages = callback, messages
+        self.topic, self.qos_profile = topic, qos_profile
         with pytest.raises(TypeError):
             inspect.signature(callback).bind(object())  # else rclpy would not give it the message's info
         inspect.signature(callback).bind(object(), object())
@@ -121,9 +134,10 @@ class Subscription:
 
 
 class Node(Destroyable):
-    def __init__(self, context: Context) -> None:
+    def __init__(self, name: str, context: Context) -> None:
         context.require_usable()
-        self._network = context.network
+        self._name, self._network = name, context.network
+        self._network.nodes.append(self)
         self.memory = self._network.broker.node(RealClock())
         self._publishers: list[Publisher] = []
         self._subscriptions: list[Subscription] = []
@@ -138,8 +152,9 @@ class Node(Destroyable):
         self, msg_type: type, topic: str, callback: Any, qos_profile: QoSProfile, *, raw: bool
     ) -> Subscription:
         assert raw, "else the callback gets no bytes"
-        messages = self.memory.subscription(qos_profile.topic(msg_type, topic), qos_profile._depth)
-        self._subscriptions.append(Subscription(callback, messages))
+        described = qos_profile.topic(msg_type, topic)
+        messages = self.memory.subscription(described, qos_profile._depth)
+        self._subscriptions.append(Subscription(callback, messages, described, qos_profile))
         return self._subscriptions[-1]
 
     @as_in_rclpy("rclpy.node.Node.count_publishers")
@@ -148,8 +163,18 @@ class Node(Destroyable):
             publishers = (each for node in self._network.broker.nodes for each in node.publishers)
             return sum(publisher.topic.name == topic_name for publisher in publishers)
 
+    @as_in_rclpy("rclpy.node.Node.get_subscriptions_info_by_topic")
+    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
+        found = ((node, each) for node in self._network.nodes for each in node._subscriptions)
+        return [
+            TopicEndpointInfo(node._name, each.topic.type, each.qos_profile)
+            for node, each in found
+            if each.topic.name == topic_name
+        ]
+
     @as_in_rclpy("rclpy.node.Node.destroy_node")
     def destroy_node(self) -> None:
+        self._network.nodes.remove(self)
         for handle in (self, *self._publishers):
             handle.is_usable = False
         self.memory.close()
@@ -201,7 +226,7 @@ def create_node(
     node_name: str, *, context: Context, enable_rosout: bool, start_parameter_services: bool
 ) -> Node:
     assert node_name.isidentifier()
-    return Node(context)
+    return Node(node_name, context)
 
 
 @as_in_rclpy("rclpy.try_shutdown")

@@ -22,7 +22,7 @@ from domains import PATIENCE
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import RealClock, Topic, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, make_transport
 from pixel2catch.servo.process import ServoSubscriptions
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
@@ -38,7 +38,7 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Network:
 @pytest.mark.parametrize("rate", [1.0, 0.5])
 def test_a_message_has_the_age_that_its_sender_s_stamp_tells(network: Network, rate: float):
     network.delay = 3 * 10**9
-    with make_transport("ros", "node", loopback=True, clock=RealClock(rate)) as node:
+    with make_transport("ros", "node", LOOPBACK, RealClock(rate)) as node:
         heard = node.subscription(NUMBER)
         node.publisher(NUMBER).publish(messages.number(1.0))
         assert node.wait(PATIENCE)
@@ -50,8 +50,8 @@ def test_a_message_has_the_age_that_its_sender_s_stamp_tells(network: Network, r
 def test_a_switch_counts_only_if_it_was_pressed_just_now(network: Network, delay: float, is_believed: bool):
     """A message of the switch that was 300 ms under way, or comes from the future, says nothing of now."""
     network.delay = round(1e6 * delay)
-    with make_transport("ros", "servo", loopback=True, clock=RealClock()) as node:
-        heard = ServoSubscriptions(node, Profile.load("ur5e_allegro_v4"), LIMITS)
+    with make_transport("ros", "servo", LOOPBACK, RealClock()) as node:
+        heard = ServoSubscriptions(node, Profile.load("ur5e_allegro_v4"), LIMITS, ())
         node.publisher(SWITCH).publish(messages.boolean(True))
         assert node.wait(PATIENCE)
         heard.hear(0.0)
@@ -62,19 +62,19 @@ def test_it_is_refused_where_it_would_speak_to_the_whole_network(network: Networ
     monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
     monkeypatch.delenv("ROS_LOCALHOST_ONLY", raising=False)
     with pytest.raises(DeploymentError, match="set ROS_LOCALHOST_ONLY=1 or ROS_AUTOMATIC_DISCOVERY_RANGE="):
-        make_transport("ros", "node", loopback=True, clock=RealClock())
+        make_transport("ros", "node", LOOPBACK, RealClock())
 
 
 def test_an_rclpy_that_does_not_tell_the_age_of_a_message_is_refused(network: Network, monkeypatch):
     monkeypatch.delattr(rclpy_stand_in.Subscription, "CallbackType")
     with pytest.raises(DeploymentError, match="take ROS 2 Iron or a newer one, or the transport dds"):
-        make_transport("ros", "node", loopback=True, clock=RealClock())
+        make_transport("ros", "node", LOOPBACK, RealClock())
 
 
 def test_a_type_that_ros_2_does_not_have_is_refused(network: Network):
     topic = Topic(name="/number", type="lab_msgs/msg/Number")
     with (
-        make_transport("ros", "node", loopback=True, clock=RealClock()) as node,
+        make_transport("ros", "node", LOOPBACK, RealClock()) as node,
         pytest.raises(DeploymentError, match=r"/number: ROS 2 has no .* install lab_msgs"),
     ):
         node.subscription(topic)
@@ -89,12 +89,12 @@ def test_what_keeps_rclpy_from_joining_is_said_in_words(network: Network, monkey
         with pytest.raises(
             DeploymentError, match=r"cannot join .*not an integral number.*look at ROS_DOMAIN_ID"
         ):
-            make_transport("ros", "node", loopback=True, clock=RealClock())
+            make_transport("ros", "node", LOOPBACK, RealClock())
 
 
 def test_a_node_may_be_closed_twice_and_its_thread_ends(network: Network):
     before = set(threading.enumerate())
-    node = make_transport("ros", "node", loopback=True, clock=RealClock())
+    node = make_transport("ros", "node", LOOPBACK, RealClock())
     assert len(set(threading.enumerate()) - before) == 1
     node.close()
     node.close()

@@ -16,7 +16,7 @@ from pixel2catch.ros2.profile import Profile, StatusTopics
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import LoopEnd, ServoEnd, link
-from pixel2catch.servo.process import ARM_PAUSE
+from pixel2catch.servo.subscriptions import ARM_PAUSE
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
@@ -71,8 +71,8 @@ def test_each_driver_gets_whole_commands_at_its_rate(stage: Stage):
 
     stage.play(script())
     hand = stage.lab.profile.robots[1]
-    for place, angle in hand.held.items():
-        assert {command[place] for command in lab.commands["hand"]} == {angle}
+    for place, joint in hand.held.items():
+        assert {command[place] for command in lab.commands["hand"]} == {joint.angle}
     assert {len(command) for command in lab.commands["arm"]} == {6}
     np.testing.assert_allclose(lab.commands["arm"][0], HOME[:6], atol=1e-12)
 
@@ -102,6 +102,11 @@ def slowed(stage: Stage) -> None:
     stage.lab.speed = 50.0
 
 
+def scaled(percent: float) -> Callable[[Stage], None]:
+    """The driver says another speed scaling."""
+    return lambda stage: setattr(stage.lab, "speed", percent)
+
+
 def released(stage: Stage) -> None:
     stage.lab.is_held = False
 
@@ -112,6 +117,30 @@ def blinded(stage: Stage) -> None:
 
 def rivalled(stage: Stage) -> None:
     stage.broker.node(stage.clock).publisher(stage.lab.profile.robots[0].command_topic)
+
+
+def unheard(stage: Stage) -> None:
+    """The driver listens to no commands any more, though it goes on speaking."""
+    node = stage.laboratory
+    node.listeners = [each for each in node.listeners if not each.topic.name.endswith("commands")]
+
+
+def overheard(stage: Stage) -> None:
+    """Somebody else takes the commands, too."""
+    stage.broker.node(stage.clock).subscription(stage.lab.profile.robots[1].command_topic)
+
+
+def left(stage: Stage) -> None:
+    """Who latched the status is gone; everything else goes on."""
+    node = stage.laboratory
+    node.publishers = [each for each in node.publishers if not each.topic.is_latched]
+
+
+def switched(stage: Stage) -> None:
+    """Somebody has switched controllers."""
+    states = {"forward_position_controller": 2, "scaled_joint_trajectory_controller": messages.ACTIVE}
+    (controller,) = [part.controller for part in stage.lab.profile.robots if part.controller]
+    stage.lab.say(controller.activity, messages.activity(states, 0.0))
 
 
 def garbled(stage: Stage) -> None:
@@ -135,6 +164,15 @@ FAULTS = {
     "robot idle": (says("robot_mode", messages.robot_mode(5)), "safety mode"),
     "program stopped": (says("program_running", messages.boolean(False)), "safety mode"),
     "speed slider": (slowed, "speed scaling"),
+    "speed not a number": (scaled(np.nan), "speed scaling"),
+    "speed without end": (scaled(np.inf), "speed scaling"),
+    "speed backwards": (scaled(-100.0), "speed scaling"),
+    "speed above full": (scaled(101.0), "speed scaling"),
+    "speed not told": (silence("/speed_scaling_state_broadcaster/speed_scaling"), "status unknown"),
+    "status left": (left, "status unknown"),
+    "other controller": (switched, "controller"),
+    "nobody listens": (unheard, "no subscriber"),
+    "two listen": (overheard, "other subscriber"),
     "rival": (rivalled, "other publisher"),
     "dead man let go": (released, "dead man"),
     "dead man silent": (silence("/pixel2catch/dead_man"), "dead man"),
@@ -175,6 +213,46 @@ def test_a_brain_that_lags_stops_the_robot_that_runs(
     assert stage.stopped_by[-1] == reason
 
 
+AUTHORITY = ("rival", "nobody listens", "two listen", "other controller", "status left", "speed not told")
+
+
+@pytest.mark.parametrize("fault", AUTHORITY)
+def test_a_robot_that_is_not_ours_alone_is_not_armed(fault: str, stage: Stage):
+    happens, reason = FAULTS[fault]
+
+    def script() -> Iterator[None]:
+        yield from wait(11)
+        happens(stage)
+        yield from wait(110)  # the next count of who is there
+        stage.lab.ask_to_arm()
+        yield from wait(5)
+
+    stage.play(script())
+    assert stage.modes == [Mode.IDLE]
+    assert stage.refused == (reason,)
+
+
+def test_joints_that_are_none_of_ours_go_evenly_from_where_they_are(stage: Stage):
+    """From 0.1 rad, as measured, to 0 at 0.5 rad/s: 1 mrad in a tick, 5 from one command to the next."""
+    lab, hand = stage.lab, stage.lab.profile.robots[1]
+    names = [joint.name_in_state or "" for joint in hand.held.values()]
+    lab.change = lambda reading: replace(
+        reading,
+        names=(*reading.names, *names),
+        position=np.concatenate((reading.position, [0.1] * len(names))),
+    )
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(120)
+        raise Cut
+
+    stage.play(script())
+    sent = np.array(lab.commands["hand"])[:, [*hand.held]]
+    np.testing.assert_allclose(sent[0], 0.1 - 0.001, atol=1e-12)
+    np.testing.assert_allclose(np.diff(sent, axis=0)[:19], -0.005, atol=1e-12)
+    np.testing.assert_allclose(sent[20:], 0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize("topic", ["safety_mode", "robot_mode", "program_running", "speed_scaling"])
 def test_a_driver_that_says_nothing_of_itself_is_not_armed(topic: str, stage: Stage):
     stage.lab.silent.add(getattr(stage.lab.profile.status, topic).name)
@@ -185,8 +263,8 @@ def test_a_driver_that_says_nothing_of_itself_is_not_armed(topic: str, stage: St
         yield from wait(5)
 
     stage.play(script())
-    reason = "speed scaling" if topic == "speed_scaling" else "safety mode"
-    assert {tuple(flag_names(Fault, each.refused)) for each in stage.lab.servo_statuses} == {(), (reason,)}
+    refused = {tuple(flag_names(Fault, each.refused)) for each in stage.lab.servo_statuses}
+    assert refused == {(), ("status unknown",)}
     assert stage.modes == [Mode.IDLE]
 
 
@@ -338,7 +416,7 @@ def test_a_second_operator_stops_the_robot_and_keeps_it_from_being_armed(name: s
 @pytest.mark.parametrize("age", [10.0, 0.3, -10.0])
 def test_a_message_of_the_switch_that_took_too_long_says_nothing(age: float, stage: Stage):
     lab, topic = stage.lab, stage.lab.profile.operator.dead_man
-    (switch,) = [queue for listened, queue in stage.node.listeners if listened == topic]
+    (switch,) = [each.queue for each in stage.node.listeners if each.topic == topic]
 
     def script() -> Iterator[None]:
         yield from stage.armed(80)

@@ -21,26 +21,35 @@ from rosidl_runtime_py.utilities import get_message
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.memory import MessageQueue, MessageQueues
-from pixel2catch.ros2.transport import Publisher, RealClock, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import ANY, LOOPBACK, Publisher, RealClock, Subscription, Topic, Transport
 
 LOCALHOST = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """What keeps ROS 2 to this machine, the older setting first."""
+
+OWN_NODES = "pixel2catch"  #: What the names of our nodes begin with; they only watch what others are to take.
 
 
 @final
 class RosTransport(Transport):
     """A node of rclpy, with a thread that receives."""
 
-    def __init__(self, node_name: str, clock: RealClock, *, loopback: bool = False) -> None:
+    def __init__(self, node_name: str, clock: RealClock, *, network: str) -> None:
         """Join.
 
         Raises:
-            DeploymentError: By loopback it may speak to this machine only, and ROS 2 is not set so; this
-                version of ROS 2 is too old; or it cannot be started.
+            DeploymentError: It may speak to this machine only, and ROS 2 is not set so, or to one interface,
+                which rclpy cannot choose; this version of ROS 2 is too old; or it cannot be started.
         """
-        if loopback and not any(os.environ.get(name) == value for name, value in LOCALHOST.items()):
+        if network == LOOPBACK and not any(
+            os.environ.get(name) == value for name, value in LOCALHOST.items()
+        ):
             settings = " or ".join(f"{name}={value}" for name, value in LOCALHOST.items())
             raise DeploymentError(f"ROS 2 would speak to the whole network: set {settings} first.")
+        if network not in (LOOPBACK, ANY):
+            raise DeploymentError(
+                f"rclpy cannot be told to speak to {network}: take --network {ANY}, and name the interface "
+                "in the settings of its middleware, such as CYCLONEDDS_URI."
+            )
         if not hasattr(RclpySubscription, "CallbackType"):
             raise DeploymentError(
                 "this rclpy does not say when a message was sent, so that an old switch would count: "
@@ -70,10 +79,11 @@ class RosTransport(Transport):
         """Announce a topic that this node sends."""
         self._num_own[topic.name] = self._num_own.get(topic.name, 0) + 1
         qos = _qos(topic, 1, is_reader=False)
-        return _RosPublisher(topic, self._node.create_publisher(_type(topic), topic.name, qos))
+        publisher = self._node.create_publisher(_type(topic), topic.name, qos)
+        return _RosPublisher(topic, self._node, publisher)
 
-    def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
-        """Begin to listen to a topic."""
+    def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
+        """Begin to listen to a topic; who only watches is known by the name of its node."""
         queue = self._queues.add(depth)
         qos = _qos(topic, depth, is_reader=True)
         keep = partial(_keep, queue, self._clock)
@@ -111,14 +121,24 @@ def _keep(queue: MessageQueue, clock: RealClock, data: bytes, info: dict[str, in
 
 @final
 class _RosPublisher(Publisher):
-    def __init__(self, topic: Topic, publisher: Any) -> None:
-        self._topic, self._publisher = topic, publisher
+    def __init__(self, topic: Topic, node: Any, publisher: Any) -> None:
+        self._topic, self._node, self._publisher = topic, node, publisher
 
     def publish(self, data: bytes) -> None:
         try:
             self._publisher.publish(data)
         except RuntimeError as error:
             raise DeploymentError(f"{self._topic.name} cannot be sent ({error}).") from error
+
+    def num_subscribers(self) -> int:
+        found = self._node.get_subscriptions_info_by_topic(self._topic.name)
+        return sum(self._is_taken_by(each) for each in found)
+
+    def _is_taken_by(self, subscription: Any) -> bool:
+        """Whether a subscription hears this publisher, and does more than watch."""
+        wants_latched = subscription.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+        fits = subscription.topic_type == self._topic.type and self._topic.is_latched >= wants_latched
+        return fits and not subscription.node_name.startswith(OWN_NODES)
 
 
 def _type(topic: Topic) -> Any:

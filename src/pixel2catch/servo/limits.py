@@ -45,6 +45,8 @@ class JointLimits:
     lag: Joints  #: How long a joint is behind its command [s].
     lead: Joints  #: How far a command goes ahead of its joint [rad].
     tracking_error: Joints  #: Distance of a joint from where its servo should have it that is a fault [rad].
+    lag_error: float  #: How wrong the lag may be, as a share of it.
+    escape: Joints  #: Distance from what its commands explain at which a finger's joint cannot be [rad].
     moved_error: Joints  #: Distance from a stopped command from which somebody has moved the joint [rad].
     least: Joints  #: Lowest position that a joint can have [rad].
     most: Joints  #: Highest position that a joint can have [rad].
@@ -79,6 +81,8 @@ class JointLimits:
             lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
             joint_speed, jump_speed: ours; a joint's own limit, and what an estimate may be wrong by.
             tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
+            lag_error: ours; an unidentified joint may follow at once.
+            escape: ours; twice what objects push fingers away when they are caught in simulation.
             moved_error: ours; three times `start_error`.
             start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
                 finger's target is anywhere.
@@ -105,6 +109,8 @@ class JointLimits:
             lag=lag,
             lead=lead,
             tracking_error=0.75 * lead * each(1.0, np.inf),
+            lag_error=0.5 if is_identified else 1.0,
+            escape=each(np.inf, 0.5),
             moved_error=each(0.06, np.inf),
             least=ends[0] - BEYOND_TRAVEL,
             most=ends[1] + BEYOND_TRAVEL,
@@ -120,7 +126,7 @@ class JointLimits:
         if not (self.lower < self.upper).all():
             raise InvalidValueError("a joint's lower limit is not below its upper limit")
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
-            if not (getattr(self, name) > 0.0).all():
+            if not np.all(getattr(self, name) > 0.0):
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
 
 
