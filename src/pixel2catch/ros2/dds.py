@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, final
 
 import numpy as np
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import (
     DDSException,
     Entity,
@@ -31,7 +32,15 @@ from rosbags.typesys.store import Typestore
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.messages import STORE
-from pixel2catch.ros2.transport import Message, Publisher, RealClock, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import (
+    Endpoint,
+    Message,
+    Publisher,
+    RealClock,
+    Subscription,
+    Topic,
+    Transport,
+)
 
 PLAIN_TYPES = {
     "bool": bool,
@@ -160,6 +169,15 @@ NEW = SampleState.NotRead | ViewState.Any | InstanceState.Alive
 """What ends a wait: a message, but not that a publisher has left."""
 
 
+THERE = SampleState.Any | ViewState.Any | InstanceState.Alive  #: Who has not left.
+MOST_ENDPOINTS = 10_000  #: Endpoints that are listed at the most; a laboratory has some hundreds.
+
+
+def _ros_type(name: str) -> str:
+    """What ROS calls a type of DDS: `sensor_msgs/msg/Image`; see `dds_type`."""
+    return name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
+
+
 def domain_id() -> int:
     """The network's number, ROS_DOMAIN_ID.
 
@@ -238,6 +256,20 @@ class DdsTransport(Transport):
         if topic not in self._watchers:
             self._watchers[topic] = self._reader(topic, 1, Policy.IgnoreLocal.Participant)
         return len(self._watchers[topic].get_matched_publications())
+
+    def endpoints(self) -> list[Endpoint]:
+        """See `Transport.endpoints`."""
+        found = []
+        for builtin, is_publisher in (
+            (BuiltinTopicDcpsPublication, True),
+            (BuiltinTopicDcpsSubscription, False),
+        ):
+            reader = BuiltinDataReader(self._participant, builtin)
+            for each in reader.read(MOST_ENDPOINTS, ReadCondition(reader, THERE)):
+                if each.participant_key != self._participant.guid and each.topic_name.startswith("rt/"):
+                    name, kind = each.topic_name.removeprefix("rt"), _ros_type(each.type_name)
+                    found.append(Endpoint(topic=name, type=kind, is_publisher=is_publisher))
+        return found
 
     def wait(self, seconds: float) -> bool:
         """Wait until a message can be taken, or for a real time [s]; say which."""
