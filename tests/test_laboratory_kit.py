@@ -23,7 +23,7 @@ from pixel2catch.workcells import find_workcell
 
 ROOT = Path(__file__).parents[1]
 LAUNCH = PROFILES.parent / "launch"
-GUIDE = (ROOT / "docs" / "laboratory.md").read_text("utf-8")
+GUIDE = re.sub(r" \\\n +", " ", (ROOT / "docs" / "laboratory.md").read_text("utf-8"))
 RISKS = (ROOT / "docs" / "risks.md").read_text("utf-8")
 SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
 GROUP = "push-ros-namespace"
@@ -109,7 +109,8 @@ def test_the_arm_is_launched_and_switched_to_the_controller_of_the_profiles(name
 
 def lines(start: str) -> list[list[str]]:
     """Words of the lines of the guide that begin so, be they in a block or in a table."""
-    found = re.findall(rf"^ *({re.escape(start)}.*)$|`({re.escape(start)}[^`]*)`", GUIDE, re.MULTILINE)
+    quoted = r'(?:"(?:[^"\\]|\\.)*"|[^"\n`])*'  # a text in quotes may go on in the next line
+    found = re.findall(rf"^ *({re.escape(start)}{quoted})$|`({re.escape(start)}[^`]*)`", GUIDE, re.MULTILINE)
     return [shlex.split(block or cell) for block, cell in found]
 
 
@@ -168,17 +169,19 @@ def test_every_check_of_a_laboratory_is_explained():
     assert {name for row in rows for name in row.split(", ")} >= {check.name for check in checks}
 
 
-def test_files_and_tests_of_the_risk_table_exist():
-    rows = [re.split(r" \| ", row) for row in re.findall(r"^\| (.*) \|$", RISKS, re.MULTILINE)[2:]]
-    assert len(rows) > 20
-    for _, _, where, tests, remains in rows:
-        assert remains
-        assert (where == "-") == (tests == "-")
-        for file in re.findall(r"`([^`]+)`", where):
+def test_hazards_are_numbered_and_files_and_tests_of_the_guards_exist():
+    rows = [row.split(" | ") for row in re.findall(r"^\| (\d+ \| .*) \|$", RISKS, re.MULTILINE)]
+    hazards, guards = ([row for row in rows if len(row) == columns] for columns in (4, 3))
+    assert [int(number) for number, *_ in hazards] == list(range(1, len(hazards) + 1))
+    unguarded = {number for number, _, guard, _ in hazards if guard == "none"}
+    assert len(hazards) > 20
+    assert [number for number, *_ in guards] == [n for n, *_ in hazards if n not in unguarded]
+    for _, files, tests in guards:
+        for file in re.findall(r"`([^`]+)`", files):
             assert (ROOT / "src" / "pixel2catch" / file).is_file(), file
         for name in re.findall(r"`([^`]+)`", tests):
             path, _, function = name.partition("::")
-            tree = ast.parse((ROOT / path).read_text("utf-8"))
+            tree = ast.parse((ROOT / "tests" / path).read_text("utf-8"))
             assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, name
 
 

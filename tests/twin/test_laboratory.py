@@ -28,15 +28,17 @@ from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import DriverJoint, Profile
 from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.twin.drivers import Camera
 from pixel2catch.twin.lab_node import LabNode
 from pixel2catch.twin.simulated_lab import SimulatedLab
+from pixel2catch.workcells import find_workcell
 
 PROFILE = Profile.load("ur5e_allegro_v4")
 IMAGE = PROFILE.camera.image
 CYCLES = 300  #: 0.6 s: 18 images.
 GREY = np.full((480, 640, 3), 120, dtype=np.uint8)
-OF_MACHINE = {"cores", "kernel", "real-time priority", "CPU governor", "receive buffers"}
+OF_MACHINE = {"cores", "kernel", "real-time priority", "ticks", "CPU governor", "receive buffers"}
 
 
 class Laboratory:
@@ -77,7 +79,8 @@ def shared() -> Iterator[Laboratory]:
 
 
 @pytest.fixture
-def laboratory(shared: Laboratory) -> Iterator[Laboratory]:
+def laboratory(shared: Laboratory, monkeypatch: pytest.MonkeyPatch) -> Iterator[Laboratory]:
+    monkeypatch.setattr(machine, "NUM_TICKS", 5)
     yield shared
     shared.late, shared.picture = 0.0, lambda _: GREY
 
@@ -251,6 +254,16 @@ def test_priority_is_as_it_was():
     before = os.sched_getscheduler(0)
     found = check("real-time priority", machine.real_time)
     assert found.state == "good" or "/etc/security/limits.conf" in found.found
+    assert os.sched_getscheduler(0) == before
+
+
+def test_ticks_are_timed_against_what_stops_the_servo(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(machine, "NUM_TICKS", 20)
+    limits = ServoLimits.of(find_workcell(PROFILE.workcell))
+    before = os.sched_getscheduler(0)
+    assert machine.ticks(replace(limits, tick_age=60.0)).startswith("of 20 ticks of 2 ms the latest came")
+    with pytest.raises(Broken, match=r"ms late, the servo stops at 0\.001 ms: end other programs"):
+        machine.ticks(replace(limits, tick_age=1e-6))
     assert os.sched_getscheduler(0) == before
 
 

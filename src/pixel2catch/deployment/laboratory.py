@@ -19,26 +19,28 @@ def checks_of_laboratory(
     profile: Profile, survey: Survey, lens: CameraSpec, *, is_loopback: bool
 ) -> list[Check]:
     """What is found on this machine and on the network; real time does not matter beside a twin."""
+    limits = ServoLimits.of(find_workcell(profile.workcell))
     settings: dict[str, Callable[[], str]] = {
         "cores": machine.cores,
         "kernel": machine.kernel,
         "real-time priority": machine.real_time,
+        "ticks": partial(machine.ticks, limits),
         "CPU governor": machine.governor,
         "receive buffers": machine.receive_buffers,
     }
     found = [check(name, probe, is_needed=not is_loopback) for name, probe in settings.items()]
     network = {
         "DDS settings": partial(machine.dds_settings, is_loopback),
-        **_of_network(profile, survey, lens),
+        **_of_network(profile, survey, lens, limits),
     }
     return found + [check(name, probe, is_needed=True) for name, probe in network.items()]
 
 
-def _of_network(profile: Profile, survey: Survey, lens: CameraSpec) -> dict[str, Callable[[], str]]:
+def _of_network(
+    profile: Profile, survey: Survey, lens: CameraSpec, limits: ServoLimits
+) -> dict[str, Callable[[], str]]:
     """What to judge of a survey, by name."""
-    workcell = find_workcell(profile.workcell)
-    limits = ServoLimits.of(workcell)
-    home = np.array([joint.home for joint in workcell.joints])
+    home = np.array([joint.home for joint in find_workcell(profile.workcell).joints])
     status, camera, robots = profile.status, profile.camera, profile.robots
     said = (
         ("robot mode", judge.robot_mode, status.robot_mode),

@@ -3,17 +3,22 @@
 import os
 import resource
 import socket
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from pixel2catch.findings import Absent, Broken
 from pixel2catch.ros2.dds import domain_id
+from pixel2catch.ros2.transport import RealClock
+from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.process import REAL_TIME_PRIORITY
 
 GUIDE = "docs/laboratory.md, the computer"  #: Where the steps are.
 LEAST_CORES = 4  #: For servo, policy, perception and drivers. Source: ours.
 LEAST_BUFFER = 4_000_000
 """Bytes that may wait in a socket: four images. Source: ours, measured with 30 images a second."""
+
+NUM_TICKS = 500  #: Ticks of the servo that are timed: a second.
 
 SPOKEN = ("", "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 """Values of RMW_IMPLEMENTATION whose messages plain DDS hears; the first is the default of ROS 2."""
@@ -40,19 +45,47 @@ def kernel(root: Path = Path("/")) -> str:
     raise Absent(f"no PREEMPT_RT: the servo's ticks may be late under load ({GUIDE})")
 
 
-def real_time() -> str:
-    """Whether the servo may ask for real-time scheduling: it is tried, and taken back."""
+@contextmanager
+def real_time_priority() -> Iterator[bool]:
+    """What the servo process asks for, for a while; it says whether the system grants it."""
     before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
     except PermissionError:
-        limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
-        raise Broken(
-            f"the limit rtprio is {limit}, the servo asks for priority {REAL_TIME_PRIORITY}: write "
-            f"'@realtime - rtprio 99' into /etc/security/limits.conf, join that group, log in anew ({GUIDE})"
-        ) from None
-    os.sched_setscheduler(0, before, parameters)
-    return f"priority {REAL_TIME_PRIORITY} of SCHED_FIFO is granted"
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, before, parameters)
+
+
+def real_time() -> str:
+    """Whether the servo may ask for real-time scheduling."""
+    with real_time_priority() as is_granted:
+        if is_granted:
+            return f"priority {REAL_TIME_PRIORITY} of SCHED_FIFO is granted"
+    limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    raise Broken(
+        f"the limit rtprio is {limit}, the servo asks for priority {REAL_TIME_PRIORITY}: write "
+        f"'@realtime - rtprio 99' into /etc/security/limits.conf, join that group, log in anew ({GUIDE})"
+    )
+
+
+def ticks(limits: ServoLimits) -> str:
+    """How late this process wakes up at the servo's pace, with its priority where that is granted."""
+    clock, worst = RealClock(), 0.0
+    with real_time_priority():
+        due = clock.now()
+        for _ in range(NUM_TICKS):
+            due += limits.dt
+            clock.sleep_until(due)
+            worst = max(worst, clock.now() - due)
+            due = max(due, clock.now() - limits.dt)
+    said = f"of {NUM_TICKS} ticks of {1e3 * limits.dt:g} ms the latest came {1e3 * worst:.2f} ms late"
+    if worst > limits.tick_age / 2.0:
+        raise Broken(f"{said}, the servo stops at {1e3 * limits.tick_age:g} ms: end other programs ({GUIDE})")
+    return said
 
 
 def governor(root: Path = Path("/")) -> str:
