@@ -101,6 +101,23 @@ def test_other_publishers_are_counted_and_own_ones_are_not(make: MakeNode):
         publishers[-1].publish(messages.number(0.0))
 
 
+def test_publishers_and_subscriptions_of_others_are_listed_and_own_ones_are_not(make: MakeNode):
+    node, other = make("node"), make("other")
+    node.publisher(NUMBER)
+    node.subscription(IMAGE)
+    other.publisher(MODE)
+    other.subscription(NUMBER)
+    expected = {(MODE.name, MODE.type, True), (NUMBER.name, NUMBER.type, False)}
+    end = time.monotonic() + PATIENCE
+    while (found := {(e.topic, e.type, e.is_publisher) for e in node.endpoints()}) != expected:
+        assert time.monotonic() < end, found
+        time.sleep(0.01)
+    other.close()
+    while node.endpoints():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def test_a_publisher_that_leaves_is_no_message(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     subscription = receiver.subscription(NUMBER, depth=5)

@@ -141,7 +141,8 @@ def test_what_is_wrong_with_images_is_named(
 def test_a_missing_camera_is_named_and_what_there_is(laboratory: Laboratory):
     other = replace(PROFILE.camera, image=replace(IMAGE, name="/camera/color/image_raw"))
     checks = laboratory.examine(replace(PROFILE, camera=other))
-    assert bad(checks) == {"images", "exposure", "clocks"}
+    assert bad(checks) == {"images"}
+    assert checks["exposure"].state == checks["clocks"].state == "absent"
     assert "nobody publishes /camera/color/image_raw" in checks["images"].found
     assert f"{IMAGE.type} is published on {IMAGE.name}" in checks["images"].found
 
@@ -285,6 +286,8 @@ def test_without_a_robot_all_is_missing(monkeypatch: pytest.MonkeyPatch, capsys:
     assert status == 1
     assert "nobody publishes /joint_states; nor any topic of that type" in checks["joints of arm"]["found"]
     assert checks["DDS settings"]["state"] == "good"
+    assert "compare ROS_DOMAIN_ID with the drivers'" in checks["network"]["found"]
+    assert {checks[name]["state"] for name in ("exposure", "clocks", "pose of arm")} == {"absent"}
 
 
 @pytest.mark.slow

@@ -48,7 +48,8 @@ def _of_network(
         ("program", judge.program_running, status.program_running),
         ("speed scaling", judge.speed_scaling, status.speed_scaling),
     )
-    probes = {name: partial(probe, survey, topic) for name, probe, topic in said if topic}
+    probes: dict[str, Callable[[], str]] = {"network": partial(judge.network, survey)}
+    probes |= {name: partial(probe, survey, topic) for name, probe, topic in said if topic}
     probes |= {f"joints of {part.name}": partial(judge.joint_states, survey, part, limits) for part in robots}
     probes["images"] = partial(judge.images, survey, camera, limits)
     probes["exposure"] = partial(judge.exposure, survey, camera)
