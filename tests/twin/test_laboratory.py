@@ -166,6 +166,18 @@ def test_other_publishers_and_drivers_are_named(laboratory: Laboratory):
     assert checks["commands to hand"].found.startswith("2 subscribers")
 
 
+def test_a_second_camera_and_a_second_driver_of_the_same_joints_are_named(laboratory: Laboratory):
+    with laboratory.broker.node(laboratory.clock) as node:
+        node.publisher(IMAGE)
+        checks = laboratory.examine()
+    assert bad(checks) == {"images"}
+    assert checks["images"].found == f"2 publishers of {IMAGE.name}: one may be; end the others"
+    arm, hand = PROFILE.robots
+    checks = laboratory.examine(replace(PROFILE, robots=(arm, replace(hand, rate_hz=50.0))))
+    assert bad(checks) == {"joints of hand"}
+    assert "50 Hz are expected; do two drivers say the same?" in checks["joints of hand"].found
+
+
 def test_a_driver_that_takes_no_commands_is_named(laboratory: Laboratory):
     arm, hand = PROFILE.robots
     elsewhere = replace(hand, command_topic=replace(hand.command_topic, name="/hand/commands"))
@@ -240,10 +252,14 @@ def test_a_machine_that_is_set_up_and_one_that_is_not(tmp_path: Path):
         machine.receive_buffers(poor)
 
 
-def test_settings_of_the_network_are_read(monkeypatch: pytest.MonkeyPatch):
+def test_settings_of_the_network_are_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    for name, state in (("eth0", "up"), ("eth1", "up"), ("lo", "unknown"), ("wlan0", "down")):
+        (tmp_path / "sys/class/net" / name).mkdir(parents=True)
+        (tmp_path / "sys/class/net" / name / "operstate").write_text(state + "\n")
     assert machine.dds_settings(True, {}) == "domain 7, this machine only"
     assert machine.dds_settings(False, {}).startswith("domain 7, no CYCLONEDDS_URI")
+    assert "takes one of eth0, eth1; name it" in machine.dds_settings(False, {}, tmp_path)
     assert "file:///x.xml" in machine.dds_settings(False, {"CYCLONEDDS_URI": "file:///x.xml"})
     with pytest.raises(Broken, match="rmw_zenoh_cpp, which DDS does not hear"):
         machine.dds_settings(False, {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})

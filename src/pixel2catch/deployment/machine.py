@@ -2,7 +2,6 @@
 
 import os
 import resource
-import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,7 @@ from pixel2catch.ros2.transport import RealClock
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.process import REAL_TIME_PRIORITY
 
-GUIDE = "docs/laboratory.md, the computer"  #: Where the steps are.
+GUIDE = "docs/laboratory.md"  #: Where the steps are.
 LEAST_CORES = 4  #: For servo, policy, perception and drivers. Source: ours.
 LEAST_BUFFER = 4_000_000
 """Bytes that may wait in a socket: four images. Source: ours, measured with 30 images a second."""
@@ -110,7 +109,9 @@ def receive_buffers(root: Path = Path("/")) -> str:
     return f"net.core.rmem_max is {size}"
 
 
-def dds_settings(is_loopback: bool, environment: Mapping[str, str] = os.environ) -> str:
+def dds_settings(
+    is_loopback: bool, environment: Mapping[str, str] = os.environ, root: Path = Path("/")
+) -> str:
     """What the environment says of the network; ROS_DOMAIN_ID must be that of the drivers."""
     domain = domain_id()
     middleware = environment.get("RMW_IMPLEMENTATION", "")
@@ -123,8 +124,9 @@ def dds_settings(is_loopback: bool, environment: Mapping[str, str] = os.environ)
         raise Broken(f"{kept[0]}: drivers started so keep to themselves; unset it for them and here")
     if configured := environment.get("CYCLONEDDS_URI"):
         return f"domain {domain}, CYCLONEDDS_URI {configured}"
-    others = [name for _, name in socket.if_nameindex() if name != "lo"]
-    if len(others) > 1:
-        choice = f"Cyclone DDS takes one of {', '.join(others)}; name it in CYCLONEDDS_URI ({GUIDE})"
+    states = sorted(root.glob("sys/class/net/*/operstate"))
+    names = [path.parent.name for path in states if path.read_text().strip() == "up"]
+    if len(names) > 1:
+        choice = f"Cyclone DDS takes one of {', '.join(names)}; name it in CYCLONEDDS_URI ({GUIDE})"
         return f"domain {domain}, no CYCLONEDDS_URI: {choice}"
     return f"domain {domain}, no CYCLONEDDS_URI"

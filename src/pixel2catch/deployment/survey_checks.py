@@ -3,7 +3,7 @@
 Each says what it found, or raises `Broken` with what to do.
 """
 
-from math import pi
+from math import inf, pi
 
 import numpy as np
 from numpy import ndarray
@@ -18,6 +18,7 @@ from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import ServoLimits
 
 RATE_SHARE = 0.95  #: Share of a driver's rate that must arrive. Source: ours.
+MOST_RATE_SHARE = 1.5  #: Share of it that one driver cannot exceed. Source: ours.
 CLOCK_ERROR = 0.02  #: How far clocks may be apart [s]. Source: training, docs/deployment.md.
 LEAST_IMAGES = 10  #: Images that tell whether the exposure is constant.
 MOST_CHANGE = 0.03  #: Share by which the brightness of a still scene may change. Source: ours.
@@ -37,14 +38,16 @@ ROBOT_MODES = (
 """By number, from -1 on. Source: `ur_dashboard_msgs/RobotMode`."""
 
 
-def heard_of(survey: Survey, topic: Topic) -> Heard:
-    """What was said on a topic that somebody publishes, by its type, and that could be read."""
+def heard_of(survey: Survey, topic: Topic, most: float = 1) -> Heard:
+    """What was said on a topic that so many publish at the most, by its type, and that could be read."""
     publishers = survey.publishers(topic)
     if not publishers:
         alike = sorted({e.topic for e in survey.endpoints if e.is_publisher and e.type == topic.type})
         hint = f"{topic.type} is published on {', '.join(alike)}" if alike else "nor any topic of that type"
         raise Broken(f"nobody publishes {topic.name}; {hint}: start the driver, or correct the profile")
     require_type(topic, sorted({each.type for each in publishers}))
+    if len(publishers) > most:
+        raise Broken(f"{len(publishers)} publishers of {topic.name}: one may be; end the others")
     heard = survey.heard[topic]
     if not heard.readings:
         why = heard.errors[0] if heard.errors else "the network carries none: look at firewall and cables"
@@ -52,10 +55,10 @@ def heard_of(survey: Survey, topic: Topic) -> Heard:
     return heard
 
 
-def heard_anyway(survey: Survey, topic: Topic) -> Heard:
+def heard_anyway(survey: Survey, topic: Topic, most: float = 1) -> Heard:
     """The same for what needs messages of which another check says that they are missing."""
     try:
-        return heard_of(survey, topic)
+        return heard_of(survey, topic, most)
     except Broken as error:
         raise Absent(f"not looked at without good messages on {topic.name}") from error
 
@@ -82,7 +85,7 @@ def require_type(topic: Topic, types: list[str]) -> None:
 
 def joint_states(survey: Survey, part: RobotPart, limits: ServoLimits) -> str:
     """Whether all joints of a part are heard, at the driver's rate and without pauses."""
-    heard = heard_of(survey, part.state_topic)
+    heard = heard_of(survey, part.state_topic, inf)
     wanted = {theirs.name_in_state for theirs in part.joints.values()}
     said = {name for reading in heard.readings for name in reading.names}
     if missing := sorted(wanted - said):
@@ -94,11 +97,12 @@ def joint_states(survey: Survey, part: RobotPart, limits: ServoLimits) -> str:
     stamps = np.array([heard.readings[place].stamp for place in own])
     arrivals = np.array([heard.arrivals[place] for place in own])
     age = float(limits.joints.position_age[part.ids].min())
-    return f"{len(wanted)} joints, {require_rate(stamps, arrivals, part.rate_hz, age)}"
+    hint = "see the driver's update_rate, cables, processor load"
+    return f"{len(wanted)} joints, {require_rate(stamps, arrivals, part.rate_hz, age, hint)}"
 
 
-def require_rate(stamps: ndarray, arrivals: ndarray, rate: float, age: float) -> str:
-    """Refuse fewer messages in a second [Hz], and pauses longer than an age that is a fault [s]."""
+def require_rate(stamps: ndarray, arrivals: ndarray, rate: float, age: float, hint: str) -> str:
+    """Refuse fewer or more messages in a second [Hz], and pauses longer than an age that is a fault [s]."""
     times = np.unique(stamps)
     if len(times) < 3:
         raise Broken(
@@ -108,7 +112,9 @@ def require_rate(stamps: ndarray, arrivals: ndarray, rate: float, age: float) ->
     pause, jitter = np.diff(arrivals).max(), np.diff(arrivals).std()
     said = f"{found:.1f} Hz, jitter {1e3 * jitter:.1f} ms, longest pause {1e3 * pause:.0f} ms"
     if found < RATE_SHARE * rate:
-        raise Broken(f"{said}: {rate:g} Hz are needed; see the driver's update_rate, cables, processor load")
+        raise Broken(f"{said}: {rate:g} Hz are needed; {hint}")
+    if found > MOST_RATE_SHARE * rate:
+        raise Broken(f"{said}: {rate:g} Hz are expected; do two drivers say the same?")
     if pause > age:
         raise Broken(f"{said}: the servo stops after {1e3 * age:.0f} ms; free the processor, use a cable")
     return said
@@ -120,7 +126,8 @@ def images(survey: Survey, camera: CameraProfile, limits: ServoLimits) -> str:
     if heard.errors:
         raise Broken(heard.errors[-1])
     stamps = np.array([reading.stamp for reading in heard.readings])
-    rate = require_rate(stamps, np.array(heard.arrivals), 1.0 / CONTROL_DT, limits.image_age)
+    hint = "expose for less than 33 ms, take another USB 3 port, look at the processor's load"
+    rate = require_rate(stamps, np.array(heard.arrivals), 1.0 / CONTROL_DT, limits.image_age, hint)
     return f"{camera.width} x {camera.height} {camera.encoding}, {rate}"
 
 
@@ -165,7 +172,7 @@ def clocks(survey: Survey, profile: Profile, limits: ServoLimits) -> str:
     bounds = {part.state_topic: (-CLOCK_ERROR, CLOCK_ERROR) for part in profile.robots}
     bounds[profile.camera.image] = (EARLIEST, limits.image_age)
     for topic, (earliest, latest) in bounds.items():
-        heard = heard_anyway(survey, topic)
+        heard = heard_anyway(survey, topic, 1 if topic == profile.camera.image else inf)
         ages = np.array(heard.arrivals) - [reading.stamp for reading in heard.readings]
         age = float(np.quantile(ages, 0.1))
         said.append(f"{topic.name} {1e3 * age:.1f} ms")
@@ -231,7 +238,7 @@ def commands(survey: Survey, part: RobotPart) -> str:
 def poses(survey: Survey, part: RobotPart, home: ndarray, near: ndarray) -> str:
     """How far a part is from the pose in which it may be armed; joints in joint order [rad]."""
     joint_pos = np.full(len(home), np.nan)
-    for reading in heard_anyway(survey, part.state_topic).readings:
+    for reading in heard_anyway(survey, part.state_topic, inf).readings:
         part.merge(reading, joint_pos)
     away = np.abs(joint_pos - home)[part.ids]
     if np.isnan(away).any():
