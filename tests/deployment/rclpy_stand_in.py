@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.memory import Broker, MemoryTransport
 from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.transport import RealClock, Topic
 
@@ -95,18 +95,6 @@ class QoSProfile:
         return Topic(name=name, type=kind, is_latched=self._is_latched)
 
 
-class Publisher(Destroyable):
-    def __init__(self, publisher: Any) -> None:
-        self._publisher = publisher
-
-    @as_in_rclpy("rclpy.publisher.Publisher.publish")
-    def publish(self, msg: bytes) -> None:
-        self.require_usable()
-        if not isinstance(msg, bytes):
-            raise TypeError(f"Expected a message, got {type(msg)}")
-        self._publisher.publish(msg)
-
-
 @dataclass
 class TopicEndpointInfo:
     """What rclpy tells of a publisher or a subscription; it can tell more."""
@@ -116,13 +104,34 @@ class TopicEndpointInfo:
     qos_profile: QoSProfile
 
 
-class Subscription:
+class Endpoint(Destroyable):
+    def __init__(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> None:
+        self.topic, self._qos_profile = qos_profile.topic(msg_type, topic), qos_profile
+
+    def info(self, node_name: str) -> TopicEndpointInfo:
+        return TopicEndpointInfo(node_name, self.topic.type, self._qos_profile)
+
+
+class Publisher(Endpoint):
+    def __init__(self, node: MemoryTransport, *described: Any) -> None:
+        super().__init__(*described)
+        self._publisher = node.publisher(self.topic)
+
+    @as_in_rclpy("rclpy.publisher.Publisher.publish")
+    def publish(self, msg: bytes) -> None:
+        self.require_usable()
+        if not isinstance(msg, bytes):
+            raise TypeError(f"Expected a message, got {type(msg)}")
+        self._publisher.publish(msg)
+
+
+class Subscription(Endpoint):
     class CallbackType:
         """Iron and newer versions have it; see `rclpy_node`."""
 
-    def __init__(self, callback: Any, messages: Any, topic: Topic, qos_profile: QoSProfile) -> None:
-        self._callback, self.messages = callback, messages
-        self.topic, self.qos_profile = topic, qos_profile
+    def __init__(self, node: MemoryTransport, callback: Any, *described: Any) -> None:
+        super().__init__(*described)
+        self._callback, self.messages = callback, node.subscription(self.topic, self._qos_profile._depth)
         with pytest.raises(TypeError):
             inspect.signature(callback).bind(object())  # else rclpy would not give it the message's info
         inspect.signature(callback).bind(object(), object())
@@ -144,7 +153,7 @@ class Node(Destroyable):
 
     @as_in_rclpy("rclpy.node.Node.create_publisher")
     def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> Publisher:
-        self._publishers.append(Publisher(self.memory.publisher(qos_profile.topic(msg_type, topic))))
+        self._publishers.append(Publisher(self.memory, msg_type, topic, qos_profile))
         return self._publishers[-1]
 
     @as_in_rclpy("rclpy.node.Node.create_subscription")
@@ -152,9 +161,7 @@ class Node(Destroyable):
         self, msg_type: type, topic: str, callback: Any, qos_profile: QoSProfile, *, raw: bool
     ) -> Subscription:
         assert raw, "else the callback gets no bytes"
-        described = qos_profile.topic(msg_type, topic)
-        messages = self.memory.subscription(described, qos_profile._depth)
-        self._subscriptions.append(Subscription(callback, messages, described, qos_profile))
+        self._subscriptions.append(Subscription(self.memory, callback, msg_type, topic, qos_profile))
         return self._subscriptions[-1]
 
     @as_in_rclpy("rclpy.node.Node.count_publishers")
@@ -163,14 +170,24 @@ class Node(Destroyable):
             publishers = (each for node in self._network.broker.nodes for each in node.publishers)
             return sum(publisher.topic.name == topic_name for publisher in publishers)
 
+    @as_in_rclpy("rclpy.node.Node.get_name")
+    def get_name(self) -> str:
+        return self._name
+
+    @as_in_rclpy("rclpy.node.Node.get_topic_names_and_types")
+    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
+        both = (each for node in self._network.nodes for each in (*node._publishers, *node._subscriptions))
+        return [(name, [kind]) for name, kind in {(each.topic.name, each.topic.type) for each in both}]
+
+    @as_in_rclpy("rclpy.node.Node.get_publishers_info_by_topic")
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
+        found = [(node, each) for node in self._network.nodes for each in node._publishers]
+        return [each.info(node._name) for node, each in found if each.topic.name == topic_name]
+
     @as_in_rclpy("rclpy.node.Node.get_subscriptions_info_by_topic")
     def get_subscriptions_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
-        found = ((node, each) for node in self._network.nodes for each in node._subscriptions)
-        return [
-            TopicEndpointInfo(node._name, each.topic.type, each.qos_profile)
-            for node, each in found
-            if each.topic.name == topic_name
-        ]
+        found = [(node, each) for node in self._network.nodes for each in node._subscriptions]
+        return [each.info(node._name) for node, each in found if each.topic.name == topic_name]
 
     @as_in_rclpy("rclpy.node.Node.destroy_node")
     def destroy_node(self) -> None:

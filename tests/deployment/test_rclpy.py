@@ -112,7 +112,7 @@ def test_the_stand_in_has_nothing_that_is_not_in_the_table():
                 }
 
 
-OWN_OF_STAND_IN = {"network", "is_usable", "topic", "spin", "CallbackType"}
+OWN_OF_STAND_IN = {"network", "is_usable", "topic", "info", "spin", "CallbackType"}
 """What classes of the stand-in have beside it; `rclpy_node` uses the last one."""
 
 

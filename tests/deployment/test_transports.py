@@ -127,6 +127,23 @@ def test_subscribers_are_counted_but_for_those_that_only_watch(make: MakeNode):
     wait_until(lambda: publisher.num_subscribers() == 1)
 
 
+def test_publishers_and_subscriptions_of_others_are_listed_and_own_ones_are_not(make: MakeNode):
+    node, other = make("node"), make("other")
+    node.publisher(NUMBER)
+    node.subscription(IMAGE)
+    other.publisher(MODE)
+    other.subscription(NUMBER)
+
+    def found() -> set[tuple[str, str, bool]]:
+        ours = {topic.name for topic in (NUMBER, IMAGE, MODE)}  # ROS 2 has topics of its own
+        listed = (each for each in node.endpoints() if each.topic in ours)
+        return {(each.topic, each.type, each.is_publisher) for each in listed}
+
+    wait_until(lambda: found() == {(MODE.name, MODE.type, True), (NUMBER.name, NUMBER.type, False)})
+    other.close()
+    wait_until(lambda: not found())
+
+
 def test_a_publisher_that_leaves_is_no_message(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     subscription = receiver.subscription(NUMBER, depth=5)

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, final
 
 import numpy as np
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import (
     DDSException,
     Entity,
@@ -34,6 +35,7 @@ from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.transport import (
     ANY,
     LOOPBACK,
+    Endpoint,
     Message,
     Publisher,
     RealClock,
@@ -181,6 +183,15 @@ NEW = SampleState.NotRead | ViewState.Any | InstanceState.Alive
 """What ends a wait: a message, but not that a publisher has left."""
 
 
+THERE = SampleState.Any | ViewState.Any | InstanceState.Alive  #: Who has not left.
+MOST_ENDPOINTS = 10_000  #: Endpoints that are listed at the most; a laboratory has some hundreds.
+
+
+def _ros_type(name: str) -> str:
+    """What ROS calls a type of DDS: `sensor_msgs/msg/Image`; see `dds_type`."""
+    return name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
+
+
 def domain_id() -> int:
     """The network's number, ROS_DOMAIN_ID.
 
@@ -260,6 +271,20 @@ class DdsTransport(Transport):
         if topic not in self._watchers:
             self._watchers[topic] = self._reader(topic, 1, Policy.IgnoreLocal.Participant, only_watches=True)
         return len(self._watchers[topic].get_matched_publications())
+
+    def endpoints(self) -> list[Endpoint]:
+        """See `Transport.endpoints`."""
+        found = []
+        for builtin, is_publisher in (
+            (BuiltinTopicDcpsPublication, True),
+            (BuiltinTopicDcpsSubscription, False),
+        ):
+            reader = BuiltinDataReader(self._participant, builtin)
+            for each in reader.read(MOST_ENDPOINTS, ReadCondition(reader, THERE)):
+                if each.participant_key != self._participant.guid and each.topic_name.startswith("rt/"):
+                    name, kind = each.topic_name.removeprefix("rt"), _ros_type(each.type_name)
+                    found.append(Endpoint(topic=name, type=kind, is_publisher=is_publisher))
+        return found
 
     def wait(self, seconds: float) -> bool:
         """Wait until a message can be taken, or for a real time [s]; say which."""

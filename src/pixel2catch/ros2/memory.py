@@ -6,7 +6,7 @@ from threading import Condition, RLock
 from typing import NamedTuple, final
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.ros2.transport import Clock, Message, Publisher, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import Clock, Endpoint, Message, Publisher, Subscription, Topic, Transport
 
 
 @final
@@ -104,6 +104,17 @@ class MemoryTransport(Transport):
         with self.broker.lock:
             others = (each for node in self.broker.nodes if node is not self for each in node.publishers)
             return sum(_is_same(publisher.topic, topic) for publisher in others)
+
+    def endpoints(self) -> list[Endpoint]:
+        """See `Transport.endpoints`."""
+        with self.broker.lock:
+            others = [node for node in self.broker.nodes if node is not self]
+            found = [(each.topic, True) for node in others for each in node.publishers]
+            found += [(topic, False) for node in others for topic, *_ in node.listeners]
+        return [
+            Endpoint(topic=topic.name, type=topic.type, is_publisher=is_publisher)
+            for topic, is_publisher in found
+        ]
 
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""

@@ -21,7 +21,16 @@ from rosidl_runtime_py.utilities import get_message
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.memory import MessageQueue, MessageQueues
-from pixel2catch.ros2.transport import ANY, LOOPBACK, Publisher, RealClock, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import (
+    ANY,
+    LOOPBACK,
+    Endpoint,
+    Publisher,
+    RealClock,
+    Subscription,
+    Topic,
+    Transport,
+)
 
 LOCALHOST = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """What keeps ROS 2 to this machine, the older setting first."""
@@ -93,6 +102,19 @@ class RosTransport(Transport):
     def num_other_publishers(self, topic: Topic) -> int:
         """How many publishers of a topic there are besides those of this node."""
         return max(0, self._node.count_publishers(topic.name) - self._num_own.get(topic.name, 0))
+
+    def endpoints(self) -> list[Endpoint]:
+        """See `Transport.endpoints`."""
+        node, found = self._node, []
+        for name, _ in node.get_topic_names_and_types():
+            both = ((node.get_publishers_info_by_topic, True), (node.get_subscriptions_info_by_topic, False))
+            for list_of, is_publisher in both:
+                found += [
+                    Endpoint(topic=name, type=each.topic_type, is_publisher=is_publisher)
+                    for each in list_of(name)
+                    if each.node_name != node.get_name()
+                ]
+        return found
 
     def wait(self, seconds: float) -> bool:
         """Wait until a message can be taken, or for a real time [s]; say which."""

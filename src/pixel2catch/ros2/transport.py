@@ -81,6 +81,15 @@ class Message:
     age: float = 0.0  #: How long before it was sent, by the sender's clock [s]; 0 where that is not told.
 
 
+@dataclass(frozen=True, kw_only=True)
+class Endpoint:
+    """A publisher or a subscription of another program."""
+
+    topic: str  #: ROS name.
+    type: str  #: ROS type.
+    is_publisher: bool  #: Whether it sends; else it receives.
+
+
 class Publisher(ABC):
     """Sends messages of one topic."""
 
@@ -118,6 +127,10 @@ class Transport(ABC):
     @abstractmethod
     def num_other_publishers(self, topic: Topic) -> int:
         """How many publishers of a topic there are besides those of this node."""
+
+    @abstractmethod
+    def endpoints(self) -> list[Endpoint]:
+        """The publishers and subscriptions of all other nodes that are known by now; nothing is announced."""
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
