@@ -250,6 +250,9 @@ def test_a_machine_that_is_set_up_and_one_that_is_not(tmp_path: Path):
         machine.kernel(poor)
     with pytest.raises(Broken, match=r"212992, less than 4000000: images are lost. 'sudo sysctl"):
         machine.receive_buffers(poor)
+    for probe in (machine.governor, machine.receive_buffers):
+        with pytest.raises(Absent, match="the system does not tell"):
+            probe(tmp_path)
 
 
 def test_settings_of_the_network_are_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
