@@ -231,7 +231,12 @@ class ControlLoop:
         return self._conclude(policy_command, complaint, look, began=begin + waited)
 
     def _conclude(
-        self, policy_command: PolicyCommand | None, complaint: str, look: PerceptionResult | None, *, began: float
+        self,
+        policy_command: PolicyCommand | None,
+        complaint: str,
+        look: PerceptionResult | None,
+        *,
+        began: float,
     ) -> dict[str, Any]:
         """Send a command, and publish and record what happened in a control step that began at a time [s].
 

@@ -21,7 +21,9 @@ MARGIN = 4
 """Pixels about the robot that are taken for it, too. Source: ours, for errors of camera and clocks."""
 
 
-HIDDEN = 0.002  #: A geom that reaches no further out of another one of its body is left out [m]. Source: ours.
+HIDDEN = (
+    0.002  #: A geom that reaches no further out of another one of its body is left out [m]. Source: ours.
+)
 
 
 class RobotMask:
@@ -62,7 +64,9 @@ class RobotMask:
         pixels = points[..., :2] / np.where(is_near, points[..., 2], np.inf)[..., None] - 0.5
         rounded = np.rint(np.clip(pixels, -1e4, 1e4)).astype(np.int32)
         canvas = np.zeros(self._size, dtype=np.uint8)
-        in_front = rounded if is_near.all() else (row[seen] for row, seen in zip(rounded, is_near, strict=True))
+        in_front = (
+            rounded if is_near.all() else (row[seen] for row, seen in zip(rounded, is_near, strict=True))
+        )
         for corners in in_front:
             if not len(corners):
                 continue
@@ -78,9 +82,7 @@ def _outermost(model: mujoco.MjModel, corners: list[np.ndarray]) -> Int[np.ndarr
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     turns = data.geom_xmat.reshape(-1, 3, 3)
-    places = [
-        points @ turn.T + pos for points, turn, pos in zip(corners, turns, data.geom_xpos, strict=True)
-    ]
+    places = [points @ turn.T + pos for points, turn, pos in zip(corners, turns, data.geom_xpos, strict=True)]
     hulls, body = [ConvexHull(points) for points in places], model.body_weldid[model.geom_bodyid]
     kept: list[int] = []
     for geom in sorted(range(model.ngeom), key=lambda geom: -hulls[geom].volume):
