@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from pixel2catch.deployment.operator import newest
 from pixel2catch.deployment.replay import played_topics
 from pixel2catch.files import write_atomically
 from pixel2catch.ros2 import messages
@@ -40,7 +41,7 @@ WIDTH = 60
 Played = list[tuple[float, Topic, bytearray]]
 
 
-def played(recording: Path, topics: set[Topic], clock_rate: float) -> Played:
+def played(recording: Path, topics: set[Topic]) -> Played:
     """What is played: time since the first message [s], topic and message, in which images are raw."""
     by_name = {topic.name: topic for topic in topics}
     entries: Played = []
@@ -91,9 +92,9 @@ def deployment(args: argparse.Namespace, out: Path) -> Iterator[subprocess.Popen
 
 
 def wait_for(node: Transport, profile: Profile, process: subprocess.Popen[bytes]) -> None:
-    """Wait until the deployment says something."""
+    """Wait until the deployment and its servo are there."""
     statuses, end = node.subscription(profile.operator.status), time.monotonic() + START_TIME
-    while not statuses.take():
+    while newest(statuses, {}).get("mode") != "idle":
         if process.poll() is not None or time.monotonic() > end:
             raise SystemExit("the deployment did not start")
         node.wait(POLL)
@@ -132,7 +133,7 @@ def main() -> None:
     args = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", "92")
     profile, clock = Profile.load("ur5e_allegro_v4"), RealClock(args.clock)
-    entries, load = played(args.recording, played_topics(profile), args.clock), os.getloadavg()[0]
+    entries, load = played(args.recording, played_topics(profile)), os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "deploy.txt"
         with make_transport("dds", "replayer", True, clock) as node:

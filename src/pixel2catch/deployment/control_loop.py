@@ -28,8 +28,9 @@ from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import PolicyCommand
 
 POLL = 0.002
-"""Longest real time between two looks at servo and network [s]; an image ends it, or what was seen. Source: ours.
-"""
+"""Longest real time between two looks at servo and network [s]; an image ends it, or a look that is done.
+
+Source: ours."""
 
 LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
 """Age up to which an image waits for its decision [s]: the policy gets the box of before. Source: ours."""

@@ -16,7 +16,7 @@ BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and what the last one 
 NUM_MS = round(1e-3 / BIN)  #: Bins of a millisecond.
 PERCENTAGES = (50, 90, 95, 99)  #: Of durations, in a summary.
 STAGES = ("received", "begun", "looked", "decided")
-"""What is done with an image: it arrives, perception begins and ends, and the command is given to the servo."""
+"""What happens to an image: it arrives, perception begins and ends, and its command is given to the servo."""
 
 ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))
 
