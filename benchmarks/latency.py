@@ -120,7 +120,8 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
             yield f"{name:10} {figures}  of {values['count']}"
     if values := deploy["image_to_command_ms"]:
         yield from bars(values["by_ms"])
-    yield f"{deploy['num_steps']} steps, {deploy['num_missed']} missed; stops {deploy['stops']}, refusals {deploy['refusals']}"
+    counts = ("num_steps", "num_missed", "num_late_ticks", "stops", "refusals")
+    yield ", ".join(f"{name} {deploy[name]}" for name in counts)
 
 
 def main() -> None:
