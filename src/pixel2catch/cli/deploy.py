@@ -137,6 +137,9 @@ def sentence(status: dict[str, Any]) -> str:
             parts.append(f"{name.replace('_', ' ')} {', '.join(status[name])}")
     if status["mode"] == "idle" and status["found"]:
         parts.append(f"not ready: {', '.join(status['found'])}")
+    if status["mode"] == "stopped" and (latency := status.get("latency_ms")):
+        times = ", ".join(f"{name} {latency[name]:.0f}" for name in ("p50", "p90", "p99"))
+        parts.append(f"image to command [ms]: {times}")
     if status["message"]:
         parts.append(status["message"])
     return "; ".join(parts)
@@ -151,8 +154,11 @@ def lines(summary: dict[str, Any]) -> Iterator[str]:
     )
     for name in ("image_to_command_ms", "thinking_ms", "servo_tick_ms"):
         if values := summary[name]:
-            times = ", ".join(f"{key} {values[key]:.2f}" for key in ("p50", "p95", "p99", "max"))
+            times = ", ".join(f"{key} {values[key]:.2f}" for key in ("p50", "p90", "p99", "max"))
             yield f"{name.removesuffix('_ms').replace('_', ' ')} [ms]: {times}"
+    ages = [f"{name} {values['p50']:.1f}" for name, values in summary["stages_ms"].items() if values]
+    if ages:
+        yield f"age of an image [ms], in the median: {', '.join(ages)}"
     for name in ("stops", "refusals", "clamps"):
         for reason, count in summary[name].items():
             yield f"{name}: {reason}: {count}"

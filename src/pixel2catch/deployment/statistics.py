@@ -22,15 +22,18 @@ ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))
 
 
 class Histogram:
-    """Counts durations, however many; percentiles are as fine as its bins."""
+    """Counts durations, however many; a percentile is the mean of the bin that it is in."""
 
     def __init__(self) -> None:
         """Begin with none."""
-        self._counts, self._longest = np.zeros(round(LONGEST / BIN) + 1, dtype=np.int64), 0.0
+        self._counts = np.zeros(round(LONGEST / BIN) + 1, dtype=np.int64)
+        self._sums, self._longest = np.zeros(len(self._counts)), 0.0
 
     def count(self, duration: float) -> None:
-        """Count a duration [s]; one that is no number, or negative, counts as none."""
-        self._counts[min(max(int(duration / BIN), 0), len(self._counts) - 1)] += 1
+        """Count a duration [s]."""
+        place = min(max(int(duration / BIN), 0), len(self._counts) - 1)
+        self._counts[place] += 1
+        self._sums[place] += duration
         self._longest = max(self._longest, duration)
 
     def milliseconds(self, *percentages: int) -> dict[str, float] | None:
@@ -39,7 +42,7 @@ class Histogram:
         if not total[-1]:
             return None
         places = np.searchsorted(total, 0.01 * np.array(percentages) * total[-1])
-        values = np.minimum((places + 0.5) * BIN, self._longest)
+        values = self._sums[places] / self._counts[places]
         named = {f"p{q}": 1e3 * value for q, value in zip(percentages, values.tolist(), strict=True)}
         return {**named, "max": 1e3 * self._longest, "count": int(total[-1])}
 
