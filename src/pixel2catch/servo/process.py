@@ -60,10 +60,11 @@ def give_way(priority: int) -> None:
 
 
 @contextmanager
-def _as_others() -> Iterator[None]:
+def as_others() -> Iterator[None]:
     """Let what is started here be no real-time process: it takes seconds to start."""
     policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     try:
         yield
     finally:
@@ -367,7 +368,7 @@ def start_servo(
         process = multiprocessing.get_context("spawn").Process(
             target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
         )
-        with _as_others():
+        with as_others():
             process.start()
     try:
         yield RunningServo(link=loop, process=process)
