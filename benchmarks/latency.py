@@ -2,7 +2,8 @@
 
 `pixel2catch deploy` with its servo process, in a dry run, hears over DDS on this machine what was recorded of
 a deployment: images at 30 Hz, joint states at 500 Hz, the drivers' status and the operator. All of it is in
-memory before, with new stamps; nothing is drawn meanwhile.
+memory before, with new stamps; nothing is drawn meanwhile. An image is commanded when the servo's tick begins
+that takes its command; the tick sends it.
 
     pixel2catch rehearse --lockstep --throws 3 --record recording
     python benchmarks/latency.py recording --passes 4
@@ -12,6 +13,7 @@ import argparse
 import json
 import os
 import resource
+import statistics
 import struct
 import subprocess
 import sys
@@ -114,7 +116,9 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
     yield f"load {report['load'][0]:.1f} -> {report['load'][1]:.1f}; CPU of a core: " + ", ".join(
         f"{name} {share:.2f}" for name, share in report["cpu"].items()
     )
-    for name, values in {**deploy["stages_ms"], "commanded": deploy["image_to_command_ms"]}.items():
+    yield f"images are {report['sent_ms']:.1f} ms old when they are sent; then, since the exposure [ms]:"
+    stages = {**deploy["stages_ms"], "commanded": deploy["image_to_command_ms"]}
+    for name, values in {**stages, "(a tick)": deploy["servo_tick_ms"]}.items():
         if values:
             figures = "  ".join(f"{key} {values[key]:6.2f}" for key in ("p50", "p90", "p99", "max"))
             yield f"{name:10} {figures}  of {values['count']}"
@@ -135,6 +139,8 @@ def main() -> None:
     os.environ.setdefault("ROS_DOMAIN_ID", "92")
     profile, clock = Profile.load("ur5e_allegro_v4"), RealClock(args.clock)
     entries, load = played(args.recording, played_topics(profile)), os.getloadavg()[0]
+    images = ((moment, data) for moment, topic, data in entries if topic.type == messages.IMAGE)
+    ages = [moment - struct.unpack_from("<d", data, 4)[0] for moment, data in images]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "deploy.txt"
         with make_transport("dds", "replayer", True, clock) as node:
@@ -150,6 +156,7 @@ def main() -> None:
         if not said:
             raise SystemExit(out.read_text()[-2000:])
     report = {
+        "sent_ms": 1e3 * statistics.median(ages),
         "load": [load, os.getloadavg()[0]],
         "cpu": cpu,
         "deploy": json.loads(said[0])["summary"],
