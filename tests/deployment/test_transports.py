@@ -46,6 +46,15 @@ def test_a_message_reaches_all_others_and_the_node_itself(make: MakeNode):
         assert numbers(subscription) == []
 
 
+def test_what_is_not_awaited_ends_no_wait(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    recorded, awaited = receiver.subscription(NUMBER, is_awaited=False), receiver.subscription(NUMBER)
+    sender.publisher(NUMBER).publish(messages.number(1.5))
+    assert messages.read_number(wait_for(receiver, awaited)) == 1.5
+    assert not receiver.wait(0.05)
+    assert numbers(recorded) == [1.5]
+
+
 def test_of_more_messages_than_the_depth_the_newest_are_kept_in_order(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     last, three = receiver.subscription(NUMBER), receiver.subscription(NUMBER, depth=3)

@@ -133,14 +133,16 @@ class DeploymentRecorder:
     def __init__(
         self, recorder: BagRecorder, transport: Transport, profile: Profile, clock: Clock, images: Images
     ) -> None:
-        """Begin to listen to joint states, commands and operator."""
+        """Begin to listen to joint states, commands and operator; the loop does not wake for any of them."""
         self._recorder, self._clock = recorder, clock
         self._profile, self._images = profile, images
         self._last: dict[Topic, float] = {}
         topics = {topic for part in profile.robots for topic in (part.state_topic, part.command_topic)}
         topics |= {*vars(profile.operator).values()}
         topics |= {topic for topic in vars(profile.status).values() if topic}
-        self._subscriptions = [(topic, transport.subscription(topic, DEPTH)) for topic in topics]
+        self._subscriptions = [
+            (topic, transport.subscription(topic, DEPTH, is_awaited=False)) for topic in topics
+        ]
 
     @property
     def trouble(self) -> str:

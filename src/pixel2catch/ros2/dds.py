@@ -221,10 +221,11 @@ class DdsTransport(Transport):
         self._kept.append(publisher := _DdsPublisher(topic, writer))
         return publisher
 
-    def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
-        """Begin to listen to a topic."""
+    def subscription(self, topic: Topic, depth: int = 1, *, is_awaited: bool = True) -> Subscription:
+        """See `Transport.subscription`."""
         reader = self._reader(topic, depth)
-        self._news.attach(ReadCondition(reader, NEW))
+        if is_awaited:
+            self._news.attach(ReadCondition(reader, NEW))
         if self._announcement:
             self._announcement.add(reader)
         self._kept.append(subscription := _DdsSubscription(reader, depth, self._clock))
@@ -240,7 +241,7 @@ class DdsTransport(Transport):
         return len(self._watchers[topic].get_matched_publications())
 
     def wait(self, seconds: float) -> bool:
-        """Wait until a message can be taken, or for a real time [s]; say which."""
+        """See `Transport.wait`."""
         return self._news.wait(max(0, round(seconds * 1e9))) > 0
 
     def close(self) -> None:

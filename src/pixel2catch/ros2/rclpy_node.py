@@ -54,9 +54,9 @@ class RosTransport(Transport):
         qos = _qos(topic, 1, is_reader=False)
         return _RosPublisher(self._node.create_publisher(_type(topic), topic.name, qos))
 
-    def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
-        """Begin to listen to a topic."""
-        queue = self._queues.add(depth)
+    def subscription(self, topic: Topic, depth: int = 1, *, is_awaited: bool = True) -> Subscription:
+        """See `Transport.subscription`."""
+        queue = self._queues.add(depth, is_awaited=is_awaited)
         qos = _qos(topic, depth, is_reader=True)
         self._node.create_subscription(_type(topic), topic.name, queue.put, qos, raw=True)
         return queue
@@ -66,7 +66,7 @@ class RosTransport(Transport):
         return max(0, self._node.count_publishers(topic.name) - self._num_own.get(topic.name, 0))
 
     def wait(self, seconds: float) -> bool:
-        """Wait until a message can be taken, or for a real time [s]; say which."""
+        """See `Transport.wait`."""
         return self._queues.wait(seconds)
 
     def close(self) -> None:

@@ -99,8 +99,11 @@ class Transport(ABC):
         """Announce a topic that this node sends."""
 
     @abstractmethod
-    def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
-        """Begin to listen to a topic; so many messages are kept until they are taken."""
+    def subscription(self, topic: Topic, depth: int = 1, *, is_awaited: bool = True) -> Subscription:
+        """Begin to listen to a topic; so many messages are kept until they are taken.
+
+        Those that are awaited end a `wait`, as long as they have not been taken.
+        """
 
     @abstractmethod
     def num_other_publishers(self, topic: Topic) -> int:
@@ -108,7 +111,7 @@ class Transport(ABC):
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
-        """Wait until something has arrived for any subscription, or for a real time [s]; say which."""
+        """Wait until something that is awaited has arrived, or for a real time [s]; say which."""
 
     @abstractmethod
     def close(self) -> None:
