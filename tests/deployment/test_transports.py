@@ -55,6 +55,15 @@ def test_a_message_reaches_all_others_and_the_node_itself(make: MakeNode):
         assert numbers(subscription) == []
 
 
+def test_what_is_not_awaited_ends_no_wait(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    recorded, awaited = receiver.subscription(NUMBER, only_watches=True), receiver.subscription(NUMBER)
+    sender.publisher(NUMBER).publish(messages.number(1.5))
+    assert messages.read_number(wait_for(receiver, awaited)) == 1.5
+    assert not receiver.wait(0.05)
+    assert numbers(recorded) == [1.5]
+
+
 def test_of_more_messages_than_the_depth_the_newest_are_kept_in_order(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     last, three = receiver.subscription(NUMBER), receiver.subscription(NUMBER, depth=3)
@@ -122,7 +131,7 @@ def test_subscribers_are_counted_but_for_those_that_only_watch(make: MakeNode):
     third.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))  # it does not hear us
     wait_until(lambda: publisher.num_subscribers() == 2)
     publisher.publish(messages.number(1.0))
-    assert messages.read_number(wait_for(watcher, watching)) == 1.0
+    wait_until(lambda: numbers(watching) == [1.0])
     third.close()
     wait_until(lambda: publisher.num_subscribers() == 1)
 

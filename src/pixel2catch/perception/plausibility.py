@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import hypot
 
 from jaxtyping import Float
 from torch import Tensor
@@ -56,7 +57,8 @@ def judge(
     if (xmin <= 0) + (ymin <= 0) + (xmax >= camera.width) + (ymax >= camera.height) > cfg.largest_sides:
         return Verdict.BORDER
     if before is not None:
-        change = box - before
-        if (0.5 * (change[:, :2] + change[:, 2:])).norm() > cfg.largest_jump * max(steps, 1.0):
+        old_xmin, old_ymin, old_xmax, old_ymax = before[0].tolist()
+        jump = 0.5 * hypot(xmin + xmax - old_xmin - old_xmax, ymin + ymax - old_ymin - old_ymax)
+        if jump > cfg.largest_jump * max(steps, 1.0):
             return Verdict.JUMP
     return Verdict.SEEN

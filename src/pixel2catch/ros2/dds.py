@@ -257,7 +257,8 @@ class DdsTransport(Transport):
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """See `Transport.subscription`."""
         reader = self._reader(topic, depth, only_watches=only_watches)
-        self._news.attach(ReadCondition(reader, NEW))
+        if not only_watches:
+            self._news.attach(ReadCondition(reader, NEW))
         if self._announcement:
             self._announcement.add(reader)
         self._kept.append(subscription := _DdsSubscription(reader, depth, self._clock))
@@ -287,7 +288,7 @@ class DdsTransport(Transport):
         return found
 
     def wait(self, seconds: float) -> bool:
-        """Wait until a message can be taken, or for a real time [s]; say which."""
+        """See `Transport.wait`."""
         return self._news.wait(max(0, round(seconds * 1e9))) > 0
 
     def close(self) -> None:

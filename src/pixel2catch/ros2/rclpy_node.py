@@ -92,8 +92,8 @@ class RosTransport(Transport):
         return _RosPublisher(topic, self._node, publisher)
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """Begin to listen to a topic; who only watches is known by the name of its node."""
-        queue = self._queues.add(depth)
+        """See `Transport.subscription`; others know who only watches by the name of its node."""
+        queue = self._queues.add(depth, is_awaited=not only_watches)
         qos = _qos(topic, depth, is_reader=True)
         keep = partial(_keep, queue, self._clock)
         self._node.create_subscription(_type(topic), topic.name, keep, qos, raw=True)
@@ -117,7 +117,7 @@ class RosTransport(Transport):
         return found
 
     def wait(self, seconds: float) -> bool:
-        """Wait until a message can be taken, or for a real time [s]; say which."""
+        """See `Transport.wait`."""
         return self._queues.wait(seconds)
 
     def close(self) -> None:

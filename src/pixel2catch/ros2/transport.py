@@ -121,7 +121,8 @@ class Transport(ABC):
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """Begin to listen to a topic; so many messages are kept until they are taken.
 
-        One that only watches, such as a recording's, does not count as a subscriber.
+        One that only watches, such as a recording's, does not count as a subscriber, and is not awaited: its
+        messages end no `wait`.
         """
 
     @abstractmethod
@@ -134,7 +135,7 @@ class Transport(ABC):
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
-        """Wait until something has arrived for any subscription, or for a real time [s]; say which."""
+        """Wait until something that is awaited has arrived, or for a real time [s]; say which."""
 
     @abstractmethod
     def close(self) -> None:
