@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Rectangle
 from numpy import ndarray
 
 from pixel2catch.camera.box_history import FIT_FEATURES, box_fit
@@ -18,9 +18,22 @@ from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.camera.pinhole import project
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.comparison.figures import PALETTE, STYLE, throws_figure
+from pixel2catch.evaluation.comparison.figures import (
+    PALETTE,
+    RELEASE,
+    SIDE,
+    STYLE,
+    TOP,
+    WOOD,
+    arm_points,
+    draw_scene,
+    range_box,
+    throws_figure,
+)
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.robots.geometry import arm_shape, first_chain
+from pixel2catch.robots.workcell import TABLE
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.motion import (
@@ -31,7 +44,8 @@ from pixel2catch.servo.motion import (
     towards,
     wished,
 )
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+from pixel2catch.servo.workspace import Workspace
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO, UR5E_POS
 
 FOLDER = Path(__file__).parent / "figures"
 SVG: dict[Any, Any] = STYLE | {"svg.fonttype": "none", "svg.hashsalt": "pixel2catch"}
@@ -218,11 +232,102 @@ def _commands(targets: ndarray, limits: MotionLimits) -> tuple[ndarray, ndarray,
     return time, command, np.diff(command, prepend=command[0]) / limits.dt
 
 
+def reach() -> float:
+    """How far arm and hand reach from the axis of the base, of many poses [m]."""
+    poses = torch.rand(20_000, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    palm = first_chain(UR5E_ALLEGRO).link_poses((2.0 * poses - 1.0) * torch.pi)[:, -1, :3, 3].numpy()
+    shape = arm_shape(UR5E_ALLEGRO, UR5E_ALLEGRO.palms[0])
+    hand = float(np.linalg.norm(np.abs(shape.hand_center) + shape.hand_half))
+    return float(np.linalg.norm((palm - UR5E_POS)[:, :2], axis=1).max()) + hand
+
+
+def laboratory() -> Figure:
+    """Where table, robot, camera and thrower are, with the distances to measure."""
+    throw, space, arm, far = ThrowCfg(), Workspace(workcell=UR5E_ALLEGRO), arm_points(), reach()
+    figure = Figure(figsize=(9.0, 9.6), layout="constrained")
+    side, top = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.05))
+    ranges = (throw.release_x, throw.release_y, throw.release_z)
+    for axes, (across, up) in ((side, SIDE), (top, TOP)):
+        draw_scene(axes, (across, up), arm)
+        corner = space.lower[across], space.lower[up]
+        size = space.upper[across] - corner[0], space.upper[up] - corner[1]
+        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=FIT, linestyle="--", linewidth=1.2))
+        axes.add_patch(range_box(ranges[across], ranges[up], RELEASE))
+    _measure_side(side, throw, arm, space)
+    _measure_top(top, throw, far, space)
+    side.set(title="side view", ylabel="height over the floor z [m]", ylim=(-0.3, 2.5), xlim=(-1.35, 3.35))
+    top.set(title="top view", xlabel="x [m], from the robot's base to the thrower", ylabel="y [m]")
+    top.set(ylim=(-1.55, 1.45))
+    return figure
+
+
+def _measure_side(axes: Axes, throw: ThrowCfg, arm: ndarray, space: Workspace) -> None:
+    """Heights, and distances from the base."""
+    (camera_x, _, camera_z), height = RGB_CAMERA.pos, TABLE.center[2]
+    edge = TABLE.center[0] + TABLE.size[0] / 2
+    axes.axhline(0.0, color=TRUTH, linewidth=2)
+    for x in (TABLE.center[0] - TABLE.size[0] / 2 + 0.04, edge - 0.04):
+        axes.plot((x, x), (0.0, height - TABLE.thickness), color=WOOD, linewidth=5, solid_capstyle="butt")
+    _dimension(axes, (camera_x - 0.35, 0.0), (camera_x - 0.35, camera_z), f"camera {camera_z:.2f}")
+    _dimension(axes, (edge + 0.12, 0.0), (edge + 0.12, height), f"table {height:.2f}")
+    _dimension(axes, (camera_x, -0.12), (0.0, -0.12), f"{-camera_x:.2f}")
+    _dimension(axes, (0.0, -0.12), (throw.release_x[0], -0.12), f"base to line {throw.release_x[0]:.2f}")
+    low, high = throw.release_z
+    _dimension(axes, (throw.release_x[1] + 0.15, 0.0), (throw.release_x[1] + 0.15, low), f"{low:.2f}")
+    axes.text(camera_x + 0.12, camera_z + 0.1, f"camera, {_tilt():.0f}° down", color="#7A5600")
+    axes.text(arm[-1, 0] + 0.08, arm[-1, 2] + 0.06, "palm at the start")
+    axes.text(
+        sum(throw.release_x) / 2, high + 0.07, f"release, {low:.2f} to {high:.2f}", ha="center", color=RELEASE
+    )
+    axes.text(space.upper[0] - 0.03, space.upper[2] - 0.11, "space of the hand", ha="right", color=FIT)
+
+
+def _measure_top(axes: Axes, throw: ThrowCfg, far: float, space: Workspace) -> None:
+    """Extents seen from above, and where nobody stands."""
+    axes.add_patch(Circle(UR5E_POS[:2], far, fill=False, edgecolor=BOX, linewidth=1.6))
+    axes.axvline(throw.release_x[0], color=RELEASE, linewidth=1.6, linestyle=(0, (6, 3)))
+    left, right = (TABLE.center[0] + sign * TABLE.size[0] / 2 for sign in (-1, 1))
+    below = -TABLE.size[1] / 2 - 0.08
+    _dimension(axes, (left, below), (right, below), f"{TABLE.size[0]:.2f}")
+    _dimension(
+        axes, (left - 0.08, -TABLE.size[1] / 2), (left - 0.08, TABLE.size[1] / 2), f"{TABLE.size[1]:.2f}"
+    )
+    low, high = throw.release_y
+    _dimension(axes, (throw.release_x[1] + 0.1, low), (throw.release_x[1] + 0.1, high), f"{high - low:.2f}")
+    _dimension(axes, (0.0, 1.32), (throw.release_x[0], 1.32), f"{throw.release_x[0]:.2f}")
+    axes.text(0.0, -far - 0.12, f"reach of arm and hand {far:.2f} m: nobody inside", ha="center", color=BOX)
+    axes.text(throw.release_x[0] + 0.05, -1.2, "thrower: behind\nthis line", color=RELEASE)
+    axes.text(space.lower[0] + 0.05, space.upper[1] - 0.12, "space of the hand", color=FIT)
+
+
+def _tilt() -> float:
+    """How far the camera looks down from level [°]."""
+    _, x, y, _ = RGB_CAMERA.quat
+    return -float(np.degrees(np.arcsin(1.0 - 2.0 * (x * x + y * y))))
+
+
+def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str) -> None:
+    """A double arrow with its length [m]."""
+    style: dict[str, Any] = {
+        "arrowstyle": "<->",
+        "color": TRUTH,
+        "shrinkA": 0,
+        "shrinkB": 0,
+        "linewidth": 0.9,
+    }
+    axes.annotate("", start, end, arrowprops=style)
+    middle = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
+    turn = 90 if start[0] == end[0] else 0
+    place = {"facecolor": "white", "linewidth": 0, "pad": 0.8}
+    axes.text(*middle, text, ha="center", va="center", rotation=turn, fontsize=9, bbox=place)
+
+
 FIGURES: dict[str, Callable[[], Figure]] = {
     "throws": throws,
     "features": features,
     "latency": latency,
     "servo": servo,
+    "laboratory": laboratory,
 }
 
 

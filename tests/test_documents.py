@@ -133,7 +133,7 @@ def test_messages_of_the_troubleshooting_page_exist():
 
 
 @pytest.mark.parametrize(
-    "name", ["throws", "features", "servo", pytest.param("latency", marks=pytest.mark.slow)]
+    "name", ["throws", "features", "servo", "laboratory", pytest.param("latency", marks=pytest.mark.slow)]
 )
 def test_a_figure_is_drawn(name: str, tmp_path: Path):
     runpy.run_path(str(FIGURES.with_suffix(".py")))["write"](tmp_path, [name])
@@ -143,7 +143,7 @@ def test_a_figure_is_drawn(name: str, tmp_path: Path):
 
 
 def test_figures_are_small_and_shown():
-    shown = (ROOT / "docs" / "concepts.md").read_text("utf-8")
+    shown = "".join(page.read_text("utf-8") for page in (ROOT / "docs").glob("*.md"))
     for path in FIGURES.iterdir():
         assert path.stat().st_size < LARGEST_FIGURE
         assert f"figures/{path.name}" in shown

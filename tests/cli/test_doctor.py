@@ -10,8 +10,8 @@ import torch
 from packaging.specifiers import SpecifierSet
 
 from pixel2catch.cli import doctor as probes
-from pixel2catch.cli.doctor import check
 from pixel2catch.cli.main import main
+from pixel2catch.findings import check
 
 NEEDED = {"Python", "packages", "policy, physics", "disk"}
 

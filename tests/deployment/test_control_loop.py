@@ -1,8 +1,9 @@
 """The loop between camera, servo and operator, in memory."""
 
 import json
+from collections.abc import Iterator
 from concurrent.futures import Executor
-from itertools import pairwise
+from itertools import chain, pairwise, repeat
 from pathlib import Path
 from typing import Any
 
@@ -148,14 +149,49 @@ def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without(
             if len(stamps) < 3:
                 taken = around.show(picture(), age=0.02)
             led.step()
-            stamps += [policy_command.target_stamp for policy_command in around.servo.receive()]
+            stamps = sorted({*stamps, *(command.target_stamp for command in around.servo.receive())})
         now = around.clock.now()
         led.say(Mode.RUN, time=now, target_stamp=stamps[0], image_stamp=now)
         led.step()
-        (policy_command,) = around.servo.receive()
+        *_, policy_command = around.servo.receive()
         assert policy_command.image_stamp == pytest.approx(taken, abs=0.005)
         assert min(after - before for before, after in pairwise(stamps)) > 0.5 * CONTROL_DT
         assert led.control_loop.statistics.num_missed >= 3
+
+
+def film(led: LedLoop, num_images: int) -> Iterator[float]:
+    """Poll every millisecond, with 30 images a second of an age of 15 ms; yield the time [s]."""
+    around, begin = led.around, led.around.clock.now()
+    led.say(Mode.ARMED)
+    led.point(json.dumps({"box": BOX}))
+    for tick in range(round(1e3 * num_images * CONTROL_DT)):
+        around.clock.sleep_until(begin + 1e-3 * tick)
+        if tick % 100 in (0, 33, 67):
+            around.show(picture(), age=0.015)
+        led.control_loop.poll()
+        yield around.clock.now()
+
+
+def test_a_look_that_is_a_little_late_is_waited_for():
+    """All but one take 10 ms; that one 3 ms more, where the decision would have been made without it."""
+    with surroundings() as around:
+        took = chain(repeat(0.01, 40), (0.013,), repeat(0.01))
+        led = LedLoop(around, CallerExecutor(around.clock, lambda: next(took)), remembering())
+        missed = [led.control_loop.statistics.num_missed for _ in film(led, 45)]
+        assert missed[-1] == missed[len(missed) // 2]
+        assert led.control_loop.statistics.num_steps > 40
+
+
+def test_the_servo_is_told_of_an_image_at_once():
+    """However long it takes to look at, and whenever it is decided on."""
+    with surroundings() as around:
+        led = LedLoop(around, CallerExecutor(around.clock, lambda: 0.025), remembering())
+        newest, ages = 0.0, list[float]()
+        for now in film(led, 40):
+            for command in around.servo.receive():
+                newest = command.image_stamp
+            ages.append(now - newest)
+        assert 0.015 < max(ages[len(ages) // 2 :]) < 0.015 + CONTROL_DT + 0.004
 
 
 def test_a_camera_without_stamps_is_told_of_once():

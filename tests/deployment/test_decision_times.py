@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pixel2catch.deployment.control_loop import QUANTILE, SHIFT, STEP, DecisionDelay, DecisionTimer
+from pixel2catch.deployment.control_loop import GRACE, QUANTILE, SHIFT, STEP, DecisionDelay, DecisionTimer
 from pixel2catch.scene.constants import CONTROL_DT
 
 
@@ -74,6 +74,18 @@ def test_decisions_are_even_and_most_looks_are_done_just_before(least: float, ji
     assert np.abs(gaps - CONTROL_DT).max() < SHIFT + 2e-4
     later = [times[times >= end].min() - end for end in ends[150:-10]]
     assert np.quantile(later, 0.8) < jitter + 3e-3
+
+
+def test_a_look_that_should_be_done_is_waited_for_but_not_for_long():
+    timer, age = DecisionTimer(0.0), 0.02
+    for number in range(60):
+        timer.learn(number * CONTROL_DT, number * CONTROL_DT + age)
+    timer.advance(59 * CONTROL_DT + age, is_even=False)
+    due, stamp = timer.due, timer.due - age
+    assert timer.is_due(due, None)
+    assert not timer.is_due(due + 0.9 * GRACE, stamp)
+    assert timer.is_due(due + GRACE, stamp)
+    assert timer.is_due(due, stamp + 0.5 * CONTROL_DT)  # which is not expected to be done
 
 
 def test_without_images_decisions_go_on_and_late_ones_are_left_out():

@@ -1,7 +1,9 @@
 """Messages as bytes: hand-worked ones, round trips, and what damaged ones do."""
 
+import json
 import struct
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,7 +44,21 @@ EXAMPLES = {
     "text": messages.text('{"do": "throw"}'),
     "safety_mode": messages.safety_mode(3),
     "robot_mode": messages.robot_mode(-1),
+    "compressed_image": messages.encode(
+        messages.COMPRESSED_IMAGE,
+        messages.header(12.5, messages.OPTICAL_FRAME),
+        messages.FORMAT,
+        np.array([255, 216, 255, 217], dtype=np.uint8),
+    ),
 }
+
+RCLPY = json.loads(Path(__file__).with_name("rclpy_bytes.json").read_text())
+"""What `rclpy.serialization.serialize_message` makes of the examples, and in which version."""
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_message_is_the_bytes_that_rclpy_makes_of_it(name: str):
+    assert EXAMPLES[name].hex() == RCLPY["cdr"][name]
 
 
 def test_small_messages_are_the_bytes_that_ros_2_sends():

@@ -38,7 +38,7 @@ def looks(took: Callable[[], float], seconds: float) -> list[tuple[float, float]
             num_images += 1
         if look := perception.go_on():
             assert look.seen.verdict is Verdict.SEEN
-            assert look.end - look.took >= look.frame.stamp + LATENCY
+            assert look.begin >= look.received >= look.frame.stamp + LATENCY
             found.append((look.frame.stamp, look.end))
         clock.time += TICK
     return found

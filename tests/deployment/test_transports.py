@@ -1,13 +1,14 @@
-"""What every transport promises; the same laws for memory and for DDS."""
+"""What every transport promises; the same laws for memory, DDS and rclpy."""
 
 import gc
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from networks import MakeNode, dds_nodes, memory_nodes
+from networks import MakeNode, dds_nodes, memory_nodes, ros_nodes
 
 from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError
@@ -20,7 +21,7 @@ END = Topic(name="/end", type=messages.BOOLEAN)
 IMAGE = Topic(name="/image", type=messages.IMAGE)
 
 
-@pytest.fixture(params=[memory_nodes, dds_nodes], ids=["memory", "dds"])
+@pytest.fixture(params=[memory_nodes, dds_nodes, ros_nodes], ids=["memory", "dds", "ros"])
 def make(request, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     with ExitStack() as stack:
@@ -37,6 +38,14 @@ def wait_for(node: Transport, subscription: Subscription) -> bytes:
     return message.data
 
 
+def wait_until(is_so: Callable[[], bool]) -> None:
+    """Who has come or gone is found by some networks a little later."""
+    end = time.monotonic() + PATIENCE
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
 def test_a_message_reaches_all_others_and_the_node_itself(make: MakeNode):
     sender, other = make("sender"), make("other")
     heard = [node.subscription(NUMBER) for node in (sender, other)]
@@ -44,6 +53,15 @@ def test_a_message_reaches_all_others_and_the_node_itself(make: MakeNode):
     for node, subscription in zip((sender, other), heard, strict=True):
         assert messages.read_number(wait_for(node, subscription)) == 1.5
         assert numbers(subscription) == []
+
+
+def test_what_is_not_awaited_ends_no_wait(make: MakeNode):
+    sender, receiver = make("sender"), make("receiver")
+    recorded, awaited = receiver.subscription(NUMBER, only_watches=True), receiver.subscription(NUMBER)
+    sender.publisher(NUMBER).publish(messages.number(1.5))
+    assert messages.read_number(wait_for(receiver, awaited)) == 1.5
+    assert not receiver.wait(0.05)
+    assert numbers(recorded) == [1.5]
 
 
 def test_of_more_messages_than_the_depth_the_newest_are_kept_in_order(make: MakeNode):
@@ -94,28 +112,45 @@ def test_other_publishers_are_counted_and_own_ones_are_not(make: MakeNode):
     mine, other, third = make("mine"), make("other"), make("third")
     assert mine.num_other_publishers(NUMBER) == 0
     publishers = [node.publisher(NUMBER) for node in (mine, mine, other, third)]
-    assert [node.num_other_publishers(NUMBER) for node in (mine, other)] == [2, 3]
+    wait_until(lambda: [node.num_other_publishers(NUMBER) for node in (mine, other)] == [2, 3])
     third.close()
-    assert mine.num_other_publishers(NUMBER) == 1
+    wait_until(lambda: mine.num_other_publishers(NUMBER) == 1)
     with pytest.raises(DeploymentError, match="/number cannot be sent"):
         publishers[-1].publish(messages.number(0.0))
 
 
 def test_subscribers_are_counted_but_for_those_that_only_watch(make: MakeNode):
-    mine, other, third = make("mine"), make("other"), make("third")
+    mine, other, third, watcher = (make(name) for name in ("mine", "other", "third", "pixel2catch"))
     publisher = mine.publisher(NUMBER)
     assert publisher.num_subscribers() == 0
-    watching = other.subscription(NUMBER, only_watches=True)
-    other.num_other_publishers(NUMBER)
+    watching = watcher.subscription(NUMBER, only_watches=True)
+    watcher.num_other_publishers(NUMBER)
     for node in (other, third):
         node.subscription(NUMBER)
     third.subscription(Topic(name=NUMBER.name, type=messages.TEXT))
     third.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))  # it does not hear us
-    assert publisher.num_subscribers() == 2
+    wait_until(lambda: publisher.num_subscribers() == 2)
     publisher.publish(messages.number(1.0))
-    assert messages.read_number(wait_for(other, watching)) == 1.0
+    wait_until(lambda: numbers(watching) == [1.0])
     third.close()
-    assert publisher.num_subscribers() == 1
+    wait_until(lambda: publisher.num_subscribers() == 1)
+
+
+def test_publishers_and_subscriptions_of_others_are_listed_and_own_ones_are_not(make: MakeNode):
+    node, other = make("node"), make("other")
+    node.publisher(NUMBER)
+    node.subscription(IMAGE)
+    other.publisher(MODE)
+    other.subscription(NUMBER)
+
+    def found() -> set[tuple[str, str, bool]]:
+        ours = {topic.name for topic in (NUMBER, IMAGE, MODE)}  # ROS 2 has topics of its own
+        listed = (each for each in node.endpoints() if each.topic in ours)
+        return {(each.topic, each.type, each.is_publisher) for each in listed}
+
+    wait_until(lambda: found() == {(MODE.name, MODE.type, True), (NUMBER.name, NUMBER.type, False)})
+    other.close()
+    wait_until(lambda: not found())
 
 
 def test_a_publisher_that_leaves_is_no_message(make: MakeNode):
@@ -133,7 +168,7 @@ def test_a_publisher_lives_as_long_as_its_node(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     sender.publisher(MODE).publish(messages.safety_mode(1))
     gc.collect()
-    assert receiver.num_other_publishers(MODE) == 1
+    wait_until(lambda: receiver.num_other_publishers(MODE) == 1)
     subscription = receiver.subscription(MODE)
     assert messages.read_safety_mode(wait_for(receiver, subscription)) == 1
 

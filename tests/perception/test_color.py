@@ -74,7 +74,7 @@ def pixels(color: Color, number: int) -> np.ndarray:
 
 
 def resembles(appearance: Appearance, color: Color) -> bool:
-    mask = appearance.resembles(pixels(color, 25).reshape(5, 5, 3))
+    mask, _ = appearance.compare(pixels(color, 25).reshape(5, 5, 3))
     assert mask.all() == mask.any()
     return bool(mask.any())
 
@@ -104,7 +104,8 @@ def test_new_is_what_nothing_else_had():
     appearance = Appearance()
     appearance.learn(pixels(RED, 300), pixels(GREY, 8000))
     for color, is_new in ((DARK, True), (RED, True), (GREY, False)):
-        assert appearance.is_new(pixels(color, 25).reshape(5, 5, 3)).all() == is_new
+        _, mask = appearance.compare(pixels(color, 25).reshape(5, 5, 3))
+        assert mask.all() == mask.any() == is_new
 
 
 def test_older_images_count_less():

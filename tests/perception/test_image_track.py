@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
+import torch
 
-from pixel2catch.perception.image_track import LARGEST_REACH, ImageTrack, find_blobs, largest_component
+from pixel2catch.camera.boxes import box_of_mask
+from pixel2catch.perception.image_track import LARGEST_REACH, ImageTrack, find_blobs
 
 
 def two_blobs() -> np.ndarray:
@@ -23,17 +25,15 @@ def test_the_masks_of_all_blobs_are_the_mask():
     assert np.array_equal(first | second, two_blobs())
 
 
-def test_of_two_blobs_the_largest_is_left():
-    largest = largest_component(two_blobs())
-    assert largest.sum() == 40
-    assert largest[20:30, 40:44].all()
+def test_boxes_are_those_of_training():
+    for blob in find_blobs(two_blobs()):
+        box, _ = box_of_mask(torch.from_numpy(blob.mask())[None])
+        assert box[0].tolist() == list(blob.box)
 
 
 @pytest.mark.parametrize("level", [False, True])
-def test_one_blob_or_none_stays(level: bool):
-    mask = np.full((6, 8), level)
-    assert np.array_equal(largest_component(mask), mask)
-    assert len(find_blobs(mask)) == level
+def test_a_mask_is_one_blob_or_none(level: bool):
+    assert len(find_blobs(np.full((6, 8), level))) == level
 
 
 def test_a_track_goes_on_as_it_moved():

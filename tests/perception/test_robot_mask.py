@@ -9,6 +9,7 @@ import torch
 
 from pixel2catch.camera.pinhole import back_project
 from pixel2catch.errors import PerceptionError
+from pixel2catch.perception import robot_mask
 from pixel2catch.perception.robot_mask import MARGIN, RobotMask
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -103,3 +104,13 @@ def test_every_robot_can_be_masked(workcell: WorkcellSpec):
 def test_joint_positions_that_are_no_numbers_are_refused():
     with pytest.raises(PerceptionError, match="joint positions must be finite"):
         RobotMask(UR5E_ALLEGRO).at(np.full(len(UR5E_ALLEGRO.joints), np.nan))
+
+
+def test_geoms_that_others_hide_are_left_out_and_not_missed(monkeypatch: pytest.MonkeyPatch):
+    robot = RobotMask(UR5E_ALLEGRO, margin=0)
+    monkeypatch.setattr(robot_mask, "HIDDEN", -1.0)
+    whole = RobotMask(UR5E_ALLEGRO, margin=0)
+    for joint_pos in poses():
+        mask, all_of_it = robot.at(joint_pos), whole.at(joint_pos)
+        assert not (mask & ~all_of_it).any()
+        assert (all_of_it & ~mask).sum() < 0.01 * all_of_it.sum()

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from pixel2catch.cli.main import main
-from pixel2catch.deployment.control_loop import SHIFT
+from pixel2catch.deployment.control_loop import GRACE, SHIFT
 from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
 from pixel2catch.deployment.recorder import ORDERS
 from pixel2catch.deployment.stepped import StepClock
@@ -146,7 +146,9 @@ def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_p
     gaps = gaps[gaps < 0.1]  # between two throws nothing is decided
     assert len(gaps) > 100
     assert gaps.mean() == pytest.approx(CONTROL_DT, rel=0.01)
-    assert np.abs(gaps - CONTROL_DT).max() <= CYCLE + SHIFT + 1e-6
+    uneven = np.abs(gaps - CONTROL_DT)
+    assert np.quantile(uneven, 0.95) <= CYCLE + SHIFT + 1e-6
+    assert uneven.max() <= GRACE + CYCLE + SHIFT  # where a look that should be done was waited for
     assert (made - newest).max() < LATENCY + CONTROL_DT + 0.005 + 2 * CYCLE
     deploy = report["deploy"]
     assert deploy["num_missed"] / deploy["num_steps"] == pytest.approx(0.5, abs=0.1)

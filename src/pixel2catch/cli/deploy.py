@@ -1,5 +1,6 @@
 """`pixel2catch deploy`: let a policy catch with a robot, or with its digital twin."""
 
+import gc
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -76,7 +77,7 @@ class Deploy:
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
             from pixel2catch.deployment.image_subscriber import ImageSubscriber
-            from pixel2catch.servo.process import CONTROL_LOOP, set_niceness
+            from pixel2catch.servo.process import CONTROL_LOOP, LOOP_PRIORITY, set_niceness, set_real_time
         set_niceness(CONTROL_LOOP)
         self.vision.perception.prepare()
         notes: list[str] = []
@@ -84,6 +85,8 @@ class Deploy:
         pipeline = self.vision.make_pipeline(self.policy, profile, camera)
         for note in notes:
             say(note)
+        if self.vision.perception.checkpoint is None:  # a large network may want all cores, and for long
+            set_real_time(LOOP_PRIORITY)
         with ExitStack() as stack:
             executor = None
             if pipeline.knows_age:
@@ -109,6 +112,8 @@ class Deploy:
         from pixel2catch.cli.console import say
         from pixel2catch.interruption import StopRequest
 
+        gc.collect()
+        gc.freeze()  # what there is now stays: it need not be looked through again and again
         begin, said = clock.now(), ""
 
         def report(status: dict[str, Any]) -> None:
@@ -134,6 +139,9 @@ def sentence(status: dict[str, Any]) -> str:
         parts.append(f"not ready: {', '.join(status['found'])}")
     if status.get("object"):
         parts.append(f"object: {status['object']}")
+    if status["mode"] == "stopped" and (latency := status.get("latency_ms")):
+        times = ", ".join(f"{name} {latency[name]:.0f}" for name in ("p50", "p90", "p99"))
+        parts.append(f"image to command [ms]: {times}")
     if status["message"]:
         parts.append(status["message"])
     return "; ".join(parts)
@@ -148,8 +156,11 @@ def lines(summary: dict[str, Any]) -> Iterator[str]:
     )
     for name in ("image_to_command_ms", "thinking_ms", "servo_tick_ms"):
         if values := summary[name]:
-            times = ", ".join(f"{key} {values[key]:.2f}" for key in ("p50", "p95", "p99", "max"))
+            times = ", ".join(f"{key} {values[key]:.2f}" for key in ("p50", "p90", "p99", "max"))
             yield f"{name.removesuffix('_ms').replace('_', ' ')} [ms]: {times}"
+    ages = [f"{name} {values['p50']:.1f}" for name, values in summary["stages_ms"].items() if values]
+    if ages:
+        yield f"age of an image [ms], in the median: {', '.join(ages)}"
     for name in ("stops", "refusals", "clamps"):
         for reason, count in summary[name].items():
             yield f"{name}: {reason}: {count}"

@@ -1,7 +1,4 @@
-"""`pixel2catch doctor`: what works on this machine, and what to install or do where something does not.
-
-A probe says what it found, or raises what is wrong and what to do.
-"""
+"""`pixel2catch doctor`: what works on this machine, and what to install or do where something does not."""
 
 import importlib
 import importlib.metadata
@@ -12,7 +9,6 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -22,9 +18,10 @@ from packaging.specifiers import SpecifierSet
 from rich.table import Table
 from rich.text import Text
 
+from pixel2catch.checks import AtMostFull, CameraPath
 from pixel2catch.cli.console import results_console
-from pixel2catch.errors import Pixel2CatchError
 from pixel2catch.files import json_text
+from pixel2catch.findings import Absent, Broken, Check, check
 from pixel2catch.installation import PACKAGE, install_command
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
@@ -50,14 +47,6 @@ device = warp.get_device("cuda:0")
 assert (warp.full(8, 3.0, device=device).numpy() == 3.0).all()
 print(f"Warp {warp.__version__} computes on {device.name}")
 """
-
-
-class Absent(Exception):  # noqa: N818
-    """Something optional is not there; the message says what it would be for and how to get it."""
-
-
-class Broken(Exception):  # noqa: N818
-    """Something is there and does not work; the message says what to do."""
 
 
 def optional(module: str, distribution: str, extra: str) -> str:
@@ -269,37 +258,23 @@ def camera(source: str | None) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
-    """What a probe found."""
-
-    name: str  #: What was looked at.
-    state: str  #: good, BAD, or absent: optional, and not there.
-    found: str  #: What there is, or what is wrong and what to do.
-    is_needed: bool  #: Whether `catch` and `evaluate`, or what was asked for by an option, need it.
-
-
-def check(name: str, probe: Callable[[], str], *, is_needed: bool = False) -> Check:
-    """Run a probe; whatever it raises becomes the result."""
-    try:
-        state, found = "good", probe()
-    except Absent as error:
-        state, found = "absent", str(error)
-    except (Broken, Pixel2CatchError) as error:
-        state, found = "BAD", str(error)
-    except Exception as error:  # the reason why a doctor is asked may be anything
-        state, found = "BAD", f"{type(error).__name__}: {error}: install anew, {install_command()} --upgrade"
-    return Check(name=name, state=state, found=found, is_needed=is_needed)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Doctor:
-    """Check this machine: versions, policy, physics, rendering, GPU, perception, network.
+    """Check this machine: versions, policy, physics, rendering, GPU, perception, network; and a laboratory.
 
     The exit status is 0 if `catch` and `evaluate` work, and what an option asks for.
     """
 
     checkpoint: Path | None = None  #: Folder of a SAM 2.1 checkpoint to load and time, too.
     camera: str | None = None  #: Number or device of a camera to watch for three seconds, too.
+    #: Profile of a robot, shipped or a .yaml file, to examine with its machine, drivers and camera, too.
+    #: Nothing is sent to it. See docs/laboratory.md.
+    robot: str | None = None
+    #: Camera file that `calibrate` wrote, to compare the robot's camera with. Default: the policies' camera.
+    lens: CameraPath | None = None
+    loopback: bool = (
+        False  #: The robot is a digital twin on this machine, on which real time does not matter.
+    )
+    clock: AtMostFull = 1.0  #: Seconds in a real second: 1, or the --clock of that twin.
     json: bool = False  #: Print all checks as one JSON object.
 
     def run(self) -> None:
@@ -308,13 +283,31 @@ class Doctor:
         Raises:
             SystemExit: With status 1 if something needed does not work.
         """
-        checks = self._checks()
+        laboratory = self._laboratory(self.robot) if self.robot else []
+        checks = self._checks() + laboratory
         if self.json:
             print(json_text({"checks": [asdict(check) for check in checks]}), end="")
         else:
             self._print(checks)
         if any(check.is_needed and check.state == "BAD" for check in checks):
             sys.exit(EXIT_BAD)
+
+    def _laboratory(self, profile: str) -> list[Check]:
+        """Look at the machine of a deployment, and listen to a robot."""
+        from pixel2catch.camera.camera_file import CameraFile
+        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.cli.link import Network, Robot
+        from pixel2catch.scene.constants import RGB_CAMERA
+
+        with needs_extra("deployment"):
+            from pixel2catch.deployment.laboratory import checks_of_laboratory
+            from pixel2catch.deployment.survey import take_survey
+        network = Network(robot=Robot(profile=profile), loopback=self.loopback, clock=self.clock)
+        robot = network.robot.load()
+        lens = CameraFile.load(self.lens).camera if self.lens else RGB_CAMERA
+        with network.join("pixel2catch_doctor") as (transport, clock):
+            survey = take_survey(transport, robot, clock)
+        return checks_of_laboratory(robot, survey, lens, is_loopback=self.loopback)
 
     def _checks(self) -> list[Check]:
         """Look at everything."""
@@ -348,4 +341,5 @@ class Doctor:
         console = results_console()
         console.print(table)
         bad = [check.name for check in checks if check.state == "BAD" and check.is_needed]
-        console.print(f"To be mended: {', '.join(bad)}." if bad else "`catch` and `evaluate` work here.")
+        fine = f"`catch` and `evaluate` work here{', and the robot is ready' if self.robot else ''}."
+        console.print(f"To be mended: {', '.join(bad)}." if bad else fine)

@@ -27,7 +27,10 @@ from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import PolicyCommand
 
-POLL = 0.002  #: Longest real time between two looks at servo and network [s]; an image ends it. Source: ours.
+POLL = 0.002
+"""Longest real time between two looks at servo and network [s]; an image ends it, or a look that is done.
+
+Source: ours."""
 
 LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
 """Age up to which an image waits for its decision [s]: the policy gets the box of before. Source: ours."""
@@ -37,6 +40,10 @@ QUANTILE = 0.9  #: Share of the images that are looked at in time. Source: ours.
 STEP = 0.0005  #: How fast the time is adapted, for each image [s]. Source: ours.
 NUM_LOOKS = 60  #: Looks that a timer learns from: two to four seconds. Source: ours.
 SHIFT = 0.0005  #: How far a control step may be longer or shorter than it should be [s]. Source: ours.
+
+GRACE = 0.15 * CONTROL_DT
+"""How long a decision waits for a look that should be done [s]: without it the box is a control step older.
+Source: ours."""
 
 
 class DecisionDelay:
@@ -73,12 +80,18 @@ class DecisionTimer:
         """Decide first at this time [s]."""
         self.due = begin  #: When to decide next [s].
         self._ages: deque[float] = deque(maxlen=NUM_LOOKS)
-        self._moment = begin
+        self._age, self._moment = 0.0, begin
 
     def learn(self, stamp: float, end: float) -> None:
         """Learn from a look at an image that was taken at one time and had been looked at, at another [s]."""
         self._ages.append(end - stamp)
-        self._moment = stamp + float(np.quantile(self._ages, QUANTILE))
+        self._age = float(np.quantile(self._ages, QUANTILE))
+        self._moment = stamp + self._age
+
+    def is_due(self, now: float, stamp: float | None) -> bool:
+        """Whether to decide now [s], while an image that was taken at a time [s] is looked at, or none."""
+        is_late = stamp is not None and stamp + self._age <= self.due + GRACE
+        return now >= self.due + (GRACE if is_late else 0.0)
 
     def advance(self, now: float, *, is_even: bool) -> None:
         """A decision is made now [s]: set the time of the next one; it has to be even with others or not."""
@@ -118,6 +131,7 @@ class ControlLoop:
         self._frame: CameraFrame | None = None
         self._look: PerceptionResult | None = None
         self._seen: Extraction | None = None
+        self._sent: PolicyCommand | None = None
         self._due = connection.clock.now()
         self._message, self._delay, self._timer = "", DecisionDelay(LONGEST_AGE), DecisionTimer(self._due)
 
@@ -132,8 +146,16 @@ class ControlLoop:
             status = self.poll()
             if status is not None:
                 on_status(status)
-            elif (left := self._due - self._clock.now()) > 0.0:
-                self._connection.transport.wait(min(POLL, left))
+            else:
+                self._wait()
+
+    def _wait(self) -> None:
+        """Wait for an image or, while one is looked at, for what is seen, but not for long."""
+        left = self._due - self._clock.now()
+        if not self._perception.is_free:
+            self._perception.wait(min(POLL, left) if left > 0.0 else POLL)
+        elif left > 0.0:
+            self._connection.transport.wait(min(POLL, left))
 
     def poll(self) -> dict[str, Any] | None:
         """Make a control step if it is time, and return its status; it raises what `run` does."""
@@ -167,26 +189,33 @@ class ControlLoop:
         """Have images looked at, and decide when it is time, whether that is done or not."""
         if frame:
             self._perception.offer(frame)
+            self._show_servo(frame)
         if look := self._perception.go_on():
             self._look, self._seen = look, look.seen
             self._timer.learn(look.frame.stamp, look.end)
         now = self._clock.now()
-        if now < self._timer.due:
+        if not self._timer.is_due(now, self._perception.stamp):
             return None
-        took, is_missed = self._look.took if self._look else 0.0, self._look is None
-        self._look = None
+        look, self._look = self._look, None
+        took = look.end - look.begin if look else 0.0
         policy_command, complaint = self._decide()
         self._timer.advance(now, is_even=policy_command is not None)
         self._due = self._timer.due
-        return self._conclude(policy_command, complaint, began=now - took, is_missed=is_missed)
+        return self._conclude(policy_command, complaint, look, began=now - took)
+
+    def _show_servo(self, frame: CameraFrame) -> None:
+        """Tell the servo of an image at once: how old the newest one is does not depend on decisions."""
+        if self._sent and self._mode in ACTIVE:
+            image_stamp = min(frame.stamp, self._clock.now())
+            self._connection.servo.send(replace(self._sent, image_stamp=image_stamp))
 
     def _step(self, frame: CameraFrame | None) -> dict[str, Any]:
         """One control step; without a new image it is the last one's again."""
-        is_missed = frame is None
-        begin = self._clock.now()
+        begin, look = self._clock.now(), None
         self._frame = frame or self._frame
         if frame:
-            self._seen = self._perception.look_now(frame, begin)
+            look = self._perception.look_now(frame, begin)
+            self._seen = look.seen
         else:
             self._seen = self._pipeline.perceive(self._frame, begin)
             self._pipeline.remember(self._frame, self._seen)
@@ -196,18 +225,30 @@ class ControlLoop:
         waited = self._clock.now() - looked
         self._hear()
         policy_command, complaint = self._decide()
-        self._due = self._due + CONTROL_DT if is_missed else begin + PATIENCE
-        return self._conclude(policy_command, complaint, began=begin + waited, is_missed=is_missed)
+        self._due = begin + PATIENCE if look else self._due + CONTROL_DT
+        return self._conclude(policy_command, complaint, look, began=begin + waited)
 
     def _conclude(
-        self, policy_command: PolicyCommand | None, complaint: str, *, began: float, is_missed: bool
+        self,
+        policy_command: PolicyCommand | None,
+        complaint: str,
+        look: PerceptionResult | None,
+        *,
+        began: float,
     ) -> dict[str, Any]:
-        """Send a command, and publish and record what happened in a control step that began at a time [s]."""
+        """Send a command, and publish and record what happened in a control step that began at a time [s].
+
+        There is a look if an image has been looked at since the last one.
+        """
         if policy_command and self._mode in ACTIVE:
             self._connection.servo.send(policy_command)
+            self._sent = policy_command
         end, seen = self._clock.now(), self._seen
         if self._mode in ACTIVE:
-            self.statistics.count_step(took=end - began, is_missed=is_missed)
+            self.statistics.count_step(took=end - began, is_missed=look is None)
+        if self._mode in ACTIVE and policy_command and look:
+            times = {"received": look.received, "begun": look.begin, "looked": look.end, "decided": end}
+            self.statistics.count_stages(look.frame.stamp, times)
         trouble = self._recording.trouble if self._recording else ""
         of_image = self._images.message or (seen.message if seen else "")
         message = self._message or self._problem or of_image or complaint or trouble

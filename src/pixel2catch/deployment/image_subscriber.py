@@ -185,23 +185,23 @@ class ImageSubscriber:
         """Compare what the camera says of its lens with the calibration."""
         for message in self._lens.take() if self._lens else ():
             try:
-                lens, camera = messages.read_camera_info(message.data).camera, self._camera
+                lens = messages.read_camera_info(message.data).camera
+                self._other_lens = other_lens(lens, self._camera)
             except DeploymentError as error:
                 self._other_lens = str(error)
-                continue
-            found = np.array((lens.fx, lens.fy, lens.cx, lens.cy))
-            known = np.array((camera.fx, camera.fy, camera.cx, camera.cy))
-            scale = np.array((camera.fx, camera.fy, camera.width, camera.width))
-            is_same = bool((np.abs(found - known) <= LENS_TOLERANCE * scale).all())
-            self._other_lens = (
-                ""
-                if is_same
-                else (
-                    f"the camera says fx, fy, cx, cy are {lens.fx:.1f}, {lens.fy:.1f}, {lens.cx:.1f}, "
-                    f"{lens.cy:.1f}, the policy's are {camera.fx:.1f}, {camera.fy:.1f}, {camera.cx:.1f}, "
-                    f"{camera.cy:.1f}: calibrate the camera, and train with 'train --camera'."
-                )
-            )
+
+
+def other_lens(found: CameraSpec, known: CameraSpec) -> str:
+    """What is to be done where a camera's lens is not the one that is known; nothing where it is."""
+    theirs, ours = ((each.fx, each.fy, each.cx, each.cy) for each in (found, known))
+    scale = np.array((known.fx, known.fy, known.width, known.width))
+    if (np.abs(np.subtract(theirs, ours)) <= LENS_TOLERANCE * scale).all():
+        return ""
+    says, has = (", ".join(f"{number:.1f}" for number in each) for each in (theirs, ours))
+    return (
+        f"the camera says fx, fy, cx, cy are {says}, the policy's are {has}: calibrate the camera, and train "
+        "with 'train --camera'."
+    )
 
 
 def _no_stamps(topic: str, has_one: bool, age: float) -> str:

@@ -1,7 +1,7 @@
 """Perception beside the decisions: it looks at one image at a time, and nobody waits for it."""
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, wait
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, final
@@ -64,7 +64,8 @@ class PerceptionResult:
 
     frame: CameraFrame
     seen: Extraction
-    took: float  #: How long it took [s].
+    received: float  #: When the image was received [s].
+    begin: float  #: When the look began [s].
     end: float  #: When it was done [s].
 
 
@@ -79,13 +80,23 @@ class ConcurrentPerception:
         """Look at nothing yet; the executor looks at one image at a time, the clock is of their stamps."""
         self._pipeline, self._executor, self._clock = pipeline, executor, clock
         self._waiting: tuple[CameraFrame, float] | None = None
-        self._work: tuple[CameraFrame, float, Future[Extraction]] | None = None
+        self._work: tuple[CameraFrame, float, float, Future[Extraction]] | None = None
         self._later: Callable[[], None] | None = None
 
     @property
     def is_free(self) -> bool:
         """Whether no image is looked at."""
         return self._work is None
+
+    @property
+    def stamp(self) -> float | None:
+        """When the image was taken that is looked at [s]; None if none is."""
+        return None if self._work is None else self._work[0].stamp
+
+    def wait(self, seconds: float) -> None:
+        """Wait until the look is done, or for a real time [s]."""
+        if self._work:
+            wait((self._work[3],), seconds)
 
     def begin(self, prompt: Prompt | None) -> None:
         """A new throw begins; what is looked at now still belongs to the one before."""
@@ -96,11 +107,11 @@ class ConcurrentPerception:
         else:
             self._later = point
 
-    def look_now(self, frame: CameraFrame, now: float) -> Extraction:
+    def look_now(self, frame: CameraFrame, now: float) -> PerceptionResult:
         """Look at an image, and wait for what is seen; nothing else may be looked at."""
         seen = self._executor.submit(self._pipeline.perceive, frame, now).result()
         self._pipeline.remember(frame, seen)
-        return seen
+        return PerceptionResult(frame=frame, seen=seen, received=now, begin=now, end=self._clock.now())
 
     def offer(self, frame: CameraFrame) -> None:
         """Have an image that has just arrived looked at, if no newer one comes before its turn."""
@@ -119,16 +130,16 @@ class ConcurrentPerception:
         if self._waiting and now - self._waiting[1] > LONGEST_WAIT:
             self._waiting = None
         if self._waiting and self.is_free:
-            frame, _ = self._waiting
+            frame, received = self._waiting
             self._waiting = None
-            self._work = (frame, now, self._executor.submit(self._pipeline.perceive, frame, now))
+            self._work = (frame, received, now, self._executor.submit(self._pipeline.perceive, frame, now))
         return look
 
     def _done(self) -> PerceptionResult | None:
         """The look that is done; the pipeline remembers it."""
-        if self._work is None or not self._work[2].done():
+        if self._work is None or not self._work[3].done():
             return None
-        frame, begin, future = self._work
+        frame, received, begin, future = self._work
         self._work = None
         seen = future.result()
         if self._later:
@@ -137,4 +148,4 @@ class ConcurrentPerception:
             return None
         self._pipeline.remember(frame, seen)
         end = self._clock.now()
-        return PerceptionResult(frame=frame, seen=seen, took=end - begin, end=end)
+        return PerceptionResult(frame=frame, seen=seen, received=received, begin=begin, end=end)

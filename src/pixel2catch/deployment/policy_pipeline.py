@@ -75,6 +75,7 @@ class Controller:
         """What the policy saw in the last step; none before the first."""
         return None if self._past is None else self._past.history.now
 
+    @torch.inference_mode()
     def step(
         self, joint_pos: Float[Tensor, "1 num_joints"], boxes: BoxHistory
     ) -> Float[Tensor, "1 num_joints"]:

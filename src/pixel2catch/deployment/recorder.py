@@ -19,6 +19,7 @@ from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
 from pixel2catch.servo.link import LoopEnd, ServoStatus
+from pixel2catch.servo.process import RECORDER_PRIORITY, give_way
 
 MOST_WAITING = 128 * 2**20  #: Messages that wait to be written [bytes]: 4 s of images. Source: ours.
 
@@ -93,6 +94,7 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         self.close()
 
     def _write_all(self) -> None:
+        give_way(RECORDER_PRIORITY)
         while entry := self._queue.get():
             is_written = not self.problem and self._write(entry)
             with self._lock:
@@ -133,7 +135,7 @@ class DeploymentRecorder:
     def __init__(
         self, recorder: BagRecorder, transport: Transport, profile: Profile, clock: Clock, images: Images
     ) -> None:
-        """Begin to listen to joint states, commands and operator."""
+        """Begin to listen to joint states, commands and operator; the loop does not wake for any of them."""
         self._recorder, self._clock = recorder, clock
         self._profile, self._images = profile, images
         self._last: dict[Topic, float] = {}

@@ -105,7 +105,7 @@ def replay(
     _require_images(recording, profile)
     with ExitStack() as stack:
         clock, broker = StepClock(lambda moment: run_until(moment)), Broker()
-        player = stack.enter_context(BagPlayer(recording, broker.node(clock), _heard(profile)))
+        player = stack.enter_context(BagPlayer(recording, broker.node(clock), played_topics(profile)))
         clock.time = player.start
         node = broker.node(clock)
         recorder = stack.enter_context(BagRecorder(out))
@@ -132,7 +132,7 @@ def replay(
         return robot.control_loop.statistics
 
 
-def _heard(profile: Profile) -> set[Topic]:
+def played_topics(profile: Profile) -> set[Topic]:
     """What a deployment listens to: nobody else commands the robot, and its status is said anew."""
     operator, camera = profile.operator, profile.camera
     topics = {part.state_topic for part in profile.robots} | {*vars(profile.status).values()}

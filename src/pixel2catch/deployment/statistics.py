@@ -14,10 +14,45 @@ from pixel2catch.servo.core import Clamp, Mode
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
-MEMORY = 40_000  #: Latencies that are kept: more than twenty minutes at 30 Hz.
-SERVO_MEMORY = 1_000_000  #: Durations of servo ticks that are kept: half an hour at 500 Hz.
+BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and what the last one holds from [s]. Source: ours.
+NUM_MS = round(1e-3 / BIN)  #: Bins of a millisecond.
+PERCENTAGES = (50, 90, 95, 99)  #: Of durations, in a summary.
+STAGES = ("received", "begun", "looked", "decided")
+"""What happens to an image: it arrives, perception begins and ends, and its command is given to the servo."""
 
 ACTIVE = (int(Mode.ARMED), int(Mode.RAMP), int(Mode.RUN))
+
+
+class Histogram:
+    """Counts durations, however many; a percentile is the mean of the bin that it is in."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._counts = np.zeros(round(LONGEST / BIN) + 1, dtype=np.int64)
+        self._sums, self._longest = np.zeros(len(self._counts)), 0.0
+
+    def count(self, duration: float) -> None:
+        """Count a duration [s]."""
+        place = min(max(int(duration / BIN), 0), len(self._counts) - 1)
+        self._counts[place] += 1
+        self._sums[place] += duration
+        self._longest = max(self._longest, duration)
+
+    def milliseconds(self, *percentages: int) -> dict[str, float] | None:
+        """Percentiles, the longest duration and how many there were [ms]; none if there were none."""
+        total = np.cumsum(self._counts)
+        if not total[-1]:
+            return None
+        places = np.searchsorted(total, 0.01 * np.array(percentages) * total[-1])
+        values = self._sums[places] / self._counts[places]
+        named = {f"p{q}": 1e3 * value for q, value in zip(percentages, values.tolist(), strict=True)}
+        return {**named, "max": 1e3 * self._longest, "count": int(total[-1])}
+
+    @property
+    def by_ms(self) -> list[int]:
+        """How many durations there were of 0 to 1 ms, 1 to 2 ms, and so on, up to the longest."""
+        starts = np.arange(0, len(self._counts), NUM_MS)
+        return np.trim_zeros(np.add.reduceat(self._counts, starts), "b").tolist()
 
 
 @dataclass(kw_only=True)
@@ -34,9 +69,11 @@ class RunStatistics:
     clamps: Counter[str] = field(default_factory=Counter)
     num_ticks: int = 0  #: Servo ticks heard of.
     num_late_ticks: int = 0  #: Servo ticks that came more than a tick late.
-    _latencies: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
-    _thinking: deque[float] = field(default_factory=lambda: deque(maxlen=MEMORY))
-    _ticks: deque[float] = field(default_factory=lambda: deque(maxlen=SERVO_MEMORY))
+    _latencies: Histogram = field(default_factory=Histogram)
+    _stages: dict[str, Histogram] = field(default_factory=lambda: {name: Histogram() for name in STAGES})
+    _thinking: Histogram = field(default_factory=Histogram)
+    _ticks: Histogram = field(default_factory=Histogram)
+    _latency: float | None = None
     _sent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
     _last: ServoStatus | None = None
     _refused: int = 0
@@ -47,8 +84,13 @@ class RunStatistics:
         self.num_steps += 1
         self.num_missed += is_missed
         if not is_missed:
-            self._thinking.append(took)
+            self._thinking.count(took)
             self.num_overruns += took > CONTROL_DT
+
+    def count_stages(self, stamp: float, times: dict[str, float]) -> None:
+        """Note when each of `STAGES` was done with an image that was taken at a time [s]."""
+        for name, time in times.items():
+            self._stages[name].count(time - stamp)
 
     def note_command(self, policy_command: PolicyCommand) -> None:
         """Note a command by the image that it was decided on, of which the servo is not told."""
@@ -58,7 +100,7 @@ class RunStatistics:
         """Note a tick of the servo, which is to come every so often [s]."""
         last = self._last
         self.num_ticks += 1
-        self._ticks.append(servo_status.duration)
+        self._ticks.count(servo_status.duration)
         self._refused |= servo_status.refused
         self._clamped |= servo_status.clamped
         self.clamps.update(flag_names(Clamp, servo_status.clamped))
@@ -70,7 +112,8 @@ class RunStatistics:
                 self.stops[", ".join(flag_names(Fault, servo_status.stopped_by))] += 1
             if servo_status.mode in ACTIVE and servo_status.target_stamp > last.target_stamp:
                 image_stamp = dict(self._sent).get(servo_status.target_stamp, servo_status.image_stamp)
-                self._latencies.append(servo_status.time - image_stamp)
+                self._latency = servo_status.time - image_stamp
+                self._latencies.count(self._latency)
         self._last = servo_status
 
     def status(
@@ -92,32 +135,25 @@ class RunStatistics:
             "verdict": str(seen.verdict) if seen else None,
             "object": sight and str(sight),
             "object_age_ms": round(1e3 * age, 1) if age < inf else None,
-            "latency_ms": round(1e3 * self._latencies[-1], 2) if self._latencies else None,
+            "latency_ms": self._latencies.milliseconds(50, 90, 99),
             "num_missed": self.num_missed,
             "message": message,
         }
 
     def summary(self) -> dict[str, Any]:
-        """All of it."""
+        """All of it; latencies are from the middle of an image's exposure on."""
+        latency = self._latencies.milliseconds(*PERCENTAGES)
         return {
             "num_steps": self.num_steps,
             "num_missed": self.num_missed,
             "num_overruns": self.num_overruns,
-            "image_to_command_ms": milliseconds(self._latencies),
-            "thinking_ms": milliseconds(self._thinking),
-            "servo_tick_ms": milliseconds(self._ticks),
+            "image_to_command_ms": latency and {**latency, "by_ms": self._latencies.by_ms},
+            "stages_ms": {name: times.milliseconds(*PERCENTAGES) for name, times in self._stages.items()},
+            "thinking_ms": self._thinking.milliseconds(*PERCENTAGES),
+            "servo_tick_ms": self._ticks.milliseconds(*PERCENTAGES),
             "num_ticks": self.num_ticks,
             "num_late_ticks": self.num_late_ticks,
             "stops": dict(self.stops),
             "refusals": dict(self.refusals),
             "clamps": dict(self.clamps),
         }
-
-
-def milliseconds(durations: deque[float]) -> dict[str, float] | None:
-    """Percentiles of durations [s] in ms; none if there are none."""
-    if not durations:
-        return None
-    values = 1e3 * np.array(durations)
-    p50, p95, p99 = np.percentile(values, (50, 95, 99)).tolist()
-    return {"p50": p50, "p95": p95, "p99": p99, "max": float(values.max()), "count": len(values)}

@@ -5,6 +5,7 @@ An agent's observation is its terms on two consecutive frames, oldest first (pap
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from jaxtyping import Float
@@ -97,9 +98,18 @@ def box_fit(frame: Frame) -> Float[Tensor, "num_envs k"]:
     Source: ours, see `camera.box_history`.
     """
     features = box_history.box_fit(frame.now.boxes.box, frame.now.boxes.age, RGB_CAMERA)
-    seen = {PIXEL_FEATURES[column].lstrip("d") for column in frame.pixel_columns}
+    columns = _fit_columns(frame.pixel_columns)
+    if len(columns) == features.shape[-1]:
+        return features
+    return torch.stack([features[:, column] for column in columns], dim=-1)
+
+
+@cache
+def _fit_columns(pixel_columns: tuple[int, ...]) -> tuple[int, ...]:
+    """Columns of `box_fit` that follow from what of a box is seen."""
+    seen = {PIXEL_FEATURES[column].lstrip("d") for column in pixel_columns}
     names = enumerate(box_history.BOX_FIT_FEATURES)
-    return torch.stack([features[:, i] for i, name in names if _is_fit_seen(name, seen)], dim=-1)
+    return tuple(column for column, name in names if _is_fit_seen(name, seen))
 
 
 def _is_fit_seen(name: str, seen: set[str]) -> bool:

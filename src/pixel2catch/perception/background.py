@@ -5,6 +5,7 @@ from math import hypot, inf, isinf
 
 import cv2
 import numpy as np
+from jaxtyping import UInt8
 
 from pixel2catch.perception.color import Appearance
 from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack, find_blobs
@@ -52,6 +53,8 @@ Source: ours; what is further off and does not move does not touch it."""
 THINNING = 2
 """Of what is ignored, every second pixel of every second row is learned."""
 
+RIM = 4  #: Pixels about a part of an image on which it depends what is moving in it.
+
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
 """Speed from which the object moves [px an image], and for how many images after that it is no background
 yet, so that what differs in nothing from the background is not the object. Source: ours."""
@@ -63,13 +66,25 @@ class Motion:
 
     Attributes:
         moving: Which pixels differ from the background.
-        darker: Which pixels are only darker: in a shadow, or of a thing of the same colour.
         unknown: In which pixels that cannot be told.
+        classes: What OpenCV says of each pixel.
     """
 
     moving: Mask
-    darker: Mask
     unknown: Mask
+    classes: UInt8[np.ndarray, "height width"]
+
+    def changed(self, window: tuple[slice, slice]) -> Mask:
+        """Which pixels of a part of the image differ, are only darker, or are near to such ones, or unknown.
+
+        Darker is what is in a shadow, or of a thing of the same colour.
+        """
+        rows, columns = (slice(max(each.start - RIM, 0), each.stop + RIM) for each in window)
+        around = rows, columns
+        darker = _opened(self.classes[around] == SHADOW) & ~self.unknown[around]
+        grown = _grown(self.moving[around] | darker, GAP) | self.unknown[around]
+        top, left = window[0].start - rows.start, window[1].start - columns.start
+        return grown[top:, left:][: window[0].stop - window[0].start, : window[1].stop - window[1].start]
 
 
 class Foreground:
@@ -95,9 +110,8 @@ class Foreground:
         cv2.copyTo(image, counted, self._scene)
         cv2.add(self._num_seen, counted, self._num_seen)
         classes = self._model.apply(self._scene)
-        known = (counted > 0) & (self._num_seen >= self._learning_images)
-        moving, darker = (_opened(classes == each) & known for each in (FOREGROUND, SHADOW))
-        return Motion(moving=moving, darker=darker, unknown=~known)
+        known = counted.view(bool) & (self._num_seen >= self._learning_images)
+        return Motion(moving=_opened(classes == FOREGROUND) & known, unknown=~known, classes=classes)
 
 
 class BackgroundSubtraction(Segmenter):
@@ -151,10 +165,7 @@ class BackgroundSubtraction(Segmenter):
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alike, whole = self._resembling(image, motion.moving, track)
-        if self._is_fresh:
-            changed = _grown(motion.moving | motion.darker, GAP) | motion.unknown
-            alike, whole = alike & changed, whole & changed
+        alike, whole = self._resembling(image, motion, track)
         for mask in (whole, alike, alike & (motion.moving | motion.unknown), motion.moving):
             blobs = _regions(mask)
             for blob in track.candidates(blobs):
@@ -174,18 +185,20 @@ class BackgroundSubtraction(Segmenter):
         is_large = blob.area >= LEAST_SHARE * self._area
         return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(blob.mask(), unknown))
 
-    def _resembling(self, image: Image, moving: Mask, track: ImageTrack) -> tuple[Mask, Mask]:
+    def _resembling(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask]:
         """Pixels with the object's colours, and these with what moves along with them in a new colour.
 
         In reach of where the object should be and a little further: what is out of reach now may be in reach
-        in the next image, and is known for another thing then.
+        in the next image, and is known for another thing then. An object that moved lately is no background
+        yet: what differs in nothing from the background is not the object.
         """
         alike, whole = (np.zeros(image.shape[:2], dtype=bool) for _ in range(2))
         reach = track.reach + REACH
         window = _window((track.center, track.expected), reach, image)
-        alike[window] = self._appearance.resembles(image[window])
-        new = self._appearance.is_new(image[window]) & moving[window]
-        whole[window] = _extended(alike[window], new)
+        has_colors, is_new = self._appearance.compare(image[window])
+        extended = _extended(has_colors, is_new & motion.moving[window])
+        changed = motion.changed(window) if self._is_fresh else True
+        alike[window], whole[window] = has_colors & changed, extended & changed
         return alike, whole
 
     def _learn(self, image: Image, mask: Mask, maybe: Mask, motion: Motion, ignored: Mask | None) -> None:
@@ -193,17 +206,20 @@ class BackgroundSubtraction(Segmenter):
 
         That is what is ignored, what else moves, and, unless the object moves, what stands beside it.
         """
-        rows, columns = np.nonzero(mask)
-        if not len(rows):
+        left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+        if not width:
             return
-        ends = ((float(columns.min()), float(rows.min())), (float(columns.max()), float(rows.max())))
+        box, ends = (
+            (slice(top, top + height), slice(left, left + width)),
+            ((left, top), (left + width - 1, top + height - 1)),
+        )
         far, near = _window(ends, REACH, image), _window(ends, NEAR, image)
         others = [image[far][motion.moving[far] & ~maybe[far]]]
         if ignored is not None:
             others.append(image[::THINNING, ::THINNING][ignored[::THINNING, ::THINNING]])
         if not self._is_fresh:
             others.append(image[near][~motion.moving[near] & ~maybe[near]])
-        self._appearance.learn(image[rows, columns], np.concatenate(others))
+        self._appearance.learn(image[box][mask[box]], np.concatenate(others))
 
 
 def _regions(mask: Mask) -> list[Blob]:

@@ -99,20 +99,20 @@ class Appearance:
         self._object = _faded(self._object, pixels)
         self._other = _faded(self._other, others)
 
-    def resembles(self, image: Image) -> Mask:
-        """Return which pixels have the object's colours rather than others; none if they are unknown."""
-        likely = _spread(self._object) > np.maximum(_spread(self._other), LEAST_COUNT)
-        return likely[_codes(cv2.blur(image, (3, 3)))]
+    def compare(self, image: Image) -> tuple[Mask, Mask]:
+        """Which pixels have the object's colours rather than others, and which have what nothing else had.
 
-    def is_new(self, image: Image) -> Mask:
-        """Return which pixels have colours that nothing else had: an unseen side of the object may have."""
-        return (_spread(self._other) <= LEAST_COUNT)[_codes(cv2.blur(image, (3, 3)))]
+        The former are none if the colours are unknown; the latter may be an unseen side of the object.
+        """
+        codes, other = _codes(cv2.blur(image, (3, 3))), _spread(self._other)
+        is_likely, is_new = _spread(self._object) > np.maximum(other, LEAST_COUNT), other <= LEAST_COUNT
+        return is_likely[codes], is_new[codes]
 
 
 def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]:
     """Index of every colour in a histogram."""
-    levels = (colors >> SHIFT).astype(np.intp)
-    return (levels[..., 0] * LEVELS + levels[..., 1]) * LEVELS + levels[..., 2]
+    levels = colors >> SHIFT
+    return (levels[..., 0].astype(np.intp) * LEVELS + levels[..., 1]) * LEVELS + levels[..., 2]
 
 
 def _faded(histogram: Histogram, colors: Colors) -> Histogram:

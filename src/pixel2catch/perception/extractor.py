@@ -15,9 +15,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.camera.boxes import box_of_mask, pixel_features
+from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.errors import PerceptionError
-from pixel2catch.perception.image_track import largest_component
+from pixel2catch.perception.image_track import find_blobs
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, is_jump, judge
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
@@ -263,13 +263,17 @@ class PixelFeatureExtractor:
         if segmentation.mask is None:
             missing = Verdict.NOT_FOUND if state.is_pointed_out else Verdict.NO_PROMPT
             return _Finding(verdict=missing, score=score)
-        mask = largest_component(segmentation.mask)
-        box, _ = box_of_mask(torch.from_numpy(mask)[None])
-        verdict = judge(cfg, self._camera, box, int(mask.sum()))
+        blobs = find_blobs(segmentation.mask)
+        if not blobs:
+            return _Finding(verdict=Verdict.TOO_SMALL, score=score)
+        box = torch.tensor([blobs[0].box])
+        verdict = judge(cfg, self._camera, box, blobs[0].area)
         if verdict is not Verdict.SEEN:
             return _Finding(verdict=verdict, score=score)
         is_far = state.is_valid and is_jump(cfg, box, state.box, (stamp - state.box_stamp) / CONTROL_DT)
         if is_far and state.is_continued:
             return _Finding(verdict=Verdict.JUMP, score=score)
         is_elsewhere = is_far or state.has_jumped
-        return _Finding(verdict=verdict, score=score, mask=mask, box=box, is_elsewhere=is_elsewhere)
+        return _Finding(
+            verdict=verdict, score=score, mask=blobs[0].mask(), box=box, is_elsewhere=is_elsewhere
+        )

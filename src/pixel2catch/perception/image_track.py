@@ -63,6 +63,12 @@ class Blob:
         """Whether it has the size of an object."""
         return self.area >= LEAST_AREA and max(self.width, self.height) <= LARGEST_SIDE
 
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """Its box, as `camera.boxes.box_of_mask` has it [px]."""
+        (u, v), x, y = self.center, 0.5 * self.width, 0.5 * self.height
+        return u - x, v - y, u + x, v + y
+
     def mask(self) -> Mask:
         """The pixels of the region."""
         mask = np.zeros(self.shape, dtype=bool)
@@ -88,12 +94,6 @@ def find_blobs(mask: Mask) -> list[Blob]:
         center = (left + x + 0.5 * w, top + y + 0.5 * h)
         blobs.append(Blob(label=label, area=area, width=w, height=h, center=center, **common))
     return sorted(blobs, key=lambda blob: -blob.area)
-
-
-def largest_component(mask: Mask) -> Mask:
-    """Return the largest connected region of a mask; the mask itself if it has one or none."""
-    blobs = find_blobs(mask)
-    return blobs[0].mask() if len(blobs) > 1 else mask
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,9 +4,10 @@ import cv2
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull
 
-from pixel2catch.camera.pinhole import project
+from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.segmenter import Mask
 from pixel2catch.robots.geometry import bare_model
@@ -20,6 +21,11 @@ MARGIN = 4
 """Pixels about the robot that are taken for it, too. Source: ours, for errors of camera and clocks."""
 
 
+HIDDEN = (
+    0.002  #: A geom that reaches no further out of another one of its body is left out [m]. Source: ours.
+)
+
+
 class RobotMask:
     """Projects robots into the camera's image. Every geom is convex, and seen as the hull of its corners."""
 
@@ -27,13 +33,17 @@ class RobotMask:
         self, workcell: WorkcellSpec, camera: CameraSpec = RGB_CAMERA, *, margin: int = MARGIN
     ) -> None:
         """Compute the corners of every geom, also of those that are only seen; the margin is in pixels."""
-        self._camera, self._margin = camera, margin
+        self._size, self._margin = (camera.height, camera.width), margin
+        self._projection = nominal_projection(camera, torch.zeros(0, dtype=torch.float64))
         self._model = bare_model(workcell, visuals=True)
         self._data = mujoco.MjData(self._model)
         corners = [_corners(self._model, geom) for geom in range(self._model.ngeom)]
-        sizes = [len(points) for points in corners]
-        self._corners, self._ends = np.concatenate(corners), np.cumsum(sizes)[:-1]
-        self._owner = np.repeat(np.arange(self._model.ngeom), sizes)
+        self._geoms = _outermost(self._model, corners)
+        most = max(map(len, corners))
+        # All have as many: those with fewer have the last one several times, which changes no hull.
+        self._corners = np.stack(
+            [np.pad(corners[geom], ((0, most - len(corners[geom])), (0, 0)), "edge") for geom in self._geoms]
+        )
 
     def at(self, joint_pos: Float[np.ndarray, " num_joints"]) -> Mask:
         """Return the pixels of the robot at these positions of its joints, in joint order [rad].
@@ -45,21 +55,42 @@ class RobotMask:
             raise PerceptionError(f"joint positions must be finite, got {joint_pos}: check the joint states.")
         self._data.qpos[:] = joint_pos
         mujoco.mj_kinematics(self._model, self._data)
-        turn = self._data.geom_xmat[self._owner].reshape(-1, 3, 3)
-        points = np.einsum("nij,nj->ni", turn, self._corners) + self._data.geom_xpos[self._owner]
-        pixels, depth = project(self._camera, torch.from_numpy(points)[None])
+        matrix, center = self._projection.matrix.numpy(), self._projection.center.numpy()
+        turn = matrix @ self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        place = (self._data.geom_xpos[self._geoms] - center) @ matrix.T
+        points = self._corners @ turn.swapaxes(1, 2) + place[:, None]
+        is_near = points[..., 2] > NEAREST
         # A pixel is filled if the hull reaches its middle, which OpenCV calls (0, 0) in the first pixel.
-        rounded = np.rint(np.clip(pixels[0].numpy() - 0.5, -1e4, 1e4)).astype(np.int32)
-        canvas = np.zeros((self._camera.height, self._camera.width), dtype=np.uint8)
-        parts = zip(np.split(rounded, self._ends), np.split(depth[0].numpy(), self._ends), strict=True)
-        for corners, distance in parts:
-            if not (distance > NEAREST).any():
+        pixels = points[..., :2] / np.where(is_near, points[..., 2], np.inf)[..., None] - 0.5
+        rounded = np.rint(np.clip(pixels, -1e4, 1e4)).astype(np.int32)
+        canvas = np.zeros(self._size, dtype=np.uint8)
+        in_front = (
+            rounded if is_near.all() else (row[seen] for row, seen in zip(rounded, is_near, strict=True))
+        )
+        for corners in in_front:
+            if not len(corners):
                 continue
-            hull = cv2.convexHull(corners[distance > NEAREST])
+            hull = cv2.convexHull(corners)
             cv2.fillConvexPoly(canvas, hull, 1)
             if self._margin:
                 cv2.polylines(canvas, [hull], isClosed=True, color=1, thickness=2 * self._margin + 1)
-        return canvas > 0
+        return canvas.view(bool)
+
+
+def _outermost(model: mujoco.MjModel, corners: list[np.ndarray]) -> Int[np.ndarray, " num_seen"]:
+    """The geoms that are not inside another one of what moves with them, but for `HIDDEN`."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turns = data.geom_xmat.reshape(-1, 3, 3)
+    places = [points @ turn.T + pos for points, turn, pos in zip(corners, turns, data.geom_xpos, strict=True)]
+    hulls, body = [ConvexHull(points) for points in places], model.body_weldid[model.geom_bodyid]
+    kept: list[int] = []
+    for geom in sorted(range(model.ngeom), key=lambda geom: -hulls[geom].volume):
+        planes = [hulls[other].equations for other in kept if body[other] == body[geom]]
+        reach = [(places[geom] @ plane[:, :3].T + plane[:, 3]).max() for plane in planes]
+        if min(reach, default=np.inf) > HIDDEN:
+            kept.append(geom)
+    return np.array(kept)
 
 
 def _corners(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "num_corners 3"]:

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, final
 
 import numpy as np
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import (
     DDSException,
     Entity,
@@ -34,6 +35,7 @@ from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.transport import (
     ANY,
     LOOPBACK,
+    Endpoint,
     Message,
     Publisher,
     RealClock,
@@ -89,6 +91,9 @@ def _field_type(description: Any, store: Typestore) -> Any:
 
 
 MESSAGE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+MESSAGE_HASH = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
+"""Hash of its definition, without which each node of ROS 2 warns. Source: rosidl 4.6.5 (Jazzy); rosbags has
+another one, as it takes a `char` for a type of its own."""
 
 
 class NodeAnnouncement:
@@ -104,8 +109,8 @@ class NodeAnnouncement:
         self._writers: list[Any] = []
         self._type = dds_type(MESSAGE, store)
         topic = DdsTopic(participant, "ros_discovery_info", self._type)
-        latched = Qos(Policy.Durability.TransientLocal, NEVER_BLOCK, Policy.History.KeepLast(1))
-        self._writer = DataWriter(participant, topic, latched)
+        latched = Policy.Durability.TransientLocal, NEVER_BLOCK, Policy.History.KeepLast(1)
+        self._writer = DataWriter(participant, topic, Qos(*latched, _definition(MESSAGE_HASH)))
         self._announce()
 
     @classmethod
@@ -178,6 +183,15 @@ NEW = SampleState.NotRead | ViewState.Any | InstanceState.Alive
 """What ends a wait: a message, but not that a publisher has left."""
 
 
+THERE = SampleState.Any | ViewState.Any | InstanceState.Alive  #: Who has not left.
+MOST_ENDPOINTS = 10_000  #: Endpoints that are listed at the most; a laboratory has some hundreds.
+
+
+def _ros_type(name: str) -> str:
+    """What ROS calls a type of DDS: `sensor_msgs/msg/Image`; see `dds_type`."""
+    return name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
+
+
 def domain_id() -> int:
     """The network's number, ROS_DOMAIN_ID.
 
@@ -243,7 +257,8 @@ class DdsTransport(Transport):
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """See `Transport.subscription`."""
         reader = self._reader(topic, depth, only_watches=only_watches)
-        self._news.attach(ReadCondition(reader, NEW))
+        if not only_watches:
+            self._news.attach(ReadCondition(reader, NEW))
         if self._announcement:
             self._announcement.add(reader)
         self._kept.append(subscription := _DdsSubscription(reader, depth, self._clock))
@@ -258,8 +273,22 @@ class DdsTransport(Transport):
             self._watchers[topic] = self._reader(topic, 1, Policy.IgnoreLocal.Participant, only_watches=True)
         return len(self._watchers[topic].get_matched_publications())
 
+    def endpoints(self) -> list[Endpoint]:
+        """See `Transport.endpoints`."""
+        found = []
+        for builtin, is_publisher in (
+            (BuiltinTopicDcpsPublication, True),
+            (BuiltinTopicDcpsSubscription, False),
+        ):
+            reader = BuiltinDataReader(self._participant, builtin)
+            for each in reader.read(MOST_ENDPOINTS, ReadCondition(reader, THERE)):
+                if each.participant_key != self._participant.guid and each.topic_name.startswith("rt/"):
+                    name, kind = each.topic_name.removeprefix("rt"), _ros_type(each.type_name)
+                    found.append(Endpoint(topic=name, type=kind, is_publisher=is_publisher))
+        return found
+
     def wait(self, seconds: float) -> bool:
-        """Wait until a message can be taken, or for a real time [s]; say which."""
+        """See `Transport.wait`."""
         return self._news.wait(max(0, round(seconds * 1e9))) > 0
 
     def close(self) -> None:
@@ -312,9 +341,9 @@ class _DdsSubscription(Subscription):
 
     def take(self) -> list[Message]:
         samples = [each for each in self._reader.take(N=self._most) if not isinstance(each, InvalidSample)]
-        now, stamp, before = self._clock.now(), self._clock.stamp(), self._taken
+        now, before = self._clock.now(), self._taken
         self._taken = now
-        ages = [stamp - 1e-9 * self._clock.rate * each.sample_info.source_timestamp for each in samples]
+        ages = [self._clock.age(each.sample_info.source_timestamp) for each in samples]
         return [
             Message(data=sample.cdr, arrival=min(max(now - age, before), now), age=age)
             for sample, age in zip(samples, ages, strict=True)
@@ -324,5 +353,10 @@ class _DdsSubscription(Subscription):
 def _qos(topic: Topic, depth: int, *policies: object, note: str = "") -> Qos:
     """The qualities of an endpoint, which tells its message's definition: ROS 2 (from Jazzy on) compares."""
     durability = Policy.Durability.TransientLocal if topic.is_latched else Policy.Durability.Volatile
-    definition = Policy.Userdata(f"typehash={STORE.hash_rihs01(topic.type)};{note}".encode())
+    definition = _definition(STORE.hash_rihs01(topic.type), note)
     return Qos(durability, Policy.History.KeepLast(depth), definition, *policies)
+
+
+def _definition(type_hash: str, note: str = "") -> Policy.Userdata:
+    """What an endpoint says of its message's definition, and of itself."""
+    return Policy.Userdata(f"typehash={type_hash};{note}".encode())

@@ -6,7 +6,7 @@ from threading import Condition, RLock
 from typing import NamedTuple, final
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.ros2.transport import Clock, Message, Publisher, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import Clock, Endpoint, Message, Publisher, Subscription, Topic, Transport
 
 
 @final
@@ -37,21 +37,22 @@ class MessageQueue(Subscription):
 
 
 class MessageQueues:
-    """All queues of a node, and the wait for any of them; the clock tells when a message arrives."""
+    """What makes the queues of a node, and the wait for them; the clock tells when a message arrives."""
 
     def __init__(self, clock: Clock) -> None:
         """Begin with none."""
         self._clock, self._arrived = clock, Condition()
         self._queues: list[MessageQueue] = []
 
-    def add(self, depth: int) -> MessageQueue:
-        """Make one that keeps so many messages."""
+    def add(self, depth: int, *, is_awaited: bool = True) -> MessageQueue:
+        """Make one that keeps so many messages, and is waited for or not."""
         queue = MessageQueue(self._clock, self._arrived, depth)
-        self._queues.append(queue)
+        if is_awaited:
+            self._queues.append(queue)
         return queue
 
     def wait(self, seconds: float) -> bool:
-        """Wait until there is a message in any of them, or for a real time [s]; say which."""
+        """Wait until there is a message in any that is waited for, or for a real time [s]; say which."""
         with self._arrived:
             return self._arrived.wait_for(lambda: any(self._queues), timeout=seconds)
 
@@ -91,7 +92,7 @@ class MemoryTransport(Transport):
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """Begin to listen to a topic; one that is latched gives its last messages."""
-        queue = self._queues.add(depth)
+        queue = self._queues.add(depth, is_awaited=not only_watches)
         with self.broker.lock:
             self.listeners.append(_Listener(topic, queue, only_watches))
             for publisher in (each for node in self.broker.nodes for each in node.publishers):
@@ -104,6 +105,17 @@ class MemoryTransport(Transport):
         with self.broker.lock:
             others = (each for node in self.broker.nodes if node is not self for each in node.publishers)
             return sum(_is_same(publisher.topic, topic) for publisher in others)
+
+    def endpoints(self) -> list[Endpoint]:
+        """See `Transport.endpoints`."""
+        with self.broker.lock:
+            others = [node for node in self.broker.nodes if node is not self]
+            found = [(each.topic, True) for node in others for each in node.publishers]
+            found += [(topic, False) for node in others for topic, *_ in node.listeners]
+        return [
+            Endpoint(topic=topic.name, type=topic.type, is_publisher=is_publisher)
+            for topic, is_publisher in found
+        ]
 
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""

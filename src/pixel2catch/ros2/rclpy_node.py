@@ -1,12 +1,13 @@
 """The network of ROS 2 by rclpy, where ROS 2 is sourced: for middlewares that `dds` does not speak.
 
-Written from rclpy's documentation (Humble to Kilted) and never run: this project is tested with `dds` only.
+Tried with rclpy 7.1 (Jazzy) on Cyclone DDS; versions before Iron do not say when a message was sent.
 """
 
 # pyright: reportMissingImports=false
 # ROS 2 is no package of pip's.
 
 import os
+from functools import partial
 from threading import Thread
 from typing import Any, final
 
@@ -15,14 +16,24 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription as RclpySubscription
 from rosidl_runtime_py.utilities import get_message
 
 from pixel2catch.errors import DeploymentError
-from pixel2catch.ros2.memory import MessageQueues
-from pixel2catch.ros2.transport import ANY, LOOPBACK, Clock, Publisher, Subscription, Topic, Transport
+from pixel2catch.ros2.memory import MessageQueue, MessageQueues
+from pixel2catch.ros2.transport import (
+    ANY,
+    LOOPBACK,
+    Endpoint,
+    Publisher,
+    RealClock,
+    Subscription,
+    Topic,
+    Transport,
+)
 
 LOCALHOST = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-"""What keeps ROS 2 to this machine: the first in Humble, the second from Iron on."""
+"""What keeps ROS 2 to this machine, the older setting first."""
 
 OWN_NODES = "pixel2catch"  #: What the names of our nodes begin with; they only watch what others are to take.
 
@@ -31,12 +42,12 @@ OWN_NODES = "pixel2catch"  #: What the names of our nodes begin with; they only 
 class RosTransport(Transport):
     """A node of rclpy, with a thread that receives."""
 
-    def __init__(self, node_name: str, clock: Clock, *, network: str) -> None:
+    def __init__(self, node_name: str, clock: RealClock, *, network: str) -> None:
         """Join.
 
         Raises:
             DeploymentError: It may speak to this machine only, and ROS 2 is not set so, or to one interface,
-                which rclpy cannot choose.
+                which rclpy cannot choose; this version of ROS 2 is too old; or it cannot be started.
         """
         if network == LOOPBACK and not any(
             os.environ.get(name) == value for name, value in LOCALHOST.items()
@@ -48,56 +59,108 @@ class RosTransport(Transport):
                 f"rclpy cannot be told to speak to {network}: take --network {ANY}, and name the interface "
                 "in the settings of its middleware, such as CYCLONEDDS_URI."
             )
-        self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(node_name, context=self._context)
-        self._queues = MessageQueues(clock)
+        if not hasattr(RclpySubscription, "CallbackType"):
+            raise DeploymentError(
+                "this rclpy does not say when a message was sent, so that an old switch would count: "
+                "take ROS 2 Iron or a newer one, or the transport dds."
+            )
+        self._clock, self._queues = clock, MessageQueues(clock)
         self._num_own: dict[str, int] = {}
+        self._context = Context()
+        try:
+            rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+            self._node = rclpy.create_node(
+                node_name, context=self._context, enable_rosout=False, start_parameter_services=False
+            )
+        except RuntimeError as error:
+            rclpy.try_shutdown(context=self._context)
+            raise DeploymentError(
+                f"rclpy cannot join ({error}); look at ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the settings of "
+                "that middleware."
+            ) from error
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._receiver = Thread(target=self._executor.spin, name="rclpy", daemon=True)
+        self._is_open = True
+        self._receiver = Thread(target=self._receive, name="rclpy", daemon=True)
         self._receiver.start()
 
     def publisher(self, topic: Topic) -> Publisher:
         """Announce a topic that this node sends."""
         self._num_own[topic.name] = self._num_own.get(topic.name, 0) + 1
         qos = _qos(topic, 1, is_reader=False)
-        return _RosPublisher(self._node, self._node.create_publisher(_type(topic), topic.name, qos))
+        publisher = self._node.create_publisher(_type(topic), topic.name, qos)
+        return _RosPublisher(topic, self._node, publisher)
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """Begin to listen to a topic; who only watches is known by the name of its node."""
-        queue = self._queues.add(depth)
+        """See `Transport.subscription`; others know who only watches by the name of its node."""
+        queue = self._queues.add(depth, is_awaited=not only_watches)
         qos = _qos(topic, depth, is_reader=True)
-        self._node.create_subscription(_type(topic), topic.name, queue.put, qos, raw=True)
+        keep = partial(_keep, queue, self._clock)
+        self._node.create_subscription(_type(topic), topic.name, keep, qos, raw=True)
         return queue
 
     def num_other_publishers(self, topic: Topic) -> int:
         """How many publishers of a topic there are besides those of this node."""
         return max(0, self._node.count_publishers(topic.name) - self._num_own.get(topic.name, 0))
 
+    def endpoints(self) -> list[Endpoint]:
+        """See `Transport.endpoints`."""
+        node, found = self._node, []
+        for name, _ in node.get_topic_names_and_types():
+            both = ((node.get_publishers_info_by_topic, True), (node.get_subscriptions_info_by_topic, False))
+            for list_of, is_publisher in both:
+                found += [
+                    Endpoint(topic=name, type=each.topic_type, is_publisher=is_publisher)
+                    for each in list_of(name)
+                    if each.node_name != node.get_name()
+                ]
+        return found
+
     def wait(self, seconds: float) -> bool:
-        """Wait until a message can be taken, or for a real time [s]; say which."""
+        """See `Transport.wait`."""
         return self._queues.wait(seconds)
 
     def close(self) -> None:
-        """Leave the network."""
+        """Leave the network; a second time does nothing."""
+        if not self._is_open:
+            return
+        self._is_open = False
+        self._executor.create_task(bool)  # ends the wait of the thread that receives
+        self._receiver.join()
         self._executor.shutdown()
-        self._receiver.join(timeout=1.0)
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
+
+    def _receive(self) -> None:
+        while self._is_open:
+            self._executor.spin_once()
+
+
+def _keep(queue: MessageQueue, clock: RealClock, data: bytes, info: dict[str, int]) -> None:
+    """Take a message from rclpy; its second argument makes rclpy tell when it was sent [ns]."""
+    queue.put(data, clock.age(info["source_timestamp"]))
 
 
 @final
 class _RosPublisher(Publisher):
-    def __init__(self, node: Any, publisher: Any) -> None:
-        self._node, self._publisher = node, publisher
+    def __init__(self, topic: Topic, node: Any, publisher: Any) -> None:
+        self._topic, self._node, self._publisher = topic, node, publisher
 
     def publish(self, data: bytes) -> None:
-        self._publisher.publish(data)
+        try:
+            self._publisher.publish(data)
+        except RuntimeError as error:
+            raise DeploymentError(f"{self._topic.name} cannot be sent ({error}).") from error
 
     def num_subscribers(self) -> int:
-        found = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
-        return sum(not info.node_name.startswith(OWN_NODES) for info in found)
+        found = self._node.get_subscriptions_info_by_topic(self._topic.name)
+        return sum(self._is_taken_by(each) for each in found)
+
+    def _is_taken_by(self, subscription: Any) -> bool:
+        """Whether a subscription hears this publisher, and does more than watch."""
+        wants_latched = subscription.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+        fits = subscription.topic_type == self._topic.type and self._topic.is_latched >= wants_latched
+        return fits and not subscription.node_name.startswith(OWN_NODES)
 
 
 def _type(topic: Topic) -> Any:

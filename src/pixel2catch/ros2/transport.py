@@ -52,6 +52,10 @@ class RealClock(Clock):
         """See `Clock.stamp`."""
         return self.rate * time.time()
 
+    def age(self, sent: int) -> float:
+        """How long ago it was that a sender's real clock showed a time since the epoch [ns]: seconds."""
+        return self.stamp() - 1e-9 * self.rate * sent
+
     def sleep_until(self, moment: float) -> None:
         """See `Clock.sleep_until`."""
         left = (moment - self.now()) / self.rate
@@ -75,6 +79,15 @@ class Message:
     data: bytes  #: CDR, with its header of four bytes.
     arrival: float  #: When it was received, `Clock.now` [s].
     age: float = 0.0  #: How long before it was sent, by the sender's clock [s]; 0 where that is not told.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Endpoint:
+    """A publisher or a subscription of another program."""
+
+    topic: str  #: ROS name.
+    type: str  #: ROS type.
+    is_publisher: bool  #: Whether it sends; else it receives.
 
 
 class Publisher(ABC):
@@ -108,7 +121,8 @@ class Transport(ABC):
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """Begin to listen to a topic; so many messages are kept until they are taken.
 
-        One that only watches, such as a recording's, does not count as a subscriber.
+        One that only watches, such as a recording's, does not count as a subscriber, and is not awaited: its
+        messages end no `wait`.
         """
 
     @abstractmethod
@@ -116,8 +130,12 @@ class Transport(ABC):
         """How many publishers of a topic there are besides those of this node."""
 
     @abstractmethod
+    def endpoints(self) -> list[Endpoint]:
+        """The publishers and subscriptions of all other nodes that are known by now; nothing is announced."""
+
+    @abstractmethod
     def wait(self, seconds: float) -> bool:
-        """Wait until something has arrived for any subscription, or for a real time [s]; say which."""
+        """Wait until something that is awaited has arrived, or for a real time [s]; say which."""
 
     @abstractmethod
     def close(self) -> None:

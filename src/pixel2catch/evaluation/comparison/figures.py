@@ -148,11 +148,11 @@ def throws_figure(cfg: ThrowCfg, seed: int = 0) -> Figure:
         figure = Figure(figsize=(8.0, 7.4), layout="constrained")
         side, top = figure.subplots(2, 1, sharex=True, height_ratios=(2.45, 1.3))
         for axes, view in ((side, SIDE), (top, TOP)):
-            _draw_scene(axes, view, arm)
+            draw_scene(axes, view, arm)
             for path in paths:
                 axes.plot(*path[:, view].T, color=PATH, linewidth=0.8, alpha=0.45)
             for name, color in (("release", RELEASE), ("aim", AIM)):
-                axes.add_patch(_box(ranges[name][view[0]], ranges[name][view[1]], color))
+                axes.add_patch(range_box(ranges[name][view[0]], ranges[name][view[1]], color))
         side.set(title="side view", ylabel="z [m]", ylim=(0.0, 2.45))
         top.set(title="top view", xlabel="x [m], from the robot to the thrower", ylabel="y [m]")
         top.set(xlim=(-0.65, 3.05), ylim=(-0.65, 0.65))
@@ -181,11 +181,11 @@ def arm_points() -> Float[ndarray, "num_points 3"]:
     return np.array([*(data.body(name).xpos for name in CHAIN), data.site("palm").xpos])
 
 
-def _draw_scene(axes: Axes, view: tuple[int, int], arm: Float[ndarray, "num_points 3"]) -> None:
+def draw_scene(axes: Axes, view: tuple[int, int], arm: Float[ndarray, "num_points 3"]) -> None:
     """Draw table, arm, palm and camera, in one scale on both axes."""
     sides = [(TABLE.center[i] - TABLE.size[i] / 2, TABLE.center[i] + TABLE.size[i] / 2) for i in (0, 1)]
     box = (*sides, (TABLE.center[2] - TABLE.thickness, TABLE.center[2]))
-    axes.add_patch(_box(box[view[0]], box[view[1]], WOOD))
+    axes.add_patch(range_box(box[view[0]], box[view[1]], WOOD))
     for edge in _view_edges(view):
         axes.plot(*edge.T, color=VIEW, linewidth=1.0, linestyle=(0, (5, 4)))
     axes.plot(*np.array(RGB_CAMERA.pos)[list(view)], marker="s", markersize=7, color=VIEW, linestyle="none")
@@ -208,7 +208,8 @@ def _view_edges(view: tuple[int, int]) -> Float[ndarray, "2 2 2"]:
     return np.array([(start, start + VIEW_LENGTH * (axis + slope * left)) for slope in slopes])
 
 
-def _box(horizontal: Range, vertical: Range, color: str) -> Rectangle:
+def range_box(horizontal: Range, vertical: Range, color: str) -> Rectangle:
+    """A rectangle that spans two ranges [m]."""
     corner, size = (horizontal[0], vertical[0]), (horizontal[1] - horizontal[0], vertical[1] - vertical[0])
     return Rectangle(corner, *size, facecolor=color, edgecolor=color, alpha=0.55, linewidth=1.5)
 

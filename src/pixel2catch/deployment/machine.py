@@ -1,0 +1,135 @@
+"""What the machine of a deployment must be set to, and how: probes that `doctor` runs. Nothing is changed."""
+
+import os
+import resource
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from pixel2catch.findings import Absent, Broken
+from pixel2catch.ros2.dds import domain_id
+from pixel2catch.ros2.transport import RealClock
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.process import REAL_TIME_PRIORITY
+
+GUIDE = "docs/laboratory.md"  #: Where the steps are.
+LEAST_CORES = 4  #: For servo, policy, perception and drivers. Source: ours.
+LEAST_BUFFER = 4_000_000
+"""Bytes that may wait in a socket: four images. Source: ours, measured with 30 images a second."""
+
+NUM_TICKS = 500  #: Ticks of the servo that are timed: a second.
+
+SPOKEN = ("", "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+"""Values of RMW_IMPLEMENTATION whose messages plain DDS hears; the first is the default of ROS 2."""
+
+LOCAL = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+"""What keeps ROS 2 to its machine: drivers that were started so are not heard by plain DDS."""
+
+
+def cores(root: Path = Path("/")) -> str:
+    """How many cores this process may use, and which are kept free of others."""
+    number = len(os.sched_getaffinity(0))
+    path = root / "sys/devices/system/cpu/isolated"
+    isolated = path.read_text().strip() if path.exists() else ""
+    if number < LEAST_CORES:
+        raise Broken(f"{number} cores; servo, policy, perception and drivers want {LEAST_CORES}")
+    return f"{number} cores, isolated: {isolated or 'none'}"
+
+
+def kernel(root: Path = Path("/")) -> str:
+    """Whether the kernel is made for real time."""
+    flag = root / "sys/kernel/realtime"
+    if flag.exists() and flag.read_text().strip() == "1":
+        return "PREEMPT_RT"
+    raise Absent(f"no PREEMPT_RT: the servo's ticks may be late under load ({GUIDE})")
+
+
+@contextmanager
+def real_time_priority() -> Iterator[bool]:
+    """What the servo process asks for, for a while; it says whether the system grants it."""
+    before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+    except PermissionError:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, before, parameters)
+
+
+def real_time() -> str:
+    """Whether the servo may ask for real-time scheduling."""
+    with real_time_priority() as is_granted:
+        if is_granted:
+            return f"priority {REAL_TIME_PRIORITY} of SCHED_FIFO is granted"
+    limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    raise Broken(
+        f"the limit rtprio is {limit}, the servo asks for priority {REAL_TIME_PRIORITY}: write "
+        f"'@realtime - rtprio 99' into /etc/security/limits.conf, join that group, log in anew ({GUIDE})"
+    )
+
+
+def ticks(limits: ServoLimits) -> str:
+    """How late this process wakes up at the servo's pace, with its priority where that is granted."""
+    clock, worst = RealClock(), 0.0
+    with real_time_priority():
+        due = clock.now()
+        for _ in range(NUM_TICKS):
+            due += limits.dt
+            clock.sleep_until(due)
+            worst = max(worst, clock.now() - due)
+            due = max(due, clock.now() - limits.dt)
+    said = f"of {NUM_TICKS} ticks of {1e3 * limits.dt:g} ms the latest came {1e3 * worst:.2f} ms late"
+    if worst > limits.tick_age / 2.0:
+        raise Broken(f"{said}, the servo stops at {1e3 * limits.tick_age:g} ms: end other programs ({GUIDE})")
+    return said
+
+
+def governor(root: Path = Path("/")) -> str:
+    """What chooses the clock of the cores."""
+    paths = sorted(root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
+    if not paths:
+        raise Absent("the system does not tell, as in virtual machines")
+    found = sorted({path.read_text().strip() for path in paths})
+    if found != ["performance"]:
+        raise Broken(f"{', '.join(found)}: 'sudo cpupower frequency-set -g performance'")
+    return "performance"
+
+
+def receive_buffers(root: Path = Path("/")) -> str:
+    """How much may wait in a socket until it is read."""
+    path = root / "proc/sys/net/core/rmem_max"
+    if not path.exists():
+        raise Absent("the system does not tell, as in containers")
+    size = int(path.read_text())
+    if size < LEAST_BUFFER:
+        raise Broken(
+            f"net.core.rmem_max is {size}, less than {LEAST_BUFFER}: images are lost. "
+            "'sudo sysctl -w net.core.rmem_max=8388608', and the same into /etc/sysctl.d"
+        )
+    return f"net.core.rmem_max is {size}"
+
+
+def dds_settings(
+    is_loopback: bool, environment: Mapping[str, str] = os.environ, root: Path = Path("/")
+) -> str:
+    """What the environment says of the network; ROS_DOMAIN_ID must be that of the drivers."""
+    domain = domain_id()
+    middleware = environment.get("RMW_IMPLEMENTATION", "")
+    if middleware not in SPOKEN:
+        raise Broken(f"RMW_IMPLEMENTATION is {middleware}, which DDS does not hear: take {SPOKEN[1]}")
+    if is_loopback:
+        return f"domain {domain}, this machine only"
+    kept = [f"{name}={value}" for name, value in LOCAL.items() if environment.get(name) == value]
+    if kept:
+        raise Broken(f"{kept[0]}: drivers started so keep to themselves; unset it for them and here")
+    if configured := environment.get("CYCLONEDDS_URI"):
+        return f"domain {domain}, CYCLONEDDS_URI {configured}"
+    states = sorted(root.glob("sys/class/net/*/operstate"))
+    names = [path.parent.name for path in states if path.read_text().strip() == "up"]
+    if len(names) > 1:
+        choice = f"Cyclone DDS takes one of {', '.join(names)}; name it in CYCLONEDDS_URI ({GUIDE})"
+        return f"domain {domain}, no CYCLONEDDS_URI: {choice}"
+    return f"domain {domain}, no CYCLONEDDS_URI"

@@ -1,0 +1,294 @@
+"""What `rclpy_node` uses of rclpy, on the network in memory: it raises on what the real one does not have.
+
+`rclpy_api.json` says what that is: names and parameters, read from the version that it states.
+"""
+
+import inspect
+import json
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from functools import wraps
+from importlib.util import find_spec, module_from_spec
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar
+
+import pytest
+
+from pixel2catch.ros2.memory import Broker, MemoryTransport
+from pixel2catch.ros2.messages import STORE
+from pixel2catch.ros2.transport import RealClock, Topic
+
+API: dict[str, Any] = json.loads(Path(__file__).with_name("rclpy_api.json").read_text())
+
+POLL = 0.002  #: How often an executor without messages looks for tasks [s].
+
+
+def signature(name: str) -> inspect.Signature:
+    """The parameters of a function of rclpy; a default that is no plain value is `...`."""
+    return inspect.signature(eval(f"lambda {API['functions'][name][1:-1]}: None"))
+
+
+def as_in_rclpy(name: str) -> Callable[[Any], Any]:
+    """Let a function be called as the real one of this name can be, and not otherwise."""
+    parameters = signature(name)
+
+    def decorate(function: Any) -> Any:
+        @wraps(function)
+        def call(*args: Any, **options: Any) -> Any:
+            parameters.bind(*args[function.__name__ == "__init__" :], **options)
+            return function(*args, **options)
+
+        return call
+
+    return decorate
+
+
+class Network:
+    """What the nodes of one test are on, and how long its messages were under way [ns]."""
+
+    def __init__(self) -> None:
+        self.broker, self.delay = Broker(), 0
+        self.nodes: list[Node] = []
+
+
+class Destroyable:
+    """What rclpy refuses to use when it is gone, or not yet there."""
+
+    is_usable = True
+
+    def require_usable(self) -> None:
+        if not self.is_usable:
+            raise RuntimeError("cannot use Destroyable because destruction was requested")
+
+
+class Context(Destroyable):
+    network: ClassVar[Network]
+    is_usable = False
+
+    @as_in_rclpy("rclpy.context.Context")
+    def __init__(self) -> None: ...
+
+
+def enumeration(name: str) -> Any:
+    return Enum(name.rpartition(".")[2], API["members"][name])
+
+
+Durability = enumeration("rclpy.qos.QoSDurabilityPolicy")
+Reliability = enumeration("rclpy.qos.QoSReliabilityPolicy")
+Signals = enumeration("rclpy.signals.SignalHandlerOptions")
+
+
+class QoSProfile:
+    @as_in_rclpy("rclpy.qos.QoSProfile")
+    def __init__(self, *, depth: int, reliability: Any, durability: Any) -> None:
+        self._depth, self.durability = depth, durability
+        self._is_latched = durability is Durability["TRANSIENT_LOCAL"]
+        assert reliability is Reliability["RELIABLE"] or not self._is_latched
+
+    def topic(self, msg_type: type, name: str) -> Topic:
+        (kind,) = (kind for kind, known in STORE.types.items() if known is msg_type)
+        return Topic(name=name, type=kind, is_latched=self._is_latched)
+
+
+@dataclass
+class TopicEndpointInfo:
+    """What rclpy tells of a publisher or a subscription; it can tell more."""
+
+    node_name: str
+    topic_type: str
+    qos_profile: QoSProfile
+
+
+class Endpoint(Destroyable):
+    def __init__(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> None:
+        self.topic, self._qos_profile = qos_profile.topic(msg_type, topic), qos_profile
+
+    def info(self, node_name: str) -> TopicEndpointInfo:
+        return TopicEndpointInfo(node_name, self.topic.type, self._qos_profile)
+
+
+class Publisher(Endpoint):
+    def __init__(self, node: MemoryTransport, *described: Any) -> None:
+        super().__init__(*described)
+        self._publisher = node.publisher(self.topic)
+
+    @as_in_rclpy("rclpy.publisher.Publisher.publish")
+    def publish(self, msg: bytes) -> None:
+        self.require_usable()
+        if not isinstance(msg, bytes):
+            raise TypeError(f"Expected a message, got {type(msg)}")
+        self._publisher.publish(msg)
+
+
+class Subscription(Endpoint):
+    class CallbackType:
+        """Iron and newer versions have it; see `rclpy_node`."""
+
+    def __init__(self, node: MemoryTransport, callback: Any, *described: Any) -> None:
+        super().__init__(*described)
+        self._callback, self.messages = callback, node.subscription(self.topic, self._qos_profile._depth)
+        with pytest.raises(TypeError):
+            inspect.signature(callback).bind(object())  # else rclpy would not give it the message's info
+        inspect.signature(callback).bind(object(), object())
+
+    def spin(self, delay: int) -> None:
+        for message in self.messages.take():
+            info = dict.fromkeys(API["members"]["message info"], time.time_ns() - delay)
+            self._callback(message.data, info)
+
+
+class Node(Destroyable):
+    def __init__(self, name: str, context: Context) -> None:
+        context.require_usable()
+        self._name, self._network = name, context.network
+        self._network.nodes.append(self)
+        self.memory = self._network.broker.node(RealClock())
+        self._publishers: list[Publisher] = []
+        self._subscriptions: list[Subscription] = []
+
+    @as_in_rclpy("rclpy.node.Node.create_publisher")
+    def create_publisher(self, msg_type: type, topic: str, qos_profile: QoSProfile) -> Publisher:
+        self._publishers.append(Publisher(self.memory, msg_type, topic, qos_profile))
+        return self._publishers[-1]
+
+    @as_in_rclpy("rclpy.node.Node.create_subscription")
+    def create_subscription(
+        self, msg_type: type, topic: str, callback: Any, qos_profile: QoSProfile, *, raw: bool
+    ) -> Subscription:
+        assert raw, "else the callback gets no bytes"
+        self._subscriptions.append(Subscription(self.memory, callback, msg_type, topic, qos_profile))
+        return self._subscriptions[-1]
+
+    @as_in_rclpy("rclpy.node.Node.count_publishers")
+    def count_publishers(self, topic_name: str) -> int:
+        with self._network.broker.lock:
+            publishers = (each for node in self._network.broker.nodes for each in node.publishers)
+            return sum(publisher.topic.name == topic_name for publisher in publishers)
+
+    @as_in_rclpy("rclpy.node.Node.get_name")
+    def get_name(self) -> str:
+        return self._name
+
+    @as_in_rclpy("rclpy.node.Node.get_topic_names_and_types")
+    def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
+        both = (each for node in self._network.nodes for each in (*node._publishers, *node._subscriptions))
+        return [(name, [kind]) for name, kind in {(each.topic.name, each.topic.type) for each in both}]
+
+    @as_in_rclpy("rclpy.node.Node.get_publishers_info_by_topic")
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
+        found = [(node, each) for node in self._network.nodes for each in node._publishers]
+        return [each.info(node._name) for node, each in found if each.topic.name == topic_name]
+
+    @as_in_rclpy("rclpy.node.Node.get_subscriptions_info_by_topic")
+    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
+        found = [(node, each) for node in self._network.nodes for each in node._subscriptions]
+        return [each.info(node._name) for node, each in found if each.topic.name == topic_name]
+
+    @as_in_rclpy("rclpy.node.Node.destroy_node")
+    def destroy_node(self) -> None:
+        self._network.nodes.remove(self)
+        for handle in (self, *self._publishers):
+            handle.is_usable = False
+        self.memory.close()
+
+    def spin(self) -> None:
+        for subscription in list(self._subscriptions):
+            subscription.spin(self._network.delay)
+
+
+class SingleThreadedExecutor:
+    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor")
+    def __init__(self, *, context: Context) -> None:
+        context.require_usable()
+        self._nodes: list[Node] = []
+        self._tasks: deque[Callable[[], Any]] = deque()
+
+    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor.add_node")
+    def add_node(self, node: Node) -> bool:
+        self._nodes.append(node)
+        return True
+
+    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor.create_task")
+    def create_task(self, callback: Callable[[], Any]) -> None:
+        self._tasks.append(callback)
+
+    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor.spin_once")
+    def spin_once(self) -> None:
+        (node,) = self._nodes
+        while not self._tasks:
+            if node.memory.wait(POLL):
+                return node.spin()
+        return self._tasks.popleft()()
+
+    @as_in_rclpy("rclpy.executors.SingleThreadedExecutor.shutdown")
+    def shutdown(self) -> bool:
+        self._nodes.clear()
+        return True
+
+
+@as_in_rclpy("rclpy.init")
+def init(*, args: list[str], context: Context, signal_handler_options: Any) -> None:
+    assert args == [], "else it reads those of the command line"
+    assert signal_handler_options is Signals["NO"], "a command has its own"
+    context.is_usable = True
+
+
+@as_in_rclpy("rclpy.create_node")
+def create_node(
+    node_name: str, *, context: Context, enable_rosout: bool, start_parameter_services: bool
+) -> Node:
+    assert node_name.isidentifier()
+    return Node(node_name, context)
+
+
+@as_in_rclpy("rclpy.try_shutdown")
+def try_shutdown(*, context: Context) -> None:
+    context.is_usable = False
+
+
+@as_in_rclpy("rosidl_runtime_py.utilities.get_message")
+def get_message(identifier: str) -> type:
+    try:
+        return STORE.types[identifier]
+    except KeyError:
+        raise ModuleNotFoundError(f"No module named '{identifier.partition('/')[0]}'") from None
+
+
+STAND_IN = {
+    "rclpy": {"init": init, "create_node": create_node, "try_shutdown": try_shutdown},
+    "rclpy.context": {"Context": Context},
+    "rclpy.executors": {"SingleThreadedExecutor": SingleThreadedExecutor},
+    "rclpy.qos": {
+        "QoSDurabilityPolicy": Durability,
+        "QoSProfile": QoSProfile,
+        "QoSReliabilityPolicy": Reliability,
+    },
+    "rclpy.signals": {"SignalHandlerOptions": Signals},
+    "rclpy.subscription": {"Subscription": Subscription},
+    "rosidl_runtime_py": {},
+    "rosidl_runtime_py.utilities": {"get_message": get_message},
+}
+
+
+NODE = "pixel2catch.ros2.rclpy_node"
+
+
+def install(patch: pytest.MonkeyPatch) -> Network:
+    """Let the package import rclpy, until the end of a test; its nodes are on a network of their own."""
+    for name, members in STAND_IN.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        patch.setitem(sys.modules, name, module)
+    specification = find_spec(NODE)
+    assert specification is not None
+    assert specification.loader is not None
+    module = module_from_spec(specification)
+    patch.setitem(sys.modules, NODE, module)
+    specification.loader.exec_module(module)
+    patch.setattr(Context, "network", network := Network(), raising=False)
+    return network

@@ -1,0 +1,194 @@
+"""The laboratory kit agrees with the shipped profiles: launch files, lines of the guide, the risk table."""
+
+import ast
+import json
+import re
+import shlex
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+
+from pixel2catch.deployment.laboratory import checks_of_laboratory
+from pixel2catch.deployment.survey import Survey
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import PROFILES, Profile, RobotPart
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.workcells import find_workcell
+
+ROOT = Path(__file__).parents[1]
+LAUNCH = PROFILES.parent / "launch"
+GUIDE = re.sub(r" \\\n +", " ", (ROOT / "docs" / "laboratory.md").read_text("utf-8"))
+RISKS = (ROOT / "docs" / "risks.md").read_text("utf-8")
+SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
+GROUP = "push-ros-namespace"
+
+
+@cache
+def launch(name: str) -> ElementTree.Element:
+    return ElementTree.parse(LAUNCH / f"{name}.launch.xml").getroot()
+
+
+@cache
+def parameters(name: str) -> dict[str, Any]:
+    return yaml.safe_load((LAUNCH / f"{name}.yaml").read_text("utf-8"))
+
+
+def arguments(name: str) -> dict[str, str | None]:
+    """Arguments of a launch file, with their defaults."""
+    return {arg.attrib["name"]: arg.get("default") for arg in launch(name).findall("arg")}
+
+
+def included(name: str) -> dict[str, str]:
+    """What a launch file hands on to the driver's own."""
+    return {arg.attrib["name"]: arg.attrib["value"] for arg in launch(name).iterfind("include/arg")}
+
+
+def order(part: RobotPart) -> list[str]:
+    """The driver's names of the joints of a command, where the profile has them."""
+    names = {joint.index_in_command: joint.name_in_state for joint in part.joints.values()}
+    return [names.get(place, "") for place in range(part.command_size)]
+
+
+def test_the_hand_is_launched_with_the_topics_and_joints_of_its_profile():
+    hand = Profile.load("ur5e_allegro_v4").robots[1]
+    (group,) = launch("hand_v4").findall("group")
+    namespace = group.find(GROUP)
+    assert namespace is not None
+    prefix = f"/{namespace.attrib['namespace']}"
+    remaps = {each.attrib["from"]: each.attrib["to"] for each in group.iterfind("node/remap")}
+    assert remaps["joint_states"] == hand.state_topic.name
+    controller = hand.command_topic.name.removeprefix("/").removesuffix("/commands")
+    assert remaps[f"{controller}/commands"] == hand.command_topic.name
+    assert set(parameters("hand_v4")) == {f"{prefix}/controller_manager", f"{prefix}/{controller}"}
+    manager, own = (parameters("hand_v4")[f"{prefix}/{name}"] for name in ("controller_manager", controller))
+    assert manager["ros__parameters"]["update_rate"] == hand.rate_hz
+    joints = own["ros__parameters"]["joints"]
+    assert len(joints) == len(set(joints)) == hand.command_size
+    assert [mine or theirs for mine, theirs in zip(order(hand), joints, strict=True)] == joints
+    started = group.findall("node[@exec='spawner']")[0].attrib["args"].split()
+    assert started == ["joint_state_broadcaster", controller, "-c", f"{prefix}/controller_manager"]
+    assert f"-c {prefix}/controller_manager" in GUIDE
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_camera_is_launched_as_the_profiles_and_policies_want_it(name: str):
+    camera, settings = Profile.load(name).camera, parameters("camera")
+    handed = included("camera")
+    place = f"/{handed['camera_namespace']}/{handed['camera_name']}/color"
+    assert camera.info is not None
+    assert (camera.image.name, camera.info.name) == (f"{place}/image_raw", f"{place}/camera_info")
+    profile = f"{RGB_CAMERA.width}x{RGB_CAMERA.height}x{1 / CONTROL_DT:.0f}"
+    assert settings["rgb_camera.color_profile"] == profile
+    assert (camera.width, camera.height) == (RGB_CAMERA.width, RGB_CAMERA.height)
+    assert settings["rgb_camera.color_format"].lower() == camera.encoding
+    automatic = [key for key in settings if "auto" in key]
+    assert len(automatic) == 2
+    assert not any(settings[key] for key in automatic)
+    for key, value in settings.items():
+        if key.startswith("rgb_camera.") and "time" not in key:
+            said = str(value).lower() if isinstance(value, bool) else value
+            assert re.search(rf"{re.escape(key)}(: |:=| ){said}\b", GUIDE), key
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_arm_is_launched_and_switched_to_the_controller_of_the_profiles(name: str):
+    arm = Profile.load(name).robots[0]
+    controller = arm.command_topic.name.removeprefix("/").removesuffix("/commands")
+    homing = included("ur5e")["initial_joint_controller"]
+    assert homing != controller
+    assert f"--deactivate {homing} --activate {controller}" in GUIDE
+    assert included("ur5e")["headless_mode"] == "false"
+    assert arguments("ur5e")["mock"] == "false"
+
+
+def lines(start: str) -> list[list[str]]:
+    """Words of the lines of the guide that begin so, be they in a block or in a table."""
+    quoted = r'(?:"(?:[^"\\]|\\.)*"|[^"\n`])*'  # a text in quotes may go on in the next line
+    found = re.findall(rf"^ *({re.escape(start)}{quoted})$|`({re.escape(start)}[^`]*)`", GUIDE, re.MULTILINE)
+    return [shlex.split(block or cell) for block, cell in found]
+
+
+def test_lines_of_our_launch_files_have_arguments_that_there_are():
+    ours = [words for words in lines("ros2 launch ") if words[2].endswith(".launch.xml")]
+    assert {words[2] for words in ours} == {path.name for path in LAUNCH.glob("*.xml")}
+    for _, _, name, *given in ours:
+        known = arguments(name.removesuffix(".launch.xml"))
+        assert {word.partition(":=")[0] for word in given} <= set(known)
+        assert {key for key, default in known.items() if default is None} <= {w.split(":=")[0] for w in given}
+
+
+def test_launch_files_are_shipped_and_refer_to_what_is_there():
+    shipped = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]
+    assert "ros2/launch/*" in shipped["package-data"]["pixel2catch"]
+    for path in LAUNCH.glob("*.xml"):
+        for file in re.findall(r"\$\(dirname\)/([\w.]+)", path.read_text("utf-8")):
+            assert (LAUNCH / file).exists()
+
+
+def test_the_start_pose_of_the_guide_is_that_of_the_task():
+    profiles = [Profile.load(name) for name in SHIPPED]
+    home = np.array([joint.home for joint in find_workcell(profiles[0].workcell).joints])
+    ((*_, goal),) = lines("ros2 action send_goal ")
+    trajectory = yaml.safe_load(goal)["trajectory"]
+    arm = profiles[0].robots[0]
+    assert trajectory["joint_names"] == order(arm)
+    assert trajectory["points"][0]["positions"] == pytest.approx(home[arm.ids], abs=1e-3)
+    said = {
+        words[4]: (words[5], yaml.safe_load(words[6])) for words in lines("ros2 topic pub --once /allegro")
+    }
+    assert len(said) == len(profiles)
+    for profile in profiles:
+        hand = profile.robots[1]
+        kind, content = said[hand.command_topic.name]
+        values = content["data" if kind == messages.FLOAT_ARRAY else "position"]
+        expected = np.zeros(hand.command_size)
+        expected[[joint.index_in_command for joint in hand.joints.values()]] = home[hand.ids]
+        assert kind == hand.command_topic.type
+        assert values == pytest.approx(expected, abs=1e-3)
+
+
+def test_the_prompt_of_the_guide_is_one():
+    topic = Profile.load(SHIPPED[0]).operator.prompt
+    ((*_, name, kind, content),) = lines("ros2 topic pub --once /pixel2catch/prompt")
+    assert (name, kind) == (topic.name, topic.type)
+    xmin, ymin, xmax, ymax = json.loads(yaml.safe_load(content)["data"])["box"]
+    assert 0 <= xmin < xmax <= RGB_CAMERA.width
+    assert 0 <= ymin < ymax <= RGB_CAMERA.height
+
+
+def test_every_check_of_a_laboratory_is_explained():
+    nothing = Survey(endpoints=(), heard={})
+    checks = checks_of_laboratory(Profile.load("ur5e_allegro_v4"), nothing, RGB_CAMERA, is_loopback=True)
+    rows = re.findall(r"^\| ([^|]+) \|", GUIDE[GUIDE.index("| check |") :], re.MULTILINE)
+    assert {name for row in rows for name in row.split(", ")} >= {check.name for check in checks}
+
+
+def test_hazards_are_numbered_and_files_and_tests_of_the_guards_exist():
+    rows = [row.split(" | ") for row in re.findall(r"^\| (\d+ \| .*) \|$", RISKS, re.MULTILINE)]
+    hazards, guards = ([row for row in rows if len(row) == columns] for columns in (4, 3))
+    assert [int(number) for number, *_ in hazards] == list(range(1, len(hazards) + 1))
+    unguarded = {number for number, _, guard, _ in hazards if guard == "none"}
+    assert len(hazards) > 20
+    assert [number for number, *_ in guards] == [n for n, *_ in hazards if n not in unguarded]
+    for _, files, tests in guards:
+        for file in re.findall(r"`([^`]+)`", files):
+            assert (ROOT / "src" / "pixel2catch" / file).is_file(), file
+        for name in re.findall(r"`([^`]+)`", tests):
+            path, _, function = name.partition("::")
+            tree = ast.parse((ROOT / "tests" / path).read_text("utf-8"))
+            assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, name
+
+
+def test_numbers_of_the_guide_are_those_of_scene_and_limits():
+    """Words that are said of the drawing; the drawing itself is drawn from the scene."""
+    joints = find_workcell("ur5e_allegro").joints
+    limit = round(np.degrees(joints[0].velocity_limit))
+    assert f"policies know {limit}°/s as the limit" in GUIDE
+    x, _, z = RGB_CAMERA.pos
+    assert f"{-x:.2f} m behind the base, {z:.2f} m over the floor" in GUIDE
