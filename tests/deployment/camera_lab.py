@@ -11,7 +11,7 @@ from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
 
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.process import set_niceness
@@ -75,7 +75,7 @@ def laboratory(words: Connection, rate: float) -> None:
     """Be the laboratory until the other end of the pipe is closed; answer each word."""
     set_niceness(-10)
     clock = RealClock(rate)
-    with make_transport("dds", "laboratory", True, clock) as transport:
+    with make_transport("dds", "laboratory", LOOPBACK, clock) as transport:
         lab, due = CameraLab(transport, Profile.load("ur5e_allegro_v4"), clock), clock.now()
         try:
             while True:

@@ -60,9 +60,15 @@ class Chaos:
             arm_stamp=self._requests(),
             is_stop_requested=self._happens(),
             is_safe=~self._happens(),
-            speed_scaling=np.where(self._happens(), self.random.choice([0.0, 0.9, np.nan], self.rows), 1.0),
+            speed_scaling=np.where(
+                self._happens(), self.random.choice([0.0, 0.9, 1.1, np.inf, np.nan], self.rows), 1.0
+            ),
+            is_status_known=~self._happens(),
+            has_controller=~self._happens(),
             has_other_publisher=self._happens(),
             has_other_operator=self._happens(),
+            has_subscriber=~self._happens(),
+            has_other_subscriber=self._happens(),
         )
 
     def follow(self, command: np.ndarray) -> None:

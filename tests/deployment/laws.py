@@ -76,7 +76,11 @@ class Laws:
             & (now - inputs.dead_man_stamp <= limits.operator_age)
             & ~inputs.is_stop_requested
             & inputs.is_safe
-            & (inputs.speed_scaling >= 1.0)
+            & (inputs.speed_scaling == 1.0)
+            & inputs.is_status_known
+            & inputs.has_controller
+            & inputs.has_subscriber
+            & ~inputs.has_other_subscriber
             & ~inputs.has_other_publisher
             & ~inputs.has_other_operator
             & (inputs.joint_pos > limits.joints.least).all(axis=-1)

@@ -22,6 +22,12 @@ def given(**change: np.ndarray) -> Callable[[ServoInputs], ServoInputs]:
     return lambda good: replace(good, **change)
 
 
+def noisy(good: ServoInputs) -> ServoInputs:
+    """As encoders are."""
+    noise = 1e-5 * np.random.default_rng(int(1e4 * good.now[0])).standard_normal(good.joint_pos.shape)
+    return replace(good, joint_pos=good.joint_pos + noise)
+
+
 class Lab:
     """A core, and inputs in which all is well but for what a test changes.
 
@@ -59,7 +65,11 @@ class Lab:
             is_safe=np.ones(self.rows, dtype=bool),
             speed_scaling=np.ones(self.rows),
             has_other_publisher=np.zeros(self.rows, dtype=bool),
+            is_status_known=np.ones(self.rows, dtype=bool),
+            has_controller=np.ones(self.rows, dtype=bool),
             has_other_operator=np.zeros(self.rows, dtype=bool),
+            has_subscriber=np.ones(self.rows, dtype=bool),
+            has_other_subscriber=np.zeros(self.rows, dtype=bool),
         )
 
     def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:

@@ -19,7 +19,7 @@ from camera_lab import laboratory
 from domains import PATIENCE, own_domain
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
 
 RATE = 0.05
@@ -35,7 +35,7 @@ class Watcher:
     def __init__(self, node: Transport, clock: RealClock, stack: ExitStack, folder: Path) -> None:
         self.clock, self._stack = clock, stack
         self._statuses = node.subscription(PROFILE.operator.status, 50)
-        self._commands = node.subscription(ARM, 2000)
+        self._commands = node.subscription(ARM, 2000, only_watches=True)
         self.statuses: list[dict[str, Any]] = []
         self.commands: list[tuple[float, np.ndarray]] = []
         self.log = folder / "deploy.txt"
@@ -44,7 +44,7 @@ class Watcher:
 
     def _start_deploy(self) -> subprocess.Popen[bytes]:
         """Deploy, with eyes for red."""
-        command = [sys.executable, "-m", "pixel2catch", "deploy", "--loopback", "--clock", str(RATE)]
+        command = [sys.executable, "-m", "pixel2catch", "deploy", "--clock", str(RATE)]
         command += ["--segmenter", "color", "--color", "340", "20", "--record", str(self.log.parent / "tape")]
         file = self._stack.enter_context(self.log.open("wb"))
         process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
@@ -109,7 +109,7 @@ def watcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watcher
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     with ExitStack() as stack:
         clock = RealClock(RATE)
-        node = stack.enter_context(make_transport("dds", "watcher", True, clock))
+        node = stack.enter_context(make_transport("dds", "watcher", LOOPBACK, clock))
         yield Watcher(node, clock, stack, tmp_path)
 
 

@@ -35,7 +35,7 @@ class Watcher:
         self.start_laboratory()
         node = self.broker.node(self.clock)
         self._statuses = node.subscription(PROFILE.operator.status, 50)
-        self._commands = node.subscription(ARM, 50)
+        self._commands = node.subscription(ARM, 50, only_watches=True)
         self.statuses: list[dict[str, Any]] = []
         self.commands: list[tuple[float, np.ndarray]] = []
         policy, _ = load_policy(None)
@@ -185,7 +185,7 @@ def test_a_killed_laboratory_stops_everything_and_a_new_one_can_be_armed(watcher
     watcher.run()
     watcher.kill_laboratory()
     watcher.until(lambda: watcher.status["mode"] == "stopped")
-    assert {"joints stale", "image stale"} & set(watcher.status["stopped_by"])
+    assert {"joints stale", "image stale", "no subscriber"} & set(watcher.status["stopped_by"])
     watcher.start_laboratory()
     watcher.run()
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mishaps import MISHAPS, all_at_once
-from servo_rows import HOME, LIMITS, Lab, given
+from servo_rows import HOME, LIMITS, Lab, given, noisy
 
 from paper_robot import JOINTS
 from pixel2catch.scene.constants import CONTROL_DT
@@ -172,7 +172,7 @@ def test_an_arm_that_is_held_fast_stops_fingers_do_not():
     lab = Lab().started()
     lab.is_held_fast[6:] = True
     lab.target[0, 6:] += 0.5
-    assert lab.run(0.4).mode == Mode.RUN
+    assert lab.run(0.4, noisy).mode == Mode.RUN
     lab.is_held_fast[1] = True
     lab.target[0, 1] += 0.3
     lab.run(0.5)

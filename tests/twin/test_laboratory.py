@@ -291,7 +291,7 @@ def examined(capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int | s
     """Exit status and checks by name of `doctor --robot`."""
     status: int | str | None = 0
     try:
-        main(["doctor", "--robot", "ur5e_allegro_v4", "--loopback", "--json", *options])
+        main(["doctor", "--robot", "ur5e_allegro_v4", "--json", *options])
     except SystemExit as ending:
         status = ending.code
     return status, {each["name"]: each for each in json.loads(capsys.readouterr().out)["checks"]}
@@ -325,7 +325,7 @@ def test_it_hears_the_twin_of_another_process(
             assert line, "it has ended"
         status, checks = examined(capsys, "--clock", rate)
         assert status == 0, {name: each for name, each in checks.items() if each["state"] == "BAD"}
-        node = stack.enter_context(make_transport("dds", "rogue", True, RealClock()))
+        node = stack.enter_context(make_transport("dds", "rogue", "lo", RealClock()))
         node.publisher(PROFILE.robots[0].command_topic)
         status, checks = examined(capsys, "--clock", rate)
         assert status == 1

@@ -138,7 +138,10 @@ class DeploymentRecorder:
         topics = {topic for part in profile.robots for topic in (part.state_topic, part.command_topic)}
         topics |= {*vars(profile.operator).values()}
         topics |= {topic for topic in vars(profile.status).values() if topic}
-        self._subscriptions = [(topic, transport.subscription(topic, DEPTH)) for topic in topics]
+        topics |= {part.controller.activity for part in profile.robots if part.controller}
+        self._subscriptions = [
+            (topic, transport.subscription(topic, DEPTH, only_watches=True)) for topic in topics
+        ]
 
     @property
     def trouble(self) -> str:

@@ -78,6 +78,8 @@ class Surveyor:
             (status.speed_scaling, messages.read_number),
         ]
         found += [(part.state_topic, messages.read_joint_state) for part in profile.robots]
+        controllers = (part.controller for part in profile.robots if part.controller)
+        found += [(each.activity, messages.read_active_controllers) for each in controllers]
         return [(topic, read) for topic, read in found if topic is not None]
 
     def is_complete(self) -> bool:

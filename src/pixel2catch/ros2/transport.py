@@ -3,11 +3,13 @@
 Nothing here waits but `Transport.wait`; what arrives is kept until it is taken, up to a depth.
 """
 
+import socket
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import final
+from typing import Annotated, final
 
+from pixel2catch.checks import Requirement
 from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
 from pixel2catch.installation import install_command
 
@@ -91,6 +93,10 @@ class Publisher(ABC):
     def publish(self, data: bytes) -> None:
         """Send a serialised message."""
 
+    @abstractmethod
+    def num_subscribers(self) -> int:
+        """How many subscriptions take its messages, those left out that only watch."""
+
 
 class Subscription(ABC):
     """Receives messages of one topic."""
@@ -108,8 +114,11 @@ class Transport(ABC):
         """Announce a topic that this node sends."""
 
     @abstractmethod
-    def subscription(self, topic: Topic, depth: int = 1) -> Subscription:
-        """Begin to listen to a topic; so many messages are kept until they are taken."""
+    def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
+        """Begin to listen to a topic; so many messages are kept until they are taken.
+
+        One that only watches, such as a recording's, does not count as a subscriber.
+        """
 
     @abstractmethod
     def num_other_publishers(self, topic: Topic) -> int:
@@ -117,7 +126,10 @@ class Transport(ABC):
 
     @abstractmethod
     def endpoints(self) -> list[Endpoint]:
-        """The publishers and subscriptions of all other nodes that are known by now; nothing is announced."""
+        """The publishers and subscriptions of all other nodes that are known by now; nothing is announced.
+
+        Subscriptions that only watch are left out.
+        """
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
@@ -143,23 +155,44 @@ TRANSPORTS = {
 """Names of the transports, and how to get what they need."""
 
 
-def make_transport(name: str, node_name: str, loopback: bool, clock: RealClock) -> Transport:
-    """Join the network by one of `TRANSPORTS`; by loopback, to speak to this machine only.
+LOOPBACK, ANY = "lo", "any"
+"""Networks besides the interfaces of this machine: itself alone, and what the transport takes by itself."""
+
+
+@final
+@dataclass(frozen=True)
+class Reachable(Requirement):
+    """A network that this machine is on."""
+
+    def require(self, name: str, value: str) -> None:
+        """Refuse an interface that there is not, and name those that there are."""
+        known = dict.fromkeys((LOOPBACK, *(interface for _, interface in socket.if_nameindex()), ANY))
+        if value not in known:
+            raise UnknownNameError(name, value, known)
+
+
+NetworkName = Annotated[str, Reachable()]
+"""`LOOPBACK`, an interface of this machine, or `ANY`."""
+
+
+def make_transport(name: str, node_name: str, network: str, clock: RealClock) -> Transport:
+    """Join a network, a `NetworkName`, by one of `TRANSPORTS`.
 
     Raises:
-        UnknownNameError: There is no such transport.
+        UnknownNameError: There is no such transport or network.
         DeploymentError: Its library is missing, or it cannot be started.
     """
     if name not in TRANSPORTS:
         raise UnknownNameError("transport", name, TRANSPORTS)
+    Reachable().require("network", network)
     try:
         if name == "dds":
             from pixel2catch.ros2.dds import DdsTransport
 
-            return DdsTransport(node_name, clock, loopback=loopback)
+            return DdsTransport(node_name, clock, network=network)
         from pixel2catch.ros2.rclpy_node import RosTransport
 
-        return RosTransport(node_name, clock, loopback=loopback)
+        return RosTransport(node_name, clock, network=network)
     except ImportError as error:
         raise DeploymentError(
             f"the transport '{name}' cannot be loaded ({error}): {TRANSPORTS[name]}."

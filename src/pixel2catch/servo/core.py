@@ -33,10 +33,12 @@ from pixel2catch.servo.motion import (
     wished,
 )
 from pixel2catch.servo.watchdogs import (
+    Commanded,
     Fault,
     JointTrack,
     ServoInputs,
     bits,
+    faults_of_joints,
     faults_of_policy,
     faults_of_robot,
     is_recent,
@@ -148,22 +150,17 @@ class Findings:
     def of(cls, state: ServoState, inputs: ServoInputs, limits: ServoLimits) -> "Findings":
         """Look at everything."""
         joints = limits.joints
-        track, is_jump = state.track.continued(inputs.joint_pos, inputs.joint_stamp, joints.jump_speed)
-        is_beyond = ((inputs.joint_pos < joints.least) | (inputs.joint_pos > joints.most)).any(axis=-1)
-        is_fast = (np.abs(track.speed) > joints.joint_speed).any(axis=-1)
+        commanded = Commanded(
+            position=state.motion.position,
+            expected=state.expected,
+            is_followed=state.is_active & (state.ticks > 0),
+        )
+        track, of_joints = faults_of_joints(state.track, inputs, commanded, limits)
         joint_pos = np.where(np.isfinite(inputs.joint_pos), inputs.joint_pos, state.motion.position)
-        is_off = (np.abs(joint_pos - state.expected) > joints.tracking_error).any(axis=-1)
         is_far = (np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance).any(axis=-1)
         return cls(
             joint_pos=joint_pos,
-            robot=faults_of_robot(inputs, limits, state.now)
-            | bits(
-                {
-                    Fault.JOINTS_IMPLAUSIBLE: is_beyond | is_jump,
-                    Fault.JOINT_SPEED: is_fast & state.is_active,
-                    Fault.TRACKING_ERROR: is_off & state.is_active,
-                }
-            ),
+            robot=faults_of_robot(inputs, limits, state.now) | of_joints,
             policy=faults_of_policy(inputs, limits)
             | bits({Fault.TARGET_FAR: is_far & state.is_in(Mode.ARMED)}),
             track=track,

@@ -45,14 +45,23 @@ class JointLimits:
     lag: Joints  #: How long a joint is behind its command [s].
     lead: Joints  #: How far a command goes ahead of its joint [rad].
     tracking_error: Joints  #: Distance of a joint from where its servo should have it that is a fault [rad].
-    moved_error: Joints  #: Distance from a stopped command from which somebody has moved the joint [rad].
+    #: How wrong the lag may be, as a share of it. Source: ours; a joint may follow at once if not identified.
+    lag_error: float
+    #: Distance of a finger's joint from what its commands explain that is a fault [rad]. Source: ours, twice
+    #: what objects push fingers away in simulated catches.
+    escape: Joints
+    #: Distance from a stopped command from which somebody has moved the joint [rad]. Source: ours, three times
+    #: `start_error`.
+    moved_error: Joints
     least: Joints  #: Lowest position that a joint can have [rad].
     most: Joints  #: Highest position that a joint can have [rad].
     joint_speed: Joints  #: Speed of a joint that is a fault [rad/s].
     jump_speed: Joints  #: Speed that a joint cannot have [rad/s].
     start_error: Joints  #: Largest distance of a joint from the first command [rad].
     start_distance: Joints  #: Largest distance of the policy's first target from the first command [rad].
-    position_age: Joints  #: Age of a measured position that is a fault [s].
+    #: Age of a measured position that is a fault [s]. Source: ours, ten cycles of the UR driver, five of the
+    #: slowest Allegro driver.
+    position_age: Joints
 
     @classmethod
     def of(
@@ -79,10 +88,8 @@ class JointLimits:
             lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
             joint_speed, jump_speed: ours; a joint's own limit, and what an estimate may be wrong by.
             tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
-            moved_error: ours; three times `start_error`.
             start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
                 finger's target is anywhere.
-            position_age: ours: ten cycles of the UR driver, five of the slowest Allegro driver.
 
         Raises:
             InvalidValueError: The share is out of range.
@@ -105,6 +112,8 @@ class JointLimits:
             lag=lag,
             lead=lead,
             tracking_error=0.75 * lead * each(1.0, np.inf),
+            lag_error=0.5 if is_identified else 1.0,
+            escape=each(np.inf, 0.5),
             moved_error=each(0.06, np.inf),
             least=ends[0] - BEYOND_TRAVEL,
             most=ends[1] + BEYOND_TRAVEL,
@@ -120,7 +129,7 @@ class JointLimits:
         if not (self.lower < self.upper).all():
             raise InvalidValueError("a joint's lower limit is not below its upper limit")
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
-            if not (getattr(self, name) > 0.0).all():
+            if not np.all(getattr(self, name) > 0.0):
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
 
 

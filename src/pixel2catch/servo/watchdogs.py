@@ -12,10 +12,21 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.motion import Bits, Flags, Joints, Rows, Times
+from pixel2catch.servo.motion import Bits, Flags, Rows, Times
 
 JITTER = 0.015  #: How much earlier or later a position may arrive than others do [s]. Source: ours.
 SMOOTHING = 0.04  #: Time over which the speed of a joint is estimated [s]. Source: ours.
+REST_ERROR = (
+    0.05  #: Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours.
+)
+
+SLACK_LAGS = 3.0
+"""In how many lags a distance from the command is forgotten that a motion explains. Source: ours."""
+
+FROZEN_ANGLE = 0.01
+"""Motion of a command in which its joint must be measured elsewhere by a bit at least [rad]. Source: ours."""
+
+FROZEN_TIME = 0.15  #: Time that a joint has for that [s]. Source: ours, more than the lag of any servo here.
 CLOCK_ERROR = 1e-3  #: How far ahead a stamp may be [s]. Source: ours; processes read the clock in turn.
 
 AnyFlag = TypeVar("AnyFlag", bound=IntFlag)
@@ -44,6 +55,11 @@ class Fault(IntFlag):
     JOINT_SPEED = 131072
     OTHER_OPERATOR = 262144
     SWITCH_NOT_PRESSED = 524288
+    STATUS_UNKNOWN = 1 << 22
+    NO_SUBSCRIBER = 1 << 23
+    OTHER_SUBSCRIBER = 1 << 24
+    CONTROLLER = 1 << 25
+    JOINTS_FROZEN = 1 << 26
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,40 +79,82 @@ class ServoInputs:
     is_stop_requested: Flags  #: Whether the operator, or anything else, asks to stop.
     is_safe: Flags  #: Whether the robot's program runs in its normal safety mode.
     speed_scaling: Times  #: Share of the full speed at which the robot runs its program; 1 is full.
+    is_status_known: Flags  #: Whether the drivers have said all that is watched of them, and it holds.
+    has_controller: Flags  #: Whether the controllers that take our commands are active.
     has_other_publisher: Flags  #: Whether anybody else sends commands to the robot.
     has_other_operator: Flags  #: Whether several hold the switch, or ask to arm.
+    has_subscriber: Flags  #: Whether somebody takes the commands of each driver.
+    has_other_subscriber: Flags  #: Whether several take the commands of one.
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Commanded:
+    """What the joints have been told up to a tick."""
+
+    position: Rows  #: Newest commands [rad].
+    expected: Rows  #: Where the joints should be, by the lag of their servos [rad].
+    is_followed: Flags  #: Whether the robot has been commanded, from the same pose on, for a tick at least.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTrack:
-    """What has been measured of every joint so far."""
+    """What has been measured of every joint so far, and what of it the commands explain."""
 
     position: Rows  #: Newest position that was a number [rad].
     stamp: Rows  #: When it was measured [s].
     speed: Rows  #: Estimated speed [rad/s].
+    explained: Rows  #: Position nearest to it to which the commands may have led, or something stopped [rad].
+    slack: Rows  #: How far behind its command a joint may still be, by the motion of late [rad].
+    anchor: Rows  #: Where the command was when the measurement last changed [rad].
+    still_time: Rows  #: How long the measurement has not changed, though the command has moved [s].
 
     @classmethod
     def unknown(cls, num_rows: int, num_joints: int) -> "JointTrack":
         """Before the first measurement."""
         none = np.full((num_rows, num_joints), np.nan)
-        return cls(position=none, stamp=none, speed=0.0 * np.nan_to_num(none))
+        zeros = np.zeros((num_rows, num_joints))
+        return cls(
+            position=none,
+            stamp=none,
+            speed=zeros,
+            explained=zeros,
+            slack=zeros,
+            anchor=zeros,
+            still_time=zeros,
+        )
 
-    def continued(self, position: Rows, stamp: Rows, most: Joints) -> tuple["JointTrack", Flags]:
-        """What is known with new positions [rad] of some time [s], and whether one went as none can.
-
-        No joint is faster than `most` [rad/s].
-        """
+    def continued(
+        self, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
+    ) -> tuple["JointTrack", Flags]:
+        """What is known with new positions, and whether one went as none can."""
+        joints, position, stamp = limits.joints, inputs.joint_pos, inputs.joint_stamp
         is_known = np.isfinite(self.stamp)
         is_new = np.isfinite(position) & np.isfinite(stamp) & ~(stamp <= self.stamp)
         elapsed = np.where(is_known & is_new, stamp - self.stamp, 0.0)
         moved = np.where(is_known & is_new, position - self.position, 0.0)
-        is_jump = np.abs(moved) > most * (elapsed + JITTER)
+        is_jump = np.abs(moved) > joints.jump_speed * (elapsed + JITTER)
         share = np.minimum(elapsed / SMOOTHING, 1.0)
         speed = (1.0 - share) * self.speed + np.where(is_jump, 0.0, moved / np.maximum(elapsed, SMOOTHING))
+        command, expected, is_followed = (
+            commanded.position,
+            commanded.expected,
+            commanded.is_followed[:, None],
+        )
+        lowest = np.minimum(np.minimum(command, expected), self.explained)
+        highest = np.maximum(np.maximum(command, expected), self.explained)
+        is_measured = np.isfinite(position)
+        explained = np.where(is_followed, position.clip(lowest, highest), position)
+        left = 1.0 - np.minimum(limits.dt / (SLACK_LAGS * joints.lag), 1.0)
+        anchor = np.where(is_followed & ~(is_new & (moved != 0.0)), self.anchor, command)
+        is_still = np.abs(command - anchor) > FROZEN_ANGLE
         track = JointTrack(
             position=np.where(is_new, position, self.position),
             stamp=np.where(is_new, stamp, self.stamp),
             speed=speed,
+            explained=np.where(is_measured, explained, self.explained),
+            slack=np.maximum(np.abs(command - expected), left * self.slack),
+            anchor=anchor,
+            still_time=np.where(is_still, self.still_time + limits.dt, 0.0),
         )
         return track, np.logical_or.reduce(is_jump, axis=-1)
 
@@ -131,11 +189,48 @@ def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) 
             Fault.JOINTS_STALE: ~is_measured,
             Fault.JOINTS_NOT_FINITE: ~all_finite(inputs.joint_pos),
             Fault.SAFETY_MODE: ~inputs.is_safe,
-            Fault.SPEED_SCALING: ~(inputs.speed_scaling >= 1.0),
+            Fault.SPEED_SCALING: inputs.speed_scaling != 1.0,
+            Fault.STATUS_UNKNOWN: ~inputs.is_status_known,
+            Fault.CONTROLLER: ~inputs.has_controller,
+            Fault.NO_SUBSCRIBER: ~inputs.has_subscriber,
+            Fault.OTHER_SUBSCRIBER: inputs.has_other_subscriber,
             Fault.OTHER_PUBLISHER: inputs.has_other_publisher,
             Fault.OTHER_OPERATOR: inputs.has_other_operator,
             Fault.DEAD_MAN: ~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
             Fault.STOP_REQUEST: inputs.is_stop_requested,
+        }
+    )
+
+
+def faults_of_joints(
+    track: JointTrack, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
+) -> tuple[JointTrack, Bits]:
+    """What is known of the joints with new positions, and what is wrong with it.
+
+    An arm's joint is where its servo has it: near its command at rest, and as far behind as the lag explains
+    in motion. A finger may be stopped by what it holds; it does not leave its command by itself.
+    """
+    joints, position = limits.joints, inputs.joint_pos
+    before, (track, is_jump) = track, track.continued(inputs, commanded, limits)
+    is_arm, is_finger = np.isfinite(joints.tracking_error), np.isfinite(joints.escape)
+    is_beyond = (position < joints.least) | (position > joints.most)
+    is_escaped = np.abs(position - track.explained) > joints.escape
+    most = np.minimum(joints.tracking_error, REST_ERROR + joints.lag_error * track.slack)
+    is_off = (np.abs(position - commanded.expected) > most) & is_arm
+    is_frozen = before.still_time >= FROZEN_TIME
+    any_of, all_of = np.logical_or.reduce, np.logical_and.reduce
+    is_frozen = any_of(is_frozen & is_arm, axis=-1) | (
+        all_of(is_frozen | ~is_finger, axis=-1) & bool(is_finger.any())
+    )
+    is_followed = commanded.is_followed
+    return track, bits(
+        {
+            Fault.JOINTS_IMPLAUSIBLE: any_of(is_beyond, axis=-1)
+            | is_jump
+            | (any_of(is_escaped, axis=-1) & is_followed),
+            Fault.JOINT_SPEED: any_of(np.abs(track.speed) > joints.joint_speed, axis=-1) & is_followed,
+            Fault.TRACKING_ERROR: any_of(is_off, axis=-1) & is_followed,
+            Fault.JOINTS_FROZEN: is_frozen & is_followed,
         }
     )
 
