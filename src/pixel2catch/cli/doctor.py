@@ -272,8 +272,8 @@ class Doctor:
     robot: str | None = None
     #: Camera file that `calibrate` wrote, to compare the robot's camera with. Default: the policies' camera.
     lens: CameraPath | None = None
-    #: Network of the robot: an interface of this machine, such as eth0, or any. lo is the digital twin, beside
-    #: which real time does not matter.
+    #: Network of the robot: an interface of this machine, such as eth0, or any. lo is the digital twin,
+    #: beside which real time does not matter.
     network: NetworkName = LOOPBACK
     clock: AtMostFull = 1.0  #: Seconds in a real second: 1, or the --clock of that twin.
     json: bool = False  #: Print all checks as one JSON object.
