@@ -271,9 +271,8 @@ class Doctor:
     robot: str | None = None
     #: Camera file that `calibrate` wrote, to compare the robot's camera with. Default: the policies' camera.
     lens: CameraPath | None = None
-    loopback: bool = (
-        False  #: The robot is a digital twin on this machine, on which real time does not matter.
-    )
+    #: The robot is the digital twin on this machine, beside which real time does not matter.
+    loopback: bool = False
     clock: AtMostFull = 1.0  #: Seconds in a real second: 1, or the --clock of that twin.
     json: bool = False  #: Print all checks as one JSON object.
 
