@@ -126,16 +126,10 @@ class Surveyor:
         return Survey(endpoints=tuple(self._transport.endpoints()), heard=self._heard)
 
 
-def take_survey(
-    transport: Transport,
-    profile: Profile,
-    clock: Clock,
-    seconds: float = SECONDS,
-    patience: float | None = None,
-) -> Survey:
-    """Find who is on the network, within so much real time, and listen for some seconds of the clock."""
+def take_survey(transport: Transport, profile: Profile, clock: Clock) -> Survey:
+    """Find who is on the network, within `DISCOVERY`, and listen for `SECONDS` of the clock."""
     surveyor = Surveyor(transport, profile, clock)
-    end = time.monotonic() + (DISCOVERY if patience is None else patience)
+    end = time.monotonic() + DISCOVERY
     while time.monotonic() < end and not surveyor.is_complete():
         transport.wait(0.1)
         surveyor.listen()
@@ -143,7 +137,7 @@ def take_survey(
     if not surveyor.is_anybody_there():
         return surveyor.survey()
     surveyor.forget()
-    end = clock.now() + seconds
+    end = clock.now() + SECONDS
     while clock.now() < end:
         transport.wait(0.05)
         surveyor.listen()
