@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from domains import own_domain
+from domains import PATIENCE, own_domain
 from pixel2catch.cli.doctor import Doctor
 from pixel2catch.cli.main import main
 from pixel2catch.deployment import machine
@@ -291,7 +292,7 @@ def examined(capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int | s
     """Exit status and checks by name of `doctor --robot`."""
     status: int | str | None = 0
     try:
-        main(["doctor", "--robot", "ur5e_allegro_v4", "--loopback", "--json", *options])
+        main(["doctor", "--robot", "ur5e_allegro_v4", "--json", *options])
     except SystemExit as ending:
         status = ending.code
     return status, {each["name"]: each for each in json.loads(capsys.readouterr().out)["checks"]}
@@ -314,7 +315,9 @@ def test_without_a_robot_all_is_missing(monkeypatch: pytest.MonkeyPatch, capsys:
 def test_it_hears_the_twin_of_another_process(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    rate = "0.1"
+    """On a machine that is busy with tests the twin may itself be late: then it is examined anew."""
+    rate = "0.05"
+    monkeypatch.setattr("pixel2catch.deployment.survey.SECONDS", 0.5)
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     command = [sys.executable, "-m", "pixel2catch", "twin", "--clock", rate, "--objects", "cube_s"]
     with ExitStack() as stack:
@@ -323,9 +326,11 @@ def test_it_hears_the_twin_of_another_process(
         assert twin.stderr is not None
         while "the room is empty" not in (line := twin.stderr.readline()):
             assert line, "it has ended"
-        status, checks = examined(capsys, "--clock", rate)
-        assert status == 0, {name: each for name, each in checks.items() if each["state"] == "BAD"}
-        node = stack.enter_context(make_transport("dds", "rogue", True, RealClock()))
+        end = time.monotonic() + PATIENCE
+        while (examination := examined(capsys, "--clock", rate))[0] != 0:
+            wrong = {name: each for name, each in examination[1].items() if each["state"] == "BAD"}
+            assert time.monotonic() < end, wrong
+        node = stack.enter_context(make_transport("dds", "rogue", "lo", RealClock()))
         node.publisher(PROFILE.robots[0].command_topic)
         status, checks = examined(capsys, "--clock", rate)
         assert status == 1

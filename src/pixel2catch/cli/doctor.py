@@ -23,6 +23,7 @@ from pixel2catch.cli.console import results_console
 from pixel2catch.files import json_text
 from pixel2catch.findings import Absent, Broken, Check, check
 from pixel2catch.installation import PACKAGE, install_command
+from pixel2catch.ros2.transport import LOOPBACK, NetworkName
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
 """Colour of each state; the word tells without colour, too."""
@@ -198,7 +199,7 @@ def dds() -> str:
     if importlib.util.find_spec("cyclonedds") is None:
         raise Absent(f"not looked at without cyclonedds: {install_command('deployment')}")
     from pixel2catch.ros2 import messages
-    from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, make_transport
+    from pixel2catch.ros2.transport import RealClock, Topic, make_transport
 
     topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
     with (
@@ -271,9 +272,9 @@ class Doctor:
     robot: str | None = None
     #: Camera file that `calibrate` wrote, to compare the robot's camera with. Default: the policies' camera.
     lens: CameraPath | None = None
-    loopback: bool = (
-        False  #: The robot is a digital twin on this machine, on which real time does not matter.
-    )
+    #: Network of the robot: an interface of this machine, such as eth0, or any. lo is the digital twin,
+    #: beside which real time does not matter.
+    network: NetworkName = LOOPBACK
     clock: AtMostFull = 1.0  #: Seconds in a real second: 1, or the --clock of that twin.
     json: bool = False  #: Print all checks as one JSON object.
 
@@ -302,12 +303,12 @@ class Doctor:
         with needs_extra("deployment"):
             from pixel2catch.deployment.laboratory import checks_of_laboratory
             from pixel2catch.deployment.survey import take_survey
-        network = Network(robot=Robot(profile=profile), loopback=self.loopback, clock=self.clock)
+        network = Network(robot=Robot(profile=profile), network=self.network, clock=self.clock)
         robot = network.robot.load()
         lens = CameraFile.load(self.lens).camera if self.lens else RGB_CAMERA
         with network.join("pixel2catch_doctor") as (transport, clock):
             survey = take_survey(transport, robot, clock)
-        return checks_of_laboratory(robot, survey, lens, is_loopback=self.loopback)
+        return checks_of_laboratory(robot, survey, lens, is_loopback=network.is_twin)
 
     def _checks(self) -> list[Check]:
         """Look at everything."""

@@ -56,6 +56,8 @@ def _of_network(
     probes["lens"] = partial(judge.lens, survey, camera, lens)
     probes["clocks"] = partial(judge.clocks, survey, profile, limits)
     probes |= {f"commands to {part.name}": partial(judge.commands, survey, part) for part in robots}
+    controllers = {part.name: part.controller for part in robots if part.controller}
+    probes |= {f"controller of {n}": partial(judge.controller, survey, c) for n, c in controllers.items()}
     near = limits.joints.start_error
     probes |= {f"pose of {part.name}": partial(judge.poses, survey, part, home, near) for part in robots}
     return probes

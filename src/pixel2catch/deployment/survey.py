@@ -78,6 +78,8 @@ class Surveyor:
             (status.speed_scaling, messages.read_number),
         ]
         found += [(part.state_topic, messages.read_joint_state) for part in profile.robots]
+        controllers = (part.controller for part in profile.robots if part.controller)
+        found += [(each.activity, messages.read_active_controllers) for each in controllers]
         return [(topic, read) for topic, read in found if topic is not None]
 
     def is_complete(self) -> bool:
@@ -124,16 +126,10 @@ class Surveyor:
         return Survey(endpoints=tuple(self._transport.endpoints()), heard=self._heard)
 
 
-def take_survey(
-    transport: Transport,
-    profile: Profile,
-    clock: Clock,
-    seconds: float = SECONDS,
-    patience: float | None = None,
-) -> Survey:
-    """Find who is on the network, within so much real time, and listen for some seconds of the clock."""
+def take_survey(transport: Transport, profile: Profile, clock: Clock) -> Survey:
+    """Find who is on the network, within `DISCOVERY`, and listen for `SECONDS` of the clock."""
     surveyor = Surveyor(transport, profile, clock)
-    end = time.monotonic() + (DISCOVERY if patience is None else patience)
+    end = time.monotonic() + DISCOVERY
     while time.monotonic() < end and not surveyor.is_complete():
         transport.wait(0.1)
         surveyor.listen()
@@ -141,7 +137,7 @@ def take_survey(
     if not surveyor.is_anybody_there():
         return surveyor.survey()
     surveyor.forget()
-    end = clock.now() + seconds
+    end = clock.now() + SECONDS
     while clock.now() < end:
         transport.wait(0.05)
         surveyor.listen()

@@ -12,7 +12,7 @@ from pixel2catch.deployment.image_subscriber import EARLIEST, other_lens
 from pixel2catch.deployment.survey import Heard, Survey
 from pixel2catch.findings import Absent, Broken
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import CameraProfile, Profile, RobotPart
+from pixel2catch.ros2.profile import CameraProfile, Controller, Profile, RobotPart
 from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import ServoLimits
@@ -233,6 +233,15 @@ def commands(survey: Survey, part: RobotPart) -> str:
     if len(takers) > 1:
         raise Broken(f"{len(takers)} subscribers of {topic.name}: one driver may take it; end the others")
     return f"{topic.name}: one driver, no other publisher"
+
+
+def controller(survey: Survey, wanted: Controller) -> str:
+    """Whether the controller that takes the commands is active, as it is from homing on."""
+    if wanted.name not in heard_of(survey, wanted.activity).readings[-1]:
+        raise Absent(
+            f"{wanted.name} is not active: switch to it when the arm is at its start pose, before arming"
+        )
+    return f"{wanted.name} is active"
 
 
 def poses(survey: Survey, part: RobotPart, home: ndarray, near: ndarray) -> str:

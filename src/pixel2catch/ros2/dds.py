@@ -187,6 +187,12 @@ THERE = SampleState.Any | ViewState.Any | InstanceState.Alive  #: Who has not le
 MOST_ENDPOINTS = 10_000  #: Endpoints that are listed at the most; a laboratory has some hundreds.
 
 
+def _only_watches(qos: Qos) -> bool:
+    """Whether a subscription says of itself that it does not count."""
+    said: Any = qos[Policy.Userdata]
+    return said is not None and ONLY_WATCHES.encode() in said.data
+
+
 def _ros_type(name: str) -> str:
     """What ROS calls a type of DDS: `sensor_msgs/msg/Image`; see `dds_type`."""
     return name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
@@ -282,7 +288,8 @@ class DdsTransport(Transport):
         ):
             reader = BuiltinDataReader(self._participant, builtin)
             for each in reader.read(MOST_ENDPOINTS, ReadCondition(reader, THERE)):
-                if each.participant_key != self._participant.guid and each.topic_name.startswith("rt/"):
+                is_other = each.participant_key != self._participant.guid
+                if is_other and each.topic_name.startswith("rt/") and not _only_watches(each.qos):
                     name, kind = each.topic_name.removeprefix("rt"), _ros_type(each.type_name)
                     found.append(Endpoint(topic=name, type=kind, is_publisher=is_publisher))
         return found
@@ -328,8 +335,7 @@ class _DdsPublisher(Publisher):
     def _is_taken_by(self, handle: int) -> bool:
         """Whether a subscription does more than watch."""
         found = self._writer.get_matched_subscription_data(handle)
-        said: Any = found and found.qos[Policy.Userdata]
-        return said is None or ONLY_WATCHES.encode() not in said.data
+        return not (found and _only_watches(found.qos))
 
 
 @final

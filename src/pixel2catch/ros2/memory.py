@@ -111,7 +111,8 @@ class MemoryTransport(Transport):
         with self.broker.lock:
             others = [node for node in self.broker.nodes if node is not self]
             found = [(each.topic, True) for node in others for each in node.publishers]
-            found += [(topic, False) for node in others for topic, *_ in node.listeners]
+            listeners = (each for node in others for each in node.listeners if not each.only_watches)
+            found += [(each.topic, False) for each in listeners]
         return [
             Endpoint(topic=topic.name, type=topic.type, is_publisher=is_publisher)
             for topic, is_publisher in found

@@ -113,6 +113,7 @@ class RosTransport(Transport):
                     Endpoint(topic=name, type=each.topic_type, is_publisher=is_publisher)
                     for each in list_of(name)
                     if each.node_name != node.get_name()
+                    and (is_publisher or not each.node_name.startswith(OWN_NODES))
                 ]
         return found
 

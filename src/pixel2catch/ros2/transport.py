@@ -131,7 +131,10 @@ class Transport(ABC):
 
     @abstractmethod
     def endpoints(self) -> list[Endpoint]:
-        """The publishers and subscriptions of all other nodes that are known by now; nothing is announced."""
+        """The publishers and subscriptions of all other nodes that are known by now; nothing is announced.
+
+        Subscriptions that only watch are left out.
+        """
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
