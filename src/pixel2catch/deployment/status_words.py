@@ -1,0 +1,105 @@
+"""A status of the deployment in plain words: what the robot does, what is wrong, what to do next."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.servo.fault_words import FAULT_WORDS, fault_words
+
+Tone = Literal[
+    "absent", "waiting", "armed", "moving", "stopped"
+]  #: What a state means to whoever stands beside it.
+
+USUAL = ("dead man", "policy late")  #: What is found in every robot that waits to be armed.
+REARM = "Let go of the switch, hold it again, and press arm."  #: How a stop ends.
+
+SIGHT = {
+    Verdict.SEEN: "sees the object",
+    Verdict.NO_IMAGE: "gets no image",
+    Verdict.REPEATED: "waits for the next image",
+    Verdict.BAD_IMAGE: "cannot read the image",
+    Verdict.NO_PROMPT: "does not know the object yet: point at it",
+    Verdict.NOT_FOUND: "has lost the object: point at it",
+    Verdict.FAILED: "failed at this image",
+    Verdict.TOO_SMALL: "sees something too small",
+    Verdict.TOO_LARGE: "sees something too large",
+    Verdict.JUMP: "sees something that jumps",
+    Verdict.BORDER: "sees something at the image's border",
+}
+"""What perception does, by the verdict on its newest image."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatusWords:
+    """A status as an operator reads it."""
+
+    tone: Tone
+    headline: str  #: What the robot does, and why.
+    advice: tuple[str, ...] = ()  #: What to do, in sentences.
+
+    @property
+    def text(self) -> str:
+        """All of it in a line."""
+        return " ".join((f"{self.headline}.", *self.advice))
+
+
+def status_words(status: dict[str, Any]) -> StatusWords:
+    """Say what a status means; an empty one is that nobody was heard of."""
+    found = status.get("found", [])
+    match status.get("mode", ""):
+        case "":
+            return StatusWords(
+                tone="absent",
+                headline="nothing is heard of a deployment",
+                advice=("Start 'pixel2catch deploy'.",),
+            )
+        case "starting":
+            return StatusWords(tone="waiting", headline="starting: the servo process comes up")
+        case "idle":
+            return _idle(found)
+        case "armed":
+            return StatusWords(
+                tone="armed",
+                headline="armed: holds its pose until the object is seen",
+                advice=("Point at it.",),
+            )
+        case "ramp":
+            return StatusWords(tone="moving", headline="beginning: goes over to what the policy wants")
+        case "run":
+            return StatusWords(tone="moving", headline="running: follows the policy")
+        case "stopped":
+            reasons = status.get("stopped_by", [])
+            fixes = _fixes(name for name in reasons if name != "dead man")
+            return StatusWords(tone="stopped", headline=f"stopped: {_what(reasons)}", advice=(*fixes, REARM))
+        case other:
+            return StatusWords(tone="waiting", headline=str(other))
+
+
+def _idle(found: Sequence[str]) -> StatusWords:
+    """A robot that waits to be armed, or cannot be."""
+    if missing := [name for name in found if name not in USUAL]:
+        return StatusWords(tone="waiting", headline=f"not ready: {_what(missing)}", advice=_fixes(missing))
+    told = "hold the switch and press arm" if "dead man" in found else "the switch is held; press arm"
+    return StatusWords(tone="waiting", headline=f"waiting: {told}")
+
+
+def refusal_words(status: dict[str, Any]) -> str:
+    """Why a request to arm was refused; empty if none was."""
+    refused = status.get("refused", [])
+    return " ".join((f"Arming was refused: {_what(refused)}.", *_fixes(refused))) if refused else ""
+
+
+def sentence(status: dict[str, Any]) -> str:
+    """A status in a line, without what changes in every control step."""
+    parts = (status_words(status).text, refusal_words(status), status.get("message", ""))
+    return " ".join(part for part in parts if part)
+
+
+def _what(names: Sequence[str]) -> str:
+    return "; ".join(fault_words(name).what for name in names) or "nobody says why"
+
+
+def _fixes(names: Iterable[str]) -> tuple[str, ...]:
+    """What to do about faults, each thing once."""
+    return tuple(dict.fromkeys(fix for name in names if (fix := fault_words(name).fix)))

@@ -1,0 +1,77 @@
+"""A status in plain words: every fault has some, and so has every mode and verdict."""
+
+import re
+from typing import Any
+
+import pytest
+
+from pixel2catch.deployment.status_words import SIGHT, refusal_words, sentence, status_words
+from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.servo.core import Mode
+from pixel2catch.servo.fault_words import FAULT_WORDS, FaultWords, fault_words
+from pixel2catch.servo.watchdogs import Fault, flag_names
+
+FAULTS = flag_names(Fault, ~0)
+
+
+def status(mode: str, **said: Any) -> dict[str, Any]:
+    return {"mode": mode, "stopped_by": [], "refused": [], "found": [], "message": ""} | said
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_fault_has_words(name: str):
+    words = FAULT_WORDS[name]
+    assert re.fullmatch(r"[a-z].*[^.]", words.what), words.what
+    assert re.fullmatch(r"([A-Z].*\.)?", words.fix), words.fix
+
+
+def test_a_fault_that_is_not_known_is_called_by_its_name():
+    assert fault_words("arm frozen") == FaultWords(what="arm frozen", fix="")
+    told = status_words(status("stopped", stopped_by=["arm frozen"]))
+    assert told.headline == "stopped: arm frozen"
+
+
+def test_every_mode_and_verdict_has_words():
+    modes = ["", "starting", *(mode.name.lower() for mode in Mode)]
+    headlines = [status_words(status(mode)).headline for mode in modes]
+    assert len({*headlines}) == len(modes)
+    assert not {*headlines} & {*modes}
+    assert SIGHT.keys() == {*Verdict}
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        (
+            status("idle", found=["dead man", "policy late"]),
+            "waiting: hold the switch and press arm.",
+        ),
+        (status("idle", found=["policy late"]), "waiting: the switch is held; press arm."),
+        (
+            status("idle", found=["dead man", "image stale"]),
+            "not ready: no image for 0.1 s. Check the camera and its cable, and that its clock is synchronised.",
+        ),
+        (status("run"), "running: follows the policy."),
+        (
+            status("stopped", stopped_by=["image stale"]),
+            "stopped: no image for 0.1 s. Check the camera and its cable, and that its clock is synchronised. "
+            "Let go of the switch, hold it again, and press arm.",
+        ),
+        (
+            status("stopped", stopped_by=["dead man"]),
+            "stopped: the dead-man's switch is not held. Let go of the switch, hold it again, and press arm.",
+        ),
+        (
+            status("idle", refused=["dead man"]),
+            "waiting: the switch is held; press arm. "
+            "Arming was refused: the dead-man's switch is not held. Hold the switch.",
+        ),
+        (status("run", message="the camera is off"), "running: follows the policy. the camera is off"),
+    ],
+)
+def test_a_status_in_a_line(said: dict[str, Any], expected: str):
+    assert sentence(said) == expected
+
+
+def test_nothing_is_said_of_a_request_that_was_granted():
+    assert refusal_words(status("armed")) == ""
