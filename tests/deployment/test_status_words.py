@@ -12,6 +12,7 @@ from pixel2catch.servo.fault_words import FAULT_WORDS, FaultWords, fault_words
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
 FAULTS = flag_names(Fault, ~0)
+CAMERA = "Check the camera and its cable, and that its clock is synchronised."
 
 
 def status(mode: str, **said: Any) -> dict[str, Any]:
@@ -43,19 +44,18 @@ def test_every_mode_and_verdict_has_words():
     ("said", "expected"),
     [
         (
-            status("idle", found=["dead man", "policy late"]),
+            status("idle", found=["dead man", "image stale", "policy late", "target not finite"]),
             "waiting: hold the switch and press arm.",
         ),
         (status("idle", found=["policy late"]), "waiting: the switch is held; press arm."),
         (
-            status("idle", found=["dead man", "image stale"]),
-            "not ready: no image for 0.1 s. Check the camera and its cable, and that its clock is synchronised.",
+            status("idle", found=["dead man", "image stale"], verdict="no image"),
+            f"not ready: no image for 0.1 s. {CAMERA}",
         ),
         (status("run"), "running: follows the policy."),
         (
             status("stopped", stopped_by=["image stale"]),
-            "stopped: no image for 0.1 s. Check the camera and its cable, and that its clock is synchronised. "
-            "Let go of the switch, hold it again, and press arm.",
+            f"stopped: no image for 0.1 s. {CAMERA} Let go of the switch, hold it again, and press arm.",
         ),
         (
             status("stopped", stopped_by=["dead man"]),

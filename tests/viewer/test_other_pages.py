@@ -85,15 +85,16 @@ def test_a_recording_is_played_and_played_again(recording: Path):
 
         def wait_for_image() -> None:
             end = time.monotonic() + PATIENCE
-            while not (page.wire.picture.image == BOX_COLOR).all(axis=-1).any():
+            while not (page.picture.image == BOX_COLOR).all(axis=-1).any():
                 assert time.monotonic() < end
                 assert not playing.done()
                 time.sleep(0.02)
 
         wait_for_image()
-        assert "| deploy: mode | run |" in page.wire.text.content
+        assert page.words.content == "**running: follows the policy.**"
+        assert "| servo | run |" in page.table.content
         assert not page.wire.view.bodies["thrower"].visible
-        page.wire.picture.show(np.zeros_like(page.wire.picture.image))
+        page.picture.show(np.zeros_like(page.picture.image))
         page.begin()
         wait_for_image()
         page.close()

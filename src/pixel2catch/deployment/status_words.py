@@ -5,16 +5,21 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.servo.fault_words import FAULT_WORDS, fault_words
+from pixel2catch.servo.fault_words import fault_words
 
 Tone = Literal[
     "absent", "waiting", "armed", "moving", "stopped"
 ]  #: What a state means to whoever stands beside it.
 
-USUAL = ("dead man", "policy late")  #: What is found in every robot that waits to be armed.
+USUAL = (
+    *("dead man", "image stale", "policy late", "target not finite", "target far"),
+    *("object lost", "perception unsound"),
+)
+"""What a servo may find that waits to be armed: nobody holds the switch, and no policy speaks to it yet."""
+
 REARM = "Let go of the switch, hold it again, and press arm."  #: How a stop ends.
 
-SIGHT = {
+SIGHT: dict[str, str] = {
     Verdict.SEEN: "sees the object",
     Verdict.NO_IMAGE: "gets no image",
     Verdict.REPEATED: "waits for the next image",
@@ -57,7 +62,7 @@ def status_words(status: dict[str, Any]) -> StatusWords:
         case "starting":
             return StatusWords(tone="waiting", headline="starting: the servo process comes up")
         case "idle":
-            return _idle(found)
+            return _idle(found, status.get("verdict"))
         case "armed":
             return StatusWords(
                 tone="armed",
@@ -76,17 +81,26 @@ def status_words(status: dict[str, Any]) -> StatusWords:
             return StatusWords(tone="waiting", headline=str(other))
 
 
-def _idle(found: Sequence[str]) -> StatusWords:
-    """A robot that waits to be armed, or cannot be."""
-    if missing := [name for name in found if name not in USUAL]:
+def _idle(found: Sequence[str], verdict: object) -> StatusWords:
+    """A robot that waits to be armed, or cannot be, by what is found and the verdict on the newest image."""
+    unseen = ["image stale"] if verdict == Verdict.NO_IMAGE else []
+    if missing := [*unseen, *(name for name in found if name not in USUAL)]:
         return StatusWords(tone="waiting", headline=f"not ready: {_what(missing)}", advice=_fixes(missing))
     told = "hold the switch and press arm" if "dead man" in found else "the switch is held; press arm"
     return StatusWords(tone="waiting", headline=f"waiting: {told}")
 
 
+def sight_words(status: dict[str, Any]) -> str:
+    """What perception does; empty if it has not looked yet."""
+    verdict = status.get("verdict")
+    return f"perception {SIGHT.get(str(verdict), str(verdict))}" if verdict else ""
+
+
 def refusal_words(status: dict[str, Any]) -> str:
     """Why a request to arm was refused; empty if none was."""
     refused = status.get("refused", [])
+    if "dead man" in refused:
+        refused = [name for name in refused if name != "switch not pressed"]  # who holds it presses it
     return " ".join((f"Arming was refused: {_what(refused)}.", *_fixes(refused))) if refused else ""
 
 

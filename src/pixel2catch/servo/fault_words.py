@@ -79,6 +79,13 @@ FAULT_WORDS = {
         what="since the last stop the switch has not been let go and pressed anew",
         fix="Let go of the switch, and press it again.",
     ),
+    "object lost": FaultWords(
+        what="the object has not been seen for too long",
+        fix="Bring it into the camera's view, and point at it.",
+    ),
+    "perception unsound": FaultWords(
+        what="the images cannot be trusted", fix="Check the camera; the message says what is wrong with them."
+    ),
 }
 """Of every fault by its name, as a status has it."""
 
