@@ -78,7 +78,7 @@ class OperatorPage:
         self._server.viser.gui.main_panel.minimize()
         self.scene = WireScene(self._server.viser, scene, profile, transport, clock)  #: What is in the frame.
         self._details = StatusDetails(scene.camera)
-        self._status: dict[str, Any] = {}
+        self._status = console.status
         self._status_time = self._image_time = self._refusal_time = self._shown_time = -SILENCE
         self._rows, self._refusal, self._image = list[tuple[str, str]](), "", b""
         self._is_stopping, self._num_heard = False, 0
@@ -129,9 +129,9 @@ class OperatorPage:
         """Take a status that has just arrived."""
         self._status, self._status_time = status, now
         self._rows = self._details.rows(status)
-        if (refusal := refusal_words(status)) or status["mode"] in ACTIVE:
+        if (refusal := refusal_words(status)) or status.get("mode") in ACTIVE:
             self._refusal, self._refusal_time = refusal, now
-        if self._is_stopping and status["mode"] not in ACTIVE:
+        if self._is_stopping and status.get("mode") not in ACTIVE:
             self._is_stopping, self._num_heard = False, self._num_heard + 1
 
     def _look(self, now: float) -> None:
@@ -190,10 +190,10 @@ class OperatorPage:
 
     def _stop(self) -> None:
         """Ask to stop at once, and again until a status says that the servo has."""
-        self._is_stopping = True
-        self._console.stop()
         if self._button:
             self._button.drop()
+        self._is_stopping = True
+        self._console.stop()
 
     def _part(self, visitor: Visitor) -> None:
         """Let the switch fall with the connection of whoever holds it."""
