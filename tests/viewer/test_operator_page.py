@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 from websockets.typing import Origin
 
 from domains import PATIENCE, free_port
@@ -80,7 +81,7 @@ class Desk:
         return [read(message.data) for message in self.heard[name].take()]
 
     @contextmanager
-    def visitor(self) -> Iterator[ClientConnection]:
+    def visitor(self) -> Iterator[Connection]:
         with link(self.page.address) as visitor:
             yield visitor
 
@@ -94,20 +95,20 @@ def until(is_true: Callable[[], Any], go_on: Callable[[], Any]) -> None:
 
 
 @contextmanager
-def link(address: str) -> Iterator[ClientConnection]:
+def link(address: str) -> Iterator[Connection]:
     """What the page's script connects to."""
     origin = Origin(address.removesuffix("/operate"))
     with connect(f"{address.replace('http', 'ws')}/link", origin=origin, open_timeout=PATIENCE) as visitor:
         yield visitor
 
 
-def consume(visitor: ClientConnection) -> None:
+def consume(visitor: Connection) -> None:
     """Take what comes until the connection is closed."""
     while True:
         visitor.recv(PATIENCE)
 
 
-def ask(visitor: ClientConnection, do: str, **more: Any) -> None:
+def ask(visitor: Connection, do: str, **more: Any) -> None:
     visitor.send(json.dumps({"do": do, **more}))
 
 
