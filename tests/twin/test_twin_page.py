@@ -107,10 +107,10 @@ def test_buttons_prepare_and_throw(shown: Shown):
     assert shown.twin["throw"] == f"{shown.bench.lab.object_name} flies"
     shown.page.ask("throw")
     shown.go_on(30)
-    assert "prepare one" in shown.twin["refused"]
+    assert "prepare one" in shown.twin["trouble"]
     shown.page.ask("protective_stop")
     shown.go_on(30)
-    assert "press resume" in shown.twin["robot"]
+    assert "press resume" in shown.twin["trouble"]
 
 
 @pytest.mark.slow

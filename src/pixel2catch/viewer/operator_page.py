@@ -14,6 +14,7 @@ from typing import Any, final
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.status_words import refusal_words, sight_words, status_words
 from pixel2catch.errors import DeploymentError
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile, Profile
 from pixel2catch.ros2.transport import Clock, Transport
@@ -163,6 +164,7 @@ class OperatorPage:
             "has_image": now - self._image_time < SILENCE,
             "box": status.get("box"),
             "sight": sight_words(status),
+            "is_seen": status.get("verdict") == Verdict.SEEN,
             "latency_ms": latencies(status.get("latency_ms")),
             "details": self._rows if is_heard else [],
         }

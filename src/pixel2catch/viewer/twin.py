@@ -48,6 +48,7 @@ class TwinPage:
         self.trial: Thread | None = None  #: The throw that goes on by itself, or did.
         self.seed = 0  #: Of the next throw.
         self.outcomes: dict[str, str] = {}  #: How throws ended, by their numbers.
+        self._problem = ""
         title, console = "Pixel2Catch twin", self._operator.console
         self.page = OperatorPage(
             cfg,
@@ -84,8 +85,12 @@ class TwinPage:
     def catch(self) -> None:
         """Do all that an operator does for a throw, beside the page; nothing while that goes on."""
         if not self._is_in_trial:
-            self.trial = Thread(target=run_trial, args=(self._operator, self._next_seed()), daemon=True)
+            self.trial = Thread(target=self._try, args=(self._next_seed(),), daemon=True)
             self.trial.start()
+
+    def _try(self, seed: int) -> None:
+        self._problem = ""
+        self._problem = run_trial(self._operator, seed).problem
 
     @property
     def _is_in_trial(self) -> bool:
@@ -100,13 +105,14 @@ class TwinPage:
         known = {name: truth.get(name) for name in ("object", "outcome")}
         words = PHASES.get(truth.get("phase", ""))
         outcomes = [*self.outcomes.values()]
+        said = (self._problem.partition(":")[0], str(truth.get("refused", "")))
+        halted = "the robot's program is halted: press resume" if truth.get("halted") else ""
         num_caught = sum(outcome == "caught" for outcome in outcomes)
         return {
             "seed": self.seed,
             "throw": words.format(**known) if words else "nothing is heard of the twin",
             "result": f"{outcomes[-1]}; {num_caught} of {len(outcomes)} caught" if outcomes else "none",
-            "refused": truth.get("refused", ""),
-            "robot": "the robot's program is halted: press resume" if truth.get("halted") else "",
+            "trouble": "; ".join(filter(None, (*said, halted))),
             "is_busy": self._is_in_trial,
         }
 

@@ -86,7 +86,7 @@ class StatusDetails:
             ("servo", status.get("mode", "not heard of")),
             *(
                 (name, _what(status.get(key)))
-                for name, key in (("stopped by", "stopped_by"), ("finds", "found"))
+                for name, key in (("stopped by", "stopped_by"), ("finds now", "found"))
             ),
             ("commands held back by", listed(status.get("clamped"))),
             ("camera", sight_words(status) or "no image yet"),

@@ -89,7 +89,7 @@ function draw() {
   context.fillRect(0, 0, width, height);
   if (state.has_image && picture) context.drawImage(picture, 0, 0, width, height);
   else write("no image from the camera", width / 2, height / 2);
-  if (state.box) outline(state.box, "#22e052", []);
+  if (state.box) outline(state.box, ...(state.is_seen ? ["#22e052", []] : ["#ff9b30", [3, 5]])); // or was seen
   const pointed = drag ?? prompt;
   if (pointed) outline(edges(pointed), "#ffd21f", [8, 5]);
 }
@@ -224,7 +224,7 @@ function showTwin(twin) {
   if (!twin) return;
   tell("throw", twin.throw);
   tell("result", twin.result);
-  tell("twin-trouble", [twin.refused, twin.robot].filter(Boolean).join("; "));
+  tell("twin-trouble", twin.trouble);
   part("catch").disabled = twin.is_busy;
   if (document.activeElement !== part("seed")) part("seed").value = twin.seed;
   if (!hasShownScene) part("scene").open = innerWidth >= WIDE;
