@@ -16,7 +16,7 @@ let state = null; // what it told last
 let picture = null; // the camera's newest image
 let drag = null, prompt = null; // a box that is being dragged, and the one sent last, in image pixels
 let stopped = null; // the stop that was asked for: when, and how many had been heard before
-const holding = new Set(); // what holds the switch: pointers, and a key
+const holding = new Set(); // what holds the switch: pointers and keys
 
 function tell(id, text) {
   const element = part(id);
@@ -192,22 +192,22 @@ function hearStop() {
   if (isHeard) stopped = null;
 }
 
+function stopByKey(event) {
+  if (event.key !== "Escape" && event.key !== " ") return false;
+  event.preventDefault(); // no button is pressed by space
+  if (!event.repeat) stop();
+  return true;
+}
+
 function press(event) {
-  if (event.key === "Escape" || event.key === " ") {
-    event.preventDefault(); // no button is pressed by space
-    if (!event.repeat) stop();
-  } else if (event.repeat || event.ctrlKey || event.altKey || event.metaKey) {
-    return;
-  } else if (event.key.toLowerCase() === "h") {
-    hold("key");
-  } else if (event.key.toLowerCase() === "a") {
-    ask({ do: "arm" });
-  }
+  if (stopByKey(event) || event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.key.toLowerCase() === "h") hold(event.code);
+  if (event.key.toLowerCase() === "a") ask({ do: "arm" });
 }
 
 function release(event) {
   if (event.key === " ") event.preventDefault();
-  if (event.key.toLowerCase() === "h") letGo("key");
+  letGo(event.code); // the key itself, whatever it is called now: with shift, or in another layout
 }
 
 addEventListener("keydown", press, true);
@@ -243,7 +243,7 @@ part("scene").addEventListener("toggle", () => {
   const frame = document.createElement("iframe");
   frame.title = "the scene";
   frame.src = "/?hideViserLogo";
-  frame.addEventListener("load", () => frame.contentWindow.addEventListener("keydown", press, true));
+  frame.addEventListener("load", () => frame.contentWindow.addEventListener("keydown", stopByKey, true));
   part("scene").append(frame);
 });
 
