@@ -12,9 +12,9 @@ from websockets.exceptions import ConnectionClosed
 
 from pixel2catch.errors import DeploymentError
 
-BEAT_AGE = 0.25
+BEAT_AGE = 0.4
 """Real time for which a browser that says nothing still holds the switch [s]. Source: ours: it says so every
-0.05 s (`operate.js`), and may be held up for some of them."""
+0.05 s (`operate.js`), and draws in between; letting go is said at once, this is for one that hangs."""
 
 LONGEST = 1000  #: Characters of a request; ours have a hundred.
 

@@ -183,7 +183,10 @@ function stop() {
 }
 
 function hearStop() {
-  if (!stopped) return;
+  if (!stopped) {
+    if (state?.is_active) tell("heard", "");
+    return;
+  }
   const since = Math.round(performance.now() - stopped.at);
   const isHeard = state !== null && state.num_heard > stopped.before;
   if (!isHeard && since < HEARD_MS) return;
