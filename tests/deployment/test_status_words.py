@@ -53,6 +53,8 @@ def test_every_mode_and_verdict_has_words():
             f"not ready: no image for 0.1 s. {CAMERA}",
         ),
         (status("run"), "running: follows the policy."),
+        (status("run", object="seen"), "running: follows the policy."),
+        (status("run", object="searching"), "resting: goes on when the object is seen again."),
         (
             status("stopped", stopped_by=["image stale"]),
             f"stopped: no image for 0.1 s. {CAMERA} Let go of the switch, hold it again, and press arm.",

@@ -71,6 +71,9 @@ def status_words(status: dict[str, Any]) -> StatusWords:
             )
         case "ramp":
             return StatusWords(tone="moving", headline="beginning: goes over to what the policy wants")
+        case "run" if status.get("object") == "searching":
+            headline = "resting: goes on when the object is seen again"
+            return StatusWords(tone="moving", headline=headline)
         case "run":
             return StatusWords(tone="moving", headline="running: follows the policy")
         case "stopped":
@@ -91,7 +94,7 @@ def _idle(found: Sequence[str], verdict: object) -> StatusWords:
 
 
 def sight_words(status: dict[str, Any]) -> str:
-    """What perception does; empty if it has not looked yet."""
+    """What perception does, by its newest look; empty if it has not looked yet."""
     verdict = status.get("verdict")
     return f"perception {SIGHT.get(str(verdict), str(verdict))}" if verdict else ""
 

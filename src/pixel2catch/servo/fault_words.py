@@ -80,11 +80,28 @@ FAULT_WORDS = {
         fix="Let go of the switch, and press it again.",
     ),
     "object lost": FaultWords(
-        what="the object has not been seen for too long",
-        fix="Bring it into the camera's view, and point at it.",
+        what="the object has not been seen for 3 s", fix="Show it to the camera, and point at it once armed."
     ),
     "perception unsound": FaultWords(
-        what="the images cannot be trusted", fix="Check the camera; the message says what is wrong with them."
+        what="the images cannot be those of one camera that sees",
+        fix="Restart the camera's driver, or end the other camera or recording.",
+    ),
+    "status unknown": FaultWords(
+        what="a driver does not say how the robot is", fix="Check that the robot's driver runs."
+    ),
+    "no subscriber": FaultWords(
+        what="nobody takes the commands of the robot or the hand",
+        fix="Start the driver, and check the command topics in the profile.",
+    ),
+    "other subscriber": FaultWords(
+        what="several programs take the commands of the robot or the hand", fix="End all but the driver."
+    ),
+    "controller": FaultWords(
+        what="the controller that takes the commands is not active", fix="Activate it with 'ros2 control'."
+    ),
+    "joints frozen": FaultWords(
+        what="joints are measured at one place while they are commanded to move",
+        fix="Check the encoders and the driver: positions must not be repeated.",
     ),
 }
 """Of every fault by its name, as a status has it."""
