@@ -49,39 +49,34 @@ class StatusWords:
         return " ".join((f"{self.headline}.", *self.advice))
 
 
+ABSENT = StatusWords(
+    tone="absent", headline="nothing is heard of a deployment", advice=("Start 'pixel2catch deploy'.",)
+)
+RESTING = StatusWords(tone="moving", headline="resting: goes on when the object is seen again")
+MODES = {
+    "": ABSENT,
+    "starting": StatusWords(tone="waiting", headline="starting: the servo process comes up"),
+    "armed": StatusWords(
+        tone="armed", headline="armed: holds its pose until the object is seen", advice=("Point at it.",)
+    ),
+    "ramp": StatusWords(tone="moving", headline="beginning: goes over to what the policy wants"),
+    "run": StatusWords(tone="moving", headline="running: follows the policy"),
+}
+"""Modes that need no reason."""
+
+
 def status_words(status: dict[str, Any]) -> StatusWords:
     """Say what a status means; an empty one is that nobody was heard of."""
-    found = status.get("found", [])
-    match status.get("mode", ""):
-        case "":
-            return StatusWords(
-                tone="absent",
-                headline="nothing is heard of a deployment",
-                advice=("Start 'pixel2catch deploy'.",),
-            )
-        case "starting":
-            return StatusWords(tone="waiting", headline="starting: the servo process comes up")
-        case "idle":
-            return _idle(found, status.get("verdict"))
-        case "armed":
-            return StatusWords(
-                tone="armed",
-                headline="armed: holds its pose until the object is seen",
-                advice=("Point at it.",),
-            )
-        case "ramp":
-            return StatusWords(tone="moving", headline="beginning: goes over to what the policy wants")
-        case "run" if status.get("object") == "searching":
-            headline = "resting: goes on when the object is seen again"
-            return StatusWords(tone="moving", headline=headline)
-        case "run":
-            return StatusWords(tone="moving", headline="running: follows the policy")
-        case "stopped":
-            reasons = status.get("stopped_by", [])
-            fixes = _fixes(name for name in reasons if name != "dead man")
-            return StatusWords(tone="stopped", headline=f"stopped: {_what(reasons)}", advice=(*fixes, REARM))
-        case other:
-            return StatusWords(tone="waiting", headline=str(other))
+    mode = status.get("mode", "")
+    if mode == "idle":
+        return _idle(status.get("found", []), status.get("verdict"))
+    if mode == "stopped":
+        reasons = status.get("stopped_by", [])
+        fixes = _fixes(name for name in reasons if name != "dead man")
+        return StatusWords(tone="stopped", headline=f"stopped: {_what(reasons)}", advice=(*fixes, REARM))
+    if mode == "run" and status.get("object") == "searching":
+        return RESTING
+    return MODES.get(mode, StatusWords(tone="waiting", headline=mode))
 
 
 def _idle(found: Sequence[str], verdict: object) -> StatusWords:

@@ -164,7 +164,7 @@ class OperatorPage:
             "has_image": now - self._image_time < SILENCE,
             "box": status.get("box"),
             "sight": sight_words(status),
-            "is_seen": status.get("object", status.get("verdict")) == Verdict.SEEN,
+            "is_seen": (status.get("object") or status.get("verdict")) == Verdict.SEEN,
             "latency_ms": latencies(status.get("latency_ms")),
             "details": self._rows if is_heard else [],
         }
