@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from pixel2catch.deployment.status_words import SIGHT, refusal_words, sentence, status_words
+from pixel2catch.deployment.status_words import SIGHT, latencies, refusal_words, sentence, status_words
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.fault_words import FAULT_WORDS, FaultWords, fault_words
@@ -77,3 +77,13 @@ def test_a_status_in_a_line(said: dict[str, Any], expected: str):
 
 def test_nothing_is_said_of_a_request_that_was_granted():
     assert refusal_words(status("armed")) == ""
+
+
+def test_latencies_are_those_that_are_numbers():
+    told = {"p50": 21.04, "p99": 40, "max": None, "count": 9, "p90": "x"}
+    assert latencies({"latency_ms": told}) == {"p50": 21.0, "p99": 40.0}
+    assert latencies({"latency_ms": 30.55}) == {"newest": 30.6}
+    for value in (None, float("nan"), [1], -1.0):
+        assert latencies({"latency_ms": value}) == {}
+    stopped = status("stopped", stopped_by=["stop request"], latency_ms=told)
+    assert sentence(stopped).endswith("From image to command: p50 21, p99 40 ms.")

@@ -25,7 +25,7 @@ from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.stepped import in_step
 from pixel2catch.viewer.config import PageCfg
-from pixel2catch.viewer.operator_page import REFUSAL_TIME, OperatorPage, box_in_image, latencies
+from pixel2catch.viewer.operator_page import REFUSAL_TIME, OperatorPage, box_in_image
 from pixel2catch.viewer.twin import TwinPage
 from pixel2catch.viewer.visitors import HeldButton
 
@@ -214,15 +214,6 @@ def test_a_box_is_that_in_the_image(box: Any, expected: list[float] | None):
     else:
         with pytest.raises(DeploymentError):
             box_in_image(box, PROFILE.camera)
-
-
-def test_latencies_are_those_that_are_numbers():
-    assert latencies({"p50": 21.04, "p99": 40, "max": None, "count": 9, "p90": "x"}) == {
-        "p50": 21.0,
-        "p99": 40.0,
-    }
-    assert latencies(30.55) == {"newest": 30.6}
-    assert latencies(None) == latencies(float("nan")) == latencies([1]) == {}
 
 
 def test_words_follow_the_statuses(desk: Desk):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Any, Literal
 
 from pixel2catch.perception.plausibility import Verdict
@@ -102,10 +103,24 @@ def refusal_words(status: dict[str, Any]) -> str:
     return " ".join((f"Arming was refused: {_what(refused)}.", *_fixes(refused))) if refused else ""
 
 
+def latencies(status: dict[str, Any]) -> dict[str, float]:
+    """Times from image to command by their names, such as "p50", or of the newest [ms], as far as told."""
+    said = status.get("latency_ms")
+    named = said if isinstance(said, dict) else {"newest": said}
+    return {
+        str(name): round(float(value), 1)
+        for name, value in named.items()
+        if name != "count" and isinstance(value, int | float) and 0.0 <= value < inf
+    }
+
+
 def sentence(status: dict[str, Any]) -> str:
-    """A status in a line, without what changes in every control step."""
-    parts = (status_words(status).text, refusal_words(status), status.get("message", ""))
-    return " ".join(part for part in parts if part)
+    """A status in a line, without what changes in every control step; at a stop the latencies so far."""
+    parts = [status_words(status).text, refusal_words(status)]
+    if status.get("mode") == "stopped" and (times := latencies(status)):
+        listed = ", ".join(f"{name} {time:.0f}" for name, time in times.items())
+        parts.append(f"From image to command: {listed} ms.")
+    return " ".join(part for part in (*parts, status.get("message", "")) if part)
 
 
 def _what(names: Sequence[str]) -> str:

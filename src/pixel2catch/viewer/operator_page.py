@@ -4,15 +4,15 @@ It only listens and asks on the network, as any other node. A browser is no safe
 page falls as soon as there is doubt whether anybody holds it, and the hardware emergency stop stays.
 """
 
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from importlib.resources import files
 from math import isfinite
+from threading import Event
 from typing import Any, final
 
 from pixel2catch.deployment.operator import OperatorConsole
-from pixel2catch.deployment.status_words import refusal_words, sight_words, status_words
+from pixel2catch.deployment.status_words import latencies, refusal_words, sight_words, status_words
 from pixel2catch.errors import DeploymentError
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.ros2 import messages
@@ -82,7 +82,7 @@ class OperatorPage:
         self._status = console.status
         self._status_time = self._image_time = self._refusal_time = self._shown_time = -SILENCE
         self._rows, self._refusal, self._image = list[tuple[str, str]](), "", b""
-        self._is_stopping, self._num_heard = False, 0
+        self._is_stopping, self._num_heard, self._is_switched = False, 0, Event()
         self.state: dict[str, Any] = {}  #: What the page was told last.
 
     @property
@@ -109,6 +109,11 @@ class OperatorPage:
         self.state = self._told(now) | {"twin": twin}
         self._visitors.tell(self.state, self._image)
 
+    def rest(self) -> None:
+        """Wait until it is time for the next update, or the switch was pressed or let go."""
+        self._is_switched.wait(PERIOD)
+        self._is_switched.clear()
+
     def operate(self, is_over: Callable[[], bool], report: Callable[[dict[str, Any]], None]) -> None:
         """Operate by the page until it is over, and let go of the switch then; report the newest status."""
         try:
@@ -117,7 +122,7 @@ class OperatorPage:
                 self._console.watch()
                 self.update()
                 report(self._console.status)
-                time.sleep(PERIOD)
+                self.rest()
         finally:
             self._console.holds = False
             self._console.watch()
@@ -165,24 +170,24 @@ class OperatorPage:
             "box": status.get("box"),
             "sight": sight_words(status),
             "is_seen": (status.get("object") or status.get("verdict")) == Verdict.SEEN,
-            "latency_ms": latencies(status.get("latency_ms")),
+            "latency_ms": latencies(status),
             "details": self._rows if is_heard else [],
         }
 
     def _heed(self, visitor: Visitor, asked: dict[str, Any]) -> None:
         """Do what a browser asks for."""
-        button = self._button
         match asked:
             case {"do": "stop"}:
                 self._stop()
             case {"do": "arm"}:
                 self._console.arm()
-            case {"do": "press"} if button:
-                button.press(visitor)
-            case {"do": "hold"} if button:
-                button.go_on(visitor)
-            case {"do": "let_go"} if button:
-                button.let_go(visitor)
+            case {"do": "press"} if self._button:
+                self._button.press(visitor)
+                self._is_switched.set()
+            case {"do": "hold"} if self._button:
+                self._button.go_on(visitor)
+            case {"do": "let_go"} if self._button:
+                self._part(visitor)
             case {"do": "point", "box": box}:
                 self._console.point(box_in_image(box, self._camera))
             case _ if self._more:
@@ -194,13 +199,15 @@ class OperatorPage:
         """Ask to stop at once, and again until a status says that the servo has."""
         if self._button:
             self._button.drop()
+            self._is_switched.set()
         self._is_stopping = True
         self._console.stop()
 
     def _part(self, visitor: Visitor) -> None:
-        """Let the switch fall with the connection of whoever holds it."""
+        """Let the switch fall if this browser holds it, which lets go of it or is gone."""
         if self._button:
             self._button.let_go(visitor)
+            self._is_switched.set()
 
 
 def page_files() -> dict[str, tuple[str, bytes]]:
@@ -231,13 +238,3 @@ def box_in_image(box: Any, camera: CameraProfile) -> list[float]:
             f"the box is {xmax - xmin:.0f} x {ymax - ymin:.0f} px: drag one round the object"
         )
     return [xmin, ymin, xmax, ymax]
-
-
-def latencies(said: Any) -> dict[str, float]:
-    """Times from image to command by their names, such as "p50" [ms], of what a status has."""
-    named = said if isinstance(said, dict) else {"newest": said}
-    return {
-        str(name): round(float(value), 1)
-        for name, value in named.items()
-        if name != "count" and type(value) in (int, float) and 0.0 <= value < 1e5
-    }

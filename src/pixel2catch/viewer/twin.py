@@ -4,7 +4,6 @@ One button does all that an operator does for a throw; the others do it step by 
 """
 
 import sys
-import time
 from threading import Thread
 from typing import Any, NoReturn, final
 
@@ -16,7 +15,7 @@ from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
 from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.viewer.config import PageCfg
-from pixel2catch.viewer.operator_page import PERIOD, OperatorPage
+from pixel2catch.viewer.operator_page import OperatorPage
 from pixel2catch.viewer.visitors import HeldButton
 
 REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: What the twin is asked for by buttons.
@@ -150,4 +149,4 @@ def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> 
         print(f"the twin's page: {page.page.address}", file=sys.stderr, flush=True)
         while True:
             page.update()
-            time.sleep(PERIOD)
+            page.page.rest()
