@@ -75,6 +75,11 @@ def test_a_status_in_a_line(said: dict[str, Any], expected: str):
     assert sentence(said) == expected
 
 
+def test_a_status_of_anybody_has_words():
+    for mode in ("idle", "stopped", ["run"], {}):
+        assert sentence({"mode": mode, "found": 5, "stopped_by": "all", "refused": [[1]], "latency_ms": "x"})
+
+
 def test_nothing_is_said_of_a_request_that_was_granted():
     assert refusal_words(status("armed")) == ""
 

@@ -98,7 +98,7 @@ def test_a_recording_is_played_and_played_again(recording: Path):
                 time.sleep(0.02)
 
         wait_for_image()
-        assert page.words.content == "**running: follows the policy.**"
+        assert page.words.content == "**running: follows the policy** "
         assert "| servo | run |" in page.table.content
         assert not page.wire.view.bodies["thrower"].visible
         page.picture.show(np.zeros_like(page.picture.image))

@@ -68,11 +68,11 @@ MODES = {
 
 def status_words(status: dict[str, Any]) -> StatusWords:
     """Say what a status means; an empty one is that nobody was heard of."""
-    mode = status.get("mode", "")
+    mode = str(status.get("mode", ""))
     if mode == "idle":
-        return _idle(status.get("found", []), status.get("verdict"))
+        return _idle(_names(status, "found"), status.get("verdict"))
     if mode == "stopped":
-        reasons = status.get("stopped_by", [])
+        reasons = _names(status, "stopped_by")
         fixes = _fixes(name for name in reasons if name != "dead man")
         return StatusWords(tone="stopped", headline=f"stopped: {_what(reasons)}", advice=(*fixes, REARM))
     if mode == "run" and status.get("object") == "searching":
@@ -97,7 +97,7 @@ def sight_words(status: dict[str, Any]) -> str:
 
 def refusal_words(status: dict[str, Any]) -> str:
     """Why a request to arm was refused; empty if none was."""
-    refused = status.get("refused", [])
+    refused = _names(status, "refused")
     if "dead man" in refused:
         refused = [name for name in refused if name != "switch not pressed"]  # who holds it presses it
     return " ".join((f"Arming was refused: {_what(refused)}.", *_fixes(refused))) if refused else ""
@@ -121,6 +121,12 @@ def sentence(status: dict[str, Any]) -> str:
         listed = ", ".join(f"{name} {time:.0f}" for name, time in times.items())
         parts.append(f"From image to command: {listed} ms.")
     return " ".join(part for part in (*parts, status.get("message", "")) if part)
+
+
+def _names(status: dict[str, Any], key: str) -> list[str]:
+    """Names of faults in a status, of which nobody knows who wrote it."""
+    said = status.get(key)
+    return [str(name) for name in said] if isinstance(said, list) else []
 
 
 def _what(names: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pixel2catch.deployment.operator import newest
 from pixel2catch.deployment.replay import BagPlayer
-from pixel2catch.deployment.status_words import sentence
+from pixel2catch.deployment.status_words import status_words
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.video import draw_box
@@ -102,7 +102,7 @@ class RecordingPage:
     def _show(self, status: dict[str, Any]) -> None:
         """Show what has arrived, and the newest status."""
         self.wire.update({})
-        self.words.content = f"**{sentence(status)}**"
+        self.words.content = f"**{status_words(status).headline}** {status.get('message', '')}"
         rows = "\n".join(f"| {name} | {text} |" for name, text in self._details.rows(status))
         self.table.content = f"| | |\n|---|---|\n{rows}"
         for message in self._images.take():
