@@ -279,6 +279,16 @@ def test_the_switch_of_a_browser_falls_whenever_there_is_doubt(desk: Desk, brows
     prompts: list[Any] = []
     desk.until(lambda: prompts.extend(desk.taken("prompt")) or prompts)
     assert prompts[0]["box"] == pytest.approx([200, 120, 300, 160], abs=1.0)
+    for stop in (browser_page.locator("#stop").click, lambda: browser_page.keyboard.press("Escape")):
+        desk.taken("stop")
+        stop()
+        desk.until(lambda: desk.taken("stop"))
+        desk.until(lambda: "was not heard" in browser_page.locator("#heard").text_content())
+        desk.tell(mode="stopped")
+        desk.until(lambda: "was heard after" in browser_page.locator("#heard").text_content())
+        desk.taken("stop")
+        desk.go_on()
+        assert desk.taken("stop") == []
     for let_go in (
         lambda: browser_page.keyboard.up("h"),
         lambda: browser_page.evaluate("dispatchEvent(new KeyboardEvent('keyup', {code: 'KeyH'}))"),
