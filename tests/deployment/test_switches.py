@@ -15,6 +15,7 @@ from loop_lab import PROFILE
 from networks import dds_nodes
 
 from domains import PATIENCE, own_domain
+from pixel2catch.cli.main import main
 from pixel2catch.deployment.operator import SWITCH_TIME, OperatorConsole, operate_by_keys
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.deployment.switches import DROPPED, EVENT, KEY, SYNC, Keys, Press, Switches
@@ -195,6 +196,11 @@ def test_the_command_speaks_over_dds_until_its_end(device: Device, monkeypatch: 
         while said[-1]:
             said += until(queue, 1)
         assert said[-1] is False
+
+
+def test_a_command_without_a_switch_is_refused(capsys: pytest.CaptureFixture[str]):
+    assert main(["operate"]) == 2
+    assert "--web" in capsys.readouterr().err
 
 
 def until(queue: Subscription, num: int) -> list[bool]:

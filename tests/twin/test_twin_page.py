@@ -18,7 +18,6 @@ from websockets.typing import Origin
 from domains import PATIENCE, free_port
 from pixel2catch.envs.catch_env import CatchEnvCfg
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.rendering.video import BOX_COLOR
 from pixel2catch.robots.geometry import bare_model, first_chain
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import RealClock
@@ -45,6 +44,10 @@ class Shown:
         nothing = {"mode": "", "message": "", "stopped_by": [], "refused": [], "found": []}
         self._status.publish(messages.text(json.dumps(nothing | status)))
 
+    @property
+    def twin(self) -> dict[str, Any]:
+        return self.page.page.state["twin"]
+
     def go_on(self, num_cycles: int = 20) -> None:
         self.bench.cycle(num_cycles)
         self.page.update()
@@ -59,20 +62,20 @@ def shown() -> Iterator[Shown]:
 
 
 def test_the_page_is_there_for_this_machine(shown: Shown):
-    assert shown.page.address.startswith("http://127.0.0.1:")
-    with urllib.request.urlopen(shown.page.address, timeout=PATIENCE) as answer:
+    assert shown.page.page.address.startswith("http://127.0.0.1:")
+    with urllib.request.urlopen(shown.page.page.address, timeout=PATIENCE) as answer:
         assert b"<html" in answer.read()
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", None])
 def test_another_page_cannot_press_a_button(shown: Shown, origin: str | None):
-    address = shown.page.address.replace("http://", "ws://")
+    address = shown.page.page.address.replace("http://", "ws://")
     with (
         pytest.raises(InvalidStatus, match="403"),
         connect(address, origin=Origin(origin) if origin else None),
     ):
         pass
-    request = urllib.request.Request(shown.page.address, headers={"Host": "evil.example"})
+    request = urllib.request.Request(shown.page.page.address, headers={"Host": "evil.example"})
     with pytest.raises(urllib.error.HTTPError, match="403") as refused:
         urllib.request.urlopen(request, timeout=PATIENCE)
     refused.value.close()
@@ -80,7 +83,7 @@ def test_another_page_cannot_press_a_button(shown: Shown, origin: str | None):
 
 def test_the_robot_is_shown_where_the_joint_states_have_it(shown: Shown):
     shown.go_on()
-    palm, joints = shown.page.wire.view.bodies["palm"], shown.bench.lab.joints.position
+    palm, joints = shown.page.page.scene.view.bodies["palm"], shown.bench.lab.joints.position
     turned = np.zeros(3)
     mujoco.mju_rotVecQuat(turned, bare_model(UR5E_ALLEGRO).site("palm").pos, np.array(palm.wxyz))
     expected, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(joints)[None, :6])
@@ -89,43 +92,25 @@ def test_the_robot_is_shown_where_the_joint_states_have_it(shown: Shown):
 
 def test_buttons_prepare_and_throw(shown: Shown):
     shown.go_on()
-    assert not shown.page.wire.view.thrown.visible
+    assert not shown.page.page.scene.view.thrown.visible
+    assert shown.twin["throw"] == "the room is empty"
     shown.page.ask("prepare")
-    shown.page.update()
     shown.go_on(300)
     assert shown.bench.lab.phase is Phase.HELD
-    assert shown.page.wire.view.thrown.visible
-    assert shown.page.wire.view.thrown.position == pytest.approx(
+    assert shown.page.page.scene.view.thrown.visible
+    assert shown.page.page.scene.view.thrown.position == pytest.approx(
         shown.bench.lab.episode.throw.pos[0].numpy(), abs=1e-3
     )
+    assert shown.twin["seed"] == 1
     shown.page.ask("throw")
-    shown.page.update()
     shown.go_on(30)
-    assert "| twin: phase | flying |" in shown.page.wire.text.content
-
-
-def test_the_operator_holds_arms_points_and_stops(shown: Shown):
-    heard = {
-        name: shown.bench.node.subscription(getattr(PROFILE.operator, name))
-        for name in ("dead_man", "arm", "prompt", "stop")
-    }
-    page, console = shown.page, shown.page.console
-    page.hold(True)
-    shown.go_on()
-    assert [messages.read_boolean(message.data) for message in heard["dead_man"].take()] == [True]
-    page.hold(False)
-    shown.go_on()
-    assert [messages.read_boolean(message.data) for message in heard["dead_man"].take()] == [False]
-    page.ask("prepare")
-    shown.page.update()
-    shown.go_on(300)
-    page.point()
-    console.arm()
-    console.stop()
-    box = shown.bench.lab.truth()["box"]
-    (prompt,) = heard["prompt"].take()
-    assert json.loads(messages.read_text(prompt.data))["box"] == pytest.approx(box, abs=1.0)
-    assert all(len(heard[name].take()) == 1 for name in ("arm", "stop"))
+    assert shown.twin["throw"] == f"{shown.bench.lab.object_name} flies"
+    shown.page.ask("throw")
+    shown.go_on(30)
+    assert "prepare one" in shown.twin["trouble"]
+    shown.page.ask("protective_stop")
+    shown.go_on(30)
+    assert "press resume" in shown.twin["trouble"]
 
 
 @pytest.mark.slow
@@ -135,33 +120,25 @@ def test_one_button_throws_and_catches():
     with in_step(RehearsalCfg(throws=1, plain=True), task, policy) as rehearsal:
         node = rehearsal.broker.node(rehearsal.clock)
         page = TwinPage(PageCfg(port=free_port()), task.scene, PROFILE, node, rehearsal.clock)
-        page.seed.value = 3
+        page.seed = 3
         page.catch()
         assert page.trial is not None
         page.trial.join()
         page.update()
         page.close()
         assert rehearsal.lab.outcome == "caught"
-        assert page.seed.value == 4
-        assert "| deploy: mode | stopped |" in page.wire.text.content
+        assert page.seed == 4
+        assert page.page.state["tone"] == "stopped"
+        twin = page.page.state["twin"]
+        assert twin["result"] == "caught; 1 of 1 caught"
 
 
-def test_what_the_deployment_sees_is_in_the_picture_and_its_state_in_the_table(shown: Shown):
+def test_the_details_have_what_the_policy_reads(shown: Shown):
     for box in ([100, 50, 120, 80], [110, 50, 130, 80]):
         shown.tell(mode="run", box=box)
         shown.go_on(30)
-    assert "| deploy: mode | run |" in shown.page.wire.text.content
-    assert "| dcx | 10.00 |" in shown.page.wire.text.content
-    assert "| cx | 0.19 |" in shown.page.wire.text.content  # 120 of 640
-    green = np.argwhere((shown.page.wire.picture.image == BOX_COLOR).all(axis=-1))
-    assert (green.min(axis=0).tolist(), green.max(axis=0).tolist()) == ([50, 110], [79, 129])
-
-
-def test_what_cannot_be_read_shows_nothing(shown: Shown):
-    garbage = b"\x00\x01\x00\x00garbage"
-    for topic in (PROFILE.camera.image, PROFILE.robots[0].state_topic, PROFILE.operator.status):
-        shown.bench.node.publisher(topic).publish(garbage)
-    shown.go_on(30)
-    shown.tell(mode="run")
-    shown.go_on(30)
-    assert "| deploy: mode | run |" in shown.page.wire.text.content
+    state = shown.page.page.state
+    assert state["box"] == [110, 50, 130, 80]
+    rows = dict(state["details"])
+    assert rows["servo"] == "run"
+    assert (rows["cx"], rows["dcx"]) == ("0.19", "10.00")  # 120 of 640

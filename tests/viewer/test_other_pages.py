@@ -1,7 +1,10 @@
 """Pages of a training, of a recording and of the twin."""
 
 import csv
+import json
+import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -13,15 +16,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from domains import PATIENCE, free_port, own_domain
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.recorder import BagRecorder
+from pixel2catch.deployment.switches import EVENT, KEY, Keys
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.rendering.video import BOX_COLOR
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.replay import RecordingPage
@@ -85,15 +92,16 @@ def test_a_recording_is_played_and_played_again(recording: Path):
 
         def wait_for_image() -> None:
             end = time.monotonic() + PATIENCE
-            while not (page.wire.picture.image == BOX_COLOR).all(axis=-1).any():
+            while not (page.picture.image == BOX_COLOR).all(axis=-1).any():
                 assert time.monotonic() < end
                 assert not playing.done()
                 time.sleep(0.02)
 
         wait_for_image()
-        assert "| deploy: mode | run |" in page.wire.text.content
+        assert page.words.content == "**running: follows the policy** "
+        assert "| servo | run |" in page.table.content
         assert not page.wire.view.bodies["thrower"].visible
-        page.wire.picture.show(np.zeros_like(page.wire.picture.image))
+        page.picture.show(np.zeros_like(page.picture.image))
         page.begin()
         wait_for_image()
         page.close()
@@ -150,3 +158,46 @@ def test_the_twin_has_a_page():
         pytest.skip(str(error))
     with started("twin", "--web", "--clock", "0.2", "--domain", own_domain()) as (_, address):
         assert is_served(address)
+
+
+@pytest.mark.slow
+def test_an_operator_has_a_page_whose_switch_is_let_go_at_its_end(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    with (
+        make_transport("dds", "laboratory", LOOPBACK, RealClock()) as node,
+        started("operate", "--web") as (process, address),
+    ):
+        heard = node.subscription(PROFILE.operator.dead_man, depth=1000)
+        link = f"{address.replace('http', 'ws')}/operate/link"
+        with connect(link, origin=Origin(address), open_timeout=PATIENCE) as visitor:
+            said: list[bool] = []
+            end = time.monotonic() + PATIENCE
+            while True not in said:  # on a slow machine a browser may be silent for too long: it presses anew
+                assert time.monotonic() < end
+                for do in ("press", "hold"):
+                    visitor.send(json.dumps({"do": do}))
+                node.wait(0.01)
+                said += [messages.read_boolean(message.data) for message in heard.take()]
+            process.send_signal(signal.SIGINT)
+            while said[-1]:
+                assert time.monotonic() < end
+                node.wait(0.01)
+                said += [messages.read_boolean(message.data) for message in heard.take()]
+        process.wait(PATIENCE)
+        assert process.returncode == 0
+
+
+@pytest.mark.slow
+def test_beside_a_pedal_the_page_has_no_switch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    pedal = tmp_path / "pedal"
+    os.mkfifo(pedal)
+    with (
+        open(os.open(pedal, os.O_RDWR), "wb", buffering=0) as keys,
+        started("operate", pedal, "--web") as (_, address),
+        connect(f"{address.replace('http', 'ws')}/operate/link", origin=Origin(address)) as visitor,
+    ):
+        keys.write(EVENT.pack(1, 2, KEY, Keys().hold[0], 1))
+        states = (json.loads(said) for said in visitor if isinstance(said, str))
+        state = next(state for state in states if state["is_held"])
+        assert not state["has_switch"]

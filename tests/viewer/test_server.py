@@ -3,6 +3,7 @@
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 import viser
@@ -13,7 +14,8 @@ from websockets.typing import Origin, Subprotocol
 from domains import PATIENCE, free_port
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.viewer.config import PageCfg
-from pixel2catch.viewer.server import PageServer, open_server
+from pixel2catch.viewer.operator_page import page_files
+from pixel2catch.viewer.server import OwnPage, PageServer, open_server
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
@@ -85,6 +87,47 @@ def test_nobody_may_frame_it(own: PageServer):
     with urllib.request.urlopen(own.address, timeout=PATIENCE) as answer:
         assert answer.headers["X-Frame-Options"] == "DENY"
         assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
+
+
+async def talk(visitor: Any) -> None:
+    await visitor.send("hello")
+
+
+def test_a_page_of_our_own_is_as_closed_as_the_other():
+    server = open_server(
+        PageCfg(port=free_port()), "ours", OwnPage(path="/operate", files=page_files(), talk=talk)
+    )
+    root = server.address.removesuffix("/operate")
+    assert root != server.address
+    for name, kind in (("", "text/html"), ("/operate.js", "text/javascript"), ("/operate.css", "text/css")):
+        with urllib.request.urlopen(server.address + name, timeout=PATIENCE) as answer:
+            assert answer.headers.get_content_type() == kind
+            assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+            assert answer.headers["X-Frame-Options"] == "DENY"
+    assert status(f"{server.address}/operate.py") == 404
+    assert status(server.address, Host="evil.example") == status(server.address, Origin="http://evil") == 403
+    link = f"{server.address}/link"
+    assert handshake(link, root) == handshake(root, root) == 101
+    for origin in ("http://evil.example", "null", None):
+        assert handshake(link, origin) == 403
+    with connect(link.replace("http", "ws"), origin=Origin(root), open_timeout=PATIENCE) as ours:
+        assert ours.recv(PATIENCE) == "hello"
+    with urllib.request.urlopen(root, timeout=PATIENCE) as answer:  # viser's, which ours shows in a frame
+        assert "frame-ancestors 'self'" in answer.headers["Content-Security-Policy"]
+    server.close()
+
+
+def test_a_page_of_our_own_needs_the_token_too():
+    own = OwnPage(path="/operate", files=page_files(), talk=talk)
+    server = open_server(PageCfg(port=free_port(), host="0.0.0.0"), "ours", own)
+    plain, _, token = server.address.replace("localhost", "127.0.0.1").partition("?token=")
+    root = plain.removesuffix("/operate")
+    assert status(plain) == status(f"{plain}/operate.js") == handshake(f"{plain}/link", root) == 403
+    with urllib.request.urlopen(f"{plain}?token={token}", timeout=PATIENCE) as answer:
+        kept = answer.headers["Set-Cookie"].partition(";")[0]
+    assert status(f"{plain}/operate.js", Cookie=kept) == 200
+    assert handshake(f"{plain}/link", root, Cookie=kept) == 101
+    server.close()
 
 
 def test_others_need_the_token_of_its_address(shared: PageServer):

@@ -110,6 +110,7 @@ class Deploy:
     def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> None:
         """Run until Ctrl-C or the time is over, and say when something changes."""
         from pixel2catch.cli.console import say
+        from pixel2catch.deployment.status_words import sentence
         from pixel2catch.interruption import StopRequest
 
         gc.collect()
@@ -127,24 +128,6 @@ class Deploy:
         with StopRequest() as stop:
             end = begin + (inf if self.seconds is None else self.seconds)
             control_loop.run(lambda: stop.is_set or clock.now() > end, report)
-
-
-def sentence(status: dict[str, Any]) -> str:
-    """A status in words, without what changes in every control step."""
-    parts = [status["mode"]]
-    for name in ("stopped_by", "refused"):
-        if status[name]:
-            parts.append(f"{name.replace('_', ' ')} {', '.join(status[name])}")
-    if status["mode"] == "idle" and status["found"]:
-        parts.append(f"not ready: {', '.join(status['found'])}")
-    if status.get("object"):
-        parts.append(f"object: {status['object']}")
-    if status["mode"] == "stopped" and (latency := status.get("latency_ms")):
-        times = ", ".join(f"{name} {latency[name]:.0f}" for name in ("p50", "p90", "p99"))
-        parts.append(f"image to command [ms]: {times}")
-    if status["message"]:
-        parts.append(status["message"])
-    return "; ".join(parts)
 
 
 def lines(summary: dict[str, Any]) -> Iterator[str]:

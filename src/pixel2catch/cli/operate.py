@@ -1,5 +1,7 @@
-"""`pixel2catch operate`: a pedal or a gamepad as the dead-man's switch of `deploy`."""
+"""`pixel2catch operate`: an operator's switches and page beside `deploy`."""
 
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,47 +10,95 @@ from tyro.conf import Positional
 
 from pixel2catch.cli.link import Network
 from pixel2catch.deployment.switches import Keys
+from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
+    from pixel2catch.deployment.operator import OperatorConsole
     from pixel2catch.deployment.switches import Press
+    from pixel2catch.ros2.profile import Profile
+    from pixel2catch.ros2.transport import Clock, Transport
+    from pixel2catch.viewer.operator_page import OperatorPage
 
 
 @dataclass(frozen=True, kw_only=True)
 class Operate:
-    """Hold the dead-man's switch, arm and stop with a pedal, a gamepad or a keyboard (Linux).
+    """Hold the dead-man's switch, arm and stop with a pedal, a gamepad or a keyboard (Linux), or on a page.
 
     While a key of --hold is pressed the robot may move; when it is released, or the device is unplugged, or
     this command ends, the robot stops. Keys are given by the codes that this command shows when they are
-    pressed.
+    pressed. The page shows the camera's image, takes prompts, and stops; without a device its own button is
+    the switch, which falls when its browser loses the focus or the connection. It is no safety device.
     """
 
-    device: Positional[Path]  #: Input device, such as /dev/input/by-id/usb-...-event-kbd.
+    #: Input device, such as /dev/input/by-id/usb-...-event-kbd; not needed with --web.
+    device: Positional[Path | None] = None
     keys: Keys = field(default_factory=Keys)  #: What the keys do.
+    web: bool = False  #: Whether to serve a page for the operator.
+    page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     network: Network = field(default_factory=Network)  #: How the deployment is reached.
 
     def run(self) -> None:
         """Operate until Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
-        from pixel2catch.cli.deploy import sentence
         from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.errors import InvalidValueError
         from pixel2catch.interruption import StopRequest
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.operator import OperatorConsole, operate_by_keys
             from pixel2catch.deployment.switches import Switches
+        if self.device is None and not self.web:
+            raise InvalidValueError(
+                "there is no switch: name an input device, such as /dev/input/event3, or add --web."
+            )
         profile = self.network.robot.load()
-        said = ""
-
-        def tell(presses: "list[Press]", status: dict[str, Any]) -> None:
-            nonlocal said
-            for press in presses:
-                say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
-            if status and (line := sentence(status)) != said:
-                said = line
-                say(line)
-
-        with Switches(self.device) as switches, self.network.join("pixel2catch_operator") as (node, clock):
+        with ExitStack() as stack:
+            switches = stack.enter_context(Switches(self.device)) if self.device else None
+            node, clock = stack.enter_context(self.network.join("pixel2catch_operator"))
             console = OperatorConsole(node, profile.operator, clock)
-            say(f"listening to {self.device}; Ctrl-C ends it, and stops the robot")
-            with StopRequest() as stop:
-                operate_by_keys(console, switches, self.keys, clock, lambda: stop.is_set, tell)
+            page = self._open(profile, node, clock, console) if self.web else None
+            if page:
+                stack.callback(page.close)
+                say(f"open {page.address} in a browser")
+            say(f"listening to {self.device or 'the page'}; Ctrl-C ends it, and stops the robot")
+            stop, report = stack.enter_context(StopRequest()), _report(page if switches else None)
+            if switches:
+                operate_by_keys(console, switches, self.keys, clock, lambda: stop.is_set, report)
+            elif page:
+                page.operate(lambda: stop.is_set, lambda status: report([], status))
+
+    def _open(
+        self, profile: "Profile", node: "Transport", clock: "Clock", console: "OperatorConsole"
+    ) -> "OperatorPage":
+        """Open the page, whose button is the switch where there is no device."""
+        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.scene.scene import SceneCfg
+
+        with needs_extra("viewer"):
+            from pixel2catch.viewer.operator_page import OperatorPage
+            from pixel2catch.viewer.visitors import HeldButton
+        button = None if self.device else HeldButton()
+        scene = SceneCfg(workcell=profile.workcell)
+        return OperatorPage(
+            self.page, "Pixel2Catch operator", scene, profile, node, clock, console, button=button
+        )
+
+
+def _report(page: "OperatorPage | None") -> "Callable[[list[Press], dict[str, Any]], None]":
+    """What says when something changes, and makes a page current."""
+    from pixel2catch.cli.console import say
+    from pixel2catch.deployment.status_words import sentence
+
+    said = ""
+
+    def report(presses: "list[Press]", status: dict[str, Any]) -> None:
+        nonlocal said
+        for press in presses:
+            say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
+        if status and (line := sentence(status)) != said:
+            said = line
+            say(line)
+        if page:
+            page.update()
+
+    return report

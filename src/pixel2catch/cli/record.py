@@ -60,7 +60,7 @@ class Record:
     def _follow(self, follower: "TrajectoryFollower") -> None:
         """Follow until the end or Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
-        from pixel2catch.cli.deploy import sentence
+        from pixel2catch.deployment.status_words import sentence
         from pixel2catch.interruption import StopRequest
 
         said = ""

@@ -63,7 +63,8 @@ class Twin:
                 from pixel2catch.viewer.process import page_process
                 from pixel2catch.viewer.twin import serve_page
             profile = twin_profile(find_workcell(task.scene.workcell))
-            page = page_process(serve_page, self.page, task.scene, profile, self.twin.clock)
+            scene, clock = task.scene, self.twin.clock
+            page = page_process(serve_page, self.page, scene, profile, clock, niceness=0)  # has a switch
         with StopRequest() as stop, page:
             stats = serve(self.twin, task, report)
         late = f"{stats.num_late:,} of them late, the worst by {1000 * stats.worst:.0f} ms"

@@ -10,7 +10,7 @@ from pixel2catch.findings import Absent, Broken
 from pixel2catch.ros2.dds import domain_id
 from pixel2catch.ros2.transport import RealClock
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.process import REAL_TIME_PRIORITY
+from pixel2catch.servo.process import SERVO_PRIORITY
 
 GUIDE = "docs/laboratory.md"  #: Where the steps are.
 LEAST_CORES = 4  #: For servo, policy, perception and drivers. Source: ours.
@@ -49,7 +49,7 @@ def real_time_priority() -> Iterator[bool]:
     """What the servo process asks for, for a while; it says whether the system grants it."""
     before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(SERVO_PRIORITY))
     except PermissionError:
         yield False
         return
@@ -63,10 +63,10 @@ def real_time() -> str:
     """Whether the servo may ask for real-time scheduling."""
     with real_time_priority() as is_granted:
         if is_granted:
-            return f"priority {REAL_TIME_PRIORITY} of SCHED_FIFO is granted"
+            return f"priority {SERVO_PRIORITY} of SCHED_FIFO is granted"
     limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     raise Broken(
-        f"the limit rtprio is {limit}, the servo asks for priority {REAL_TIME_PRIORITY}: write "
+        f"the limit rtprio is {limit}, the servo asks for priority {SERVO_PRIORITY}: write "
         f"'@realtime - rtprio 99' into /etc/security/limits.conf, join that group, log in anew ({GUIDE})"
     )
 

@@ -56,7 +56,7 @@ class WatchedArm:
         local = palm[:, :3, :3].transpose(0, 2, 1) @ (points - palm[:, :3, 3:])
         start, end = local.reshape(len(palm), 3, 2, 1, -1).transpose(2, 1, 3, 4, 0)
         enter, leave = crossed(start, end - start, *self._grown_boxes)
-        return (enter > leave).all(axis=(0, 1))
+        return np.logical_and.reduce(enter > leave, axis=(0, 1))
 
     @cached_property
     def _grown_boxes(self) -> Float64[np.ndarray, "2 3 boxes capsules 1"]:

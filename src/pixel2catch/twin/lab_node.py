@@ -221,6 +221,7 @@ class LabNode:
         """What is true of robot and throw, and what the operator asked for in vain."""
         return {
             **self.lab.truth(),
+            "outcome": self.lab.outcome,
             "halted": not self.arm.is_running,
             "safety_mode": self.arm.safety_mode,
             "halts": self.arm.num_halts,

@@ -26,6 +26,13 @@ DARK = 40  #: Level of an image where nothing can be drawn but the box.
 QUALITY = 80  #: Of the JPEG images of a page.
 
 
+def jpeg(image: np.ndarray) -> bytes:
+    """An image, red, green, blue, as pages get it."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "jpeg", quality=QUALITY)
+    return buffer.getvalue()
+
+
 class Picture:
     """An image on a page that may change often.
 
@@ -41,9 +48,7 @@ class Picture:
     def show(self, image: np.ndarray) -> None:
         """Show an image, red, green, blue."""
         self.image = image  #: What is shown.
-        buffer = io.BytesIO()
-        Image.fromarray(image).save(buffer, "jpeg", quality=QUALITY)
-        data = base64.b64encode(buffer.getvalue()).decode()
+        data = base64.b64encode(jpeg(image)).decode()
         self._html.content = (
             f'<img alt="the camera\'s image" decoding="sync" style="{self._style}" '
             f'src="data:image/jpeg;base64,{data}">'

@@ -15,7 +15,7 @@ from pixel2catch.interruption import StopRequest, end_with_parent
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.server import PageServer, require_address
 
-NICENESS = 10  #: Of the process of a page. Source: ours, below everything that has to keep a time.
+NICENESS = 10  #: Of the process of a page that only shows. Source: ours, below all that has to keep a time.
 
 
 class RunningPage(Protocol):
@@ -51,14 +51,16 @@ def serve_until_interrupted(make_page: Callable[[], RunningPage]) -> None:
 
 
 @contextmanager
-def page_process(serve: Callable[..., Any], cfg: PageCfg, *args: Any) -> Iterator[None]:
+def page_process(
+    serve: Callable[..., Any], cfg: PageCfg, *args: Any, niceness: int = NICENESS
+) -> Iterator[None]:
     """A process that calls `serve` with these arguments, and ends with the context.
 
     Raises:
         InvalidValueError: If this machine cannot listen on the page's address.
     """
     require_address(cfg)
-    process = get_context("spawn").Process(target=_run, args=(serve, cfg, *args), daemon=True)
+    process = get_context("spawn").Process(target=_run, args=(niceness, serve, cfg, *args), daemon=True)
     process.start()
     try:
         yield
@@ -67,9 +69,9 @@ def page_process(serve: Callable[..., Any], cfg: PageCfg, *args: Any) -> Iterato
         process.join()
 
 
-def _run(serve: Callable[..., Any], *args: Any) -> None:
+def _run(niceness: int, serve: Callable[..., Any], *args: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the command's
-    os.nice(NICENESS)
+    os.nice(niceness)
     end_with_parent()
     torch.set_num_threads(1)
     serve(*args)

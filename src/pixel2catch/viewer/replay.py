@@ -1,20 +1,29 @@
 """`pixel2catch replay --web`: a recorded deployment to look at: robot, images with the box, states."""
 
+from contextlib import suppress
 from pathlib import Path
 from threading import Event
+from typing import Any
+
+import numpy as np
 
 from pixel2catch.deployment.operator import newest
 from pixel2catch.deployment.replay import BagPlayer
+from pixel2catch.deployment.status_words import status_words
 from pixel2catch.deployment.stepped import StepClock
+from pixel2catch.errors import DeploymentError
+from pixel2catch.rendering.video import draw_box
+from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer.images import Picture
 from pixel2catch.viewer.playback import Playback
 from pixel2catch.viewer.server import open_server
 from pixel2catch.viewer.stage import add_time_controls
-from pixel2catch.viewer.wire import WireView
+from pixel2catch.viewer.wire import StatusDetails, WireScene
 
 
 class RecordingPage:
@@ -39,12 +48,20 @@ class RecordingPage:
         self.server = open_server(cfg, "Pixel2Catch recording")
         server = self.server.viser
         self._statuses = node.subscription(profile.operator.status)
+        self._images = node.subscription(profile.camera.image)
         scene = SceneCfg(workcell=profile.workcell, camera=camera)
-        self.wire = WireView(server, scene, profile, node, self._clock)  #: What is shown.
+        server.gui.main_panel.dock_right()
+        server.gui.main_panel.set_width(380)
+        self.wire = WireScene(server, scene, profile, node, self._clock)  #: The robot.
+        #: The newest image, with the box that the deployment saw.
+        self.picture = Picture(server.gui, camera)
+        self.words = server.gui.add_markdown("")  #: What the deployment did.
         self.time_text = server.gui.add_markdown("")  #: How far it is.
         add_time_controls(server.gui, self.playback)
         server.gui.add_button("from the beginning").on_click(lambda _: self.begin())
-        self.wire.add_states()
+        with server.gui.add_folder("Details", expand_by_default=False):
+            self.table = server.gui.add_markdown("")  #: What else is in the newest status.
+        self._details = StatusDetails(camera)
         self._wanted.set()
 
     def begin(self) -> None:
@@ -72,12 +89,25 @@ class RecordingPage:
         self.server.close()
 
     def _play(self) -> None:
-        status: dict[str, object] = {}
+        status: dict[str, Any] = {}
         with BagPlayer(self._recording, self._node, self._topics) as player:
             self._clock.time = player.start
             while not player.is_over and self.playback.wait(CONTROL_DT):
                 self._clock.time += CONTROL_DT
                 player.play(self._clock.time)
                 status = newest(self._statuses, status)
-                self.wire.update(status, {})
+                self._show(status)
                 self.time_text.content = f"**{self._clock.time - player.start:.1f} s**"
+
+    def _show(self, status: dict[str, Any]) -> None:
+        """Show what has arrived, and the newest status."""
+        self.wire.update({})
+        self.words.content = f"**{status_words(status).headline}** {status.get('message', '')}"
+        rows = "\n".join(f"| {name} | {text} |" for name, text in self._details.rows(status))
+        self.table.content = f"| | |\n|---|---|\n{rows}"
+        for message in self._images.take():
+            with suppress(DeploymentError):  # a message that cannot be read shows nothing
+                pixels = messages.read_image(message.data).pixels.copy()
+                if box := status.get("box"):
+                    draw_box(pixels, np.array(box, dtype=float))
+                self.picture.show(pixels)

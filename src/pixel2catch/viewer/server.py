@@ -11,8 +11,9 @@ import http
 import io
 import secrets
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
 from typing import Any
@@ -21,6 +22,7 @@ from urllib.parse import parse_qs, urlsplit
 import viser
 import websockets.asyncio.server
 from websockets import Headers
+from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from pixel2catch.errors import InvalidValueError
@@ -31,8 +33,40 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")  #: What this machine's own b
 UNFRAMED = {"X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'"}
 """Headers of every answer: nobody may lay the page under another one and borrow a click."""
 
+FRAMED_BY_OWN = {"X-Frame-Options": "SAMEORIGIN", "Content-Security-Policy": "frame-ancestors 'self'"}
+"""Headers of what a page of our own shows in a frame: viser's page, beside it."""
+
+OWN_POLICY = "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'"
+"""What a page of our own may load: nothing from elsewhere, and no script that is not one of its files."""
+
 Answer = Callable[[Any, Request], Response | None]
 """What `websockets` asks before a handshake: an HTTP answer, or none to go on with it."""
+
+Talk = Callable[[ServerConnection], Awaitable[None]]  #: What `websockets` calls for a connection.
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnPage:
+    """A page of our own, beside that of viser and on the same server."""
+
+    path: str  #: Where it is, such as "/operate".
+    files: Mapping[str, tuple[str, bytes]]  #: Types and contents of its files, by their paths.
+    talk: Talk  #: What speaks with the page, as long as it is open.
+
+    def answer(self, request: Request) -> Response | None:
+        """The file that is asked for; none if it is none of this page's."""
+        path = request.path.partition("?")[0]
+        if path not in self.files or "Upgrade" in request.headers:
+            return None
+        kind, body = self.files[path]
+        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-cache"}
+        framing = UNFRAMED | {"Content-Security-Policy": OWN_POLICY}
+        return Response(http.HTTPStatus.OK.value, "OK", Headers(headers | framing), body)
+
+    async def handle(self, other: Talk, connection: ServerConnection) -> None:
+        """Speak with the page, if it is the one that connects; else leave it to the other."""
+        is_ours = connection.request is not None and connection.request.path.startswith(self.path)
+        await (self.talk if is_ours else other)(connection)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +110,8 @@ class RequestCheck:
         given = jar[self.cookie].value if self.cookie in jar else ""
         return secrets.compare_digest(given.encode(), self.token.encode())
 
-    def before(self, answer: Answer) -> Answer:
-        """The answers of a server, to requests that pass."""
+    def before(self, answer: Answer, own: OwnPage | None = None) -> Answer:
+        """The answers of a server, and of a page of our own, to requests that pass."""
 
         def checked(connection: Any, request: Request) -> Response | None:
             reason = self.refusal(request)
@@ -87,12 +121,12 @@ class RequestCheck:
                     {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
                 )
                 return Response(http.HTTPStatus.FORBIDDEN.value, "Forbidden", headers, body)
-            response = answer(connection, request)
-            if response is not None:
-                response.headers.update(UNFRAMED)
-                if self.is_in_address(request):
-                    kept = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-                    response.headers["Set-Cookie"] = kept
+            response = own.answer(request) if own else None
+            if response is None and (response := answer(connection, request)) is not None:
+                response.headers.update(FRAMED_BY_OWN if own else UNFRAMED)
+            if response is not None and self.is_in_address(request):
+                kept = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+                response.headers["Set-Cookie"] = kept
             return response
 
         return checked
@@ -111,21 +145,22 @@ class PageServer:
             self.viser.stop()
 
 
-def open_server(cfg: PageCfg, title: str) -> PageServer:
-    """Serve an empty page.
+def open_server(cfg: PageCfg, title: str, own: OwnPage | None = None) -> PageServer:
+    """Serve an empty page of viser's, and one of our own, to whose address visitors are sent then.
 
     Raises:
         InvalidValueError: If this machine cannot listen on that address.
     """
     require_address(cfg)
     check = RequestCheck.of(cfg.host)
-    with contextlib.redirect_stdout(io.StringIO()), _checked(check):
+    with contextlib.redirect_stdout(io.StringIO()), _checked(check, own):
         server = viser.ViserServer(cfg.host, cfg.port, label=title, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
     name = "localhost" if ip_address_of(cfg.host).is_unspecified else cfg.host
     place = f"[{name}]" if ":" in name else name
-    token = f"/?token={check.token}" if check.token else ""
-    return PageServer(viser=server, address=f"http://{place}:{server.get_port()}{token}")
+    path = own.path if own else "/" if check.token else ""
+    token = f"?token={check.token}" if check.token else ""
+    return PageServer(viser=server, address=f"http://{place}:{server.get_port()}{path}{token}")
 
 
 def is_loopback(host: str) -> bool:
@@ -167,15 +202,23 @@ def require_address(cfg: PageCfg) -> None:
 
 
 @contextlib.contextmanager
-def _checked(check: RequestCheck) -> Iterator[None]:
-    """Let the server that is made within ask the check first; viser has no place for one of its own."""
+def _checked(check: RequestCheck, own: OwnPage | None) -> Iterator[None]:
+    """Let the server that is made within ask the check first, and then our own page.
+
+    viser has no place for either.
+    """
     module: Any = websockets.asyncio.server
     serve, times = module.serve, 0
 
-    def checked_serve(*args: Any, process_request: Answer, **options: Any) -> Any:
+    def checked_serve(handle: Any, *args: Any, process_request: Answer, **options: Any) -> Any:
         nonlocal times
         times += 1
-        return serve(*args, process_request=check.before(process_request), **options)
+        return serve(
+            handle if own is None else partial(own.handle, handle),
+            *args,
+            process_request=check.before(process_request, own),
+            **options,
+        )
 
     module.serve = checked_serve
     try:

@@ -1,113 +1,144 @@
-"""A web page that shows the twin, what the deployment sees and does, and has buttons to throw. Needs viser.
+"""The twin's page: an operator's page, with buttons for the thrower. Needs viser.
 
-It only listens and asks on the network, as any other node; its process takes nothing from the twin's. One
-button does all that an operator does for a throw; the others do it step by step.
+One button does all that an operator does for a throw; the others do it step by step.
 """
 
-import json
 import sys
-import time
-from collections import deque
 from threading import Thread
-from typing import Any, NoReturn
+from typing import Any, NoReturn, final
 
-from pixel2catch.deployment.operator import newest
-from pixel2catch.ros2 import messages
+from pixel2catch.deployment.operator import OperatorConsole
+from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.scene.scene import SceneCfg
-from pixel2catch.twin.lab_node import COMMAND, STATE
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
+from pixel2catch.twin.simulated_lab import Phase
 from pixel2catch.viewer.config import PageCfg
-from pixel2catch.viewer.server import open_server
-from pixel2catch.viewer.wire import WireView
+from pixel2catch.viewer.operator_page import OperatorPage
+from pixel2catch.viewer.visitors import HeldButton
 
-PERIOD = 1 / 15  #: Real time between two changes of the page [s]. Source: ours, light on a shared machine.
 REQUESTS = ("prepare", "throw", "protective_stop", "resume")  #: What the twin is asked for by buttons.
 
+PHASES: dict[str, str] = {
+    Phase.EMPTY: "the room is empty",
+    Phase.HELD: "the thrower holds {object}",
+    Phase.FLYING: "{object} flies",
+    Phase.OVER: "{object} {outcome}",
+}
+"""A throw in words."""
 
+
+@final
 class TwinPage:
     """The page; `update` makes it current."""
 
     def __init__(
-        self, cfg: PageCfg, scene: SceneCfg, profile: Profile, transport: Transport, clock: Clock
+        self,
+        cfg: PageCfg,
+        scene: SceneCfg,
+        profile: Profile,
+        transport: Transport,
+        clock: Clock,
+        button: HeldButton | None = None,
     ) -> None:
         """Serve the page of a scene, by the clock of twin and deployment."""
         self._operator = RehearsalOperator(transport, profile.operator, clock)
-        self.console = self._operator.console  #: One for the page and its throws: the servo heeds no second.
         self.trial: Thread | None = None  #: The throw that goes on by itself, or did.
-        self._states = transport.subscription(STATE)
-        self._commands = transport.publisher(COMMAND)
-        self._wishes: deque[dict[str, Any]] = deque()
-        self._state: dict[str, Any] = {}
-        self._page = open_server(cfg, "Pixel2Catch twin")
-        self._server = self._page.viser
-        self.wire = WireView(self._server, scene, profile, transport, clock)  #: What is shown.
-        self._build_panel()
+        self.seed = 0  #: Of the next throw.
+        self.outcomes: dict[str, str] = {}  #: How throws ended, by their numbers.
+        self._problem = ""
+        title, console = "Pixel2Catch twin", self._operator.console
+        self.page = OperatorPage(
+            cfg,
+            title,
+            scene,
+            profile,
+            transport,
+            clock,
+            console,
+            button=button or HeldButton(),
+            more=self._heed,
+        )  #: What is shown.
 
     @property
-    def address(self) -> str:
-        """Where it is served."""
-        return self._page.address
+    def console(self) -> OperatorConsole:
+        """The operator's, one for the page and its throws: the servo heeds no second."""
+        return self._operator.console
 
     def update(self) -> None:
-        """Show what has arrived, and send what was clicked."""
-        while self._wishes:
-            self._commands.publish(messages.text(json.dumps(self._wishes.popleft())))
-        self._state = newest(self._states, self._state)
+        """Show what has arrived, and go on holding the switch while somebody does."""
         if not self._is_in_trial:
+            self.console.holds = self.page.is_held
             self._operator.watch()
-        self.wire.update(self.console.status, self._state)
+        truth = self._operator.truth
+        if truth.get("phase") == Phase.OVER:
+            self.outcomes[str(truth.get("throw"))] = str(truth.get("outcome"))
+        self.page.update(truth, self._words(truth))
 
     def ask(self, name: str) -> None:
-        """Ask the twin for one of `REQUESTS`, with the next update; any thread may call this."""
-        wish: dict[str, Any] = {"do": name}
-        if name == "prepare":
-            wish["seed"] = self._next_seed()
-        self._wishes.append(wish)
+        """Ask the twin for one of `REQUESTS`."""
+        more = {"seed": self._next_seed()} if name == "prepare" else {}
+        self._operator.ask_twin(do=name, **more)
 
     def catch(self) -> None:
         """Do all that an operator does for a throw, beside the page; nothing while that goes on."""
         if not self._is_in_trial:
-            self.trial = Thread(target=run_trial, args=(self._operator, self._next_seed()), daemon=True)
+            self.trial = Thread(target=self._try, args=(self._next_seed(),), daemon=True)
             self.trial.start()
+
+    def _try(self, seed: int) -> None:
+        self._problem = ""
+        self._problem = run_trial(self._operator, seed).problem
 
     @property
     def _is_in_trial(self) -> bool:
         return self.trial is not None and self.trial.is_alive()
 
-    def point(self) -> None:
-        """Point at the object, if the camera sees it."""
-        if box := self._state.get("box"):
-            self.console.point(box)
-
-    def hold(self, is_held: bool) -> None:
-        """Hold the dead-man's switch, or let it go."""
-        self.console.holds = is_held
-
     def _next_seed(self) -> int:
-        seed = int(self.seed.value)
-        self.seed.value += 1
-        return seed
+        self.seed += 1
+        return self.seed - 1
+
+    def _words(self, truth: dict[str, Any]) -> dict[str, Any]:
+        """What the page says of the twin."""
+        known = {name: truth.get(name) for name in ("object", "outcome")}
+        words = PHASES.get(truth.get("phase", ""))
+        outcomes = [*self.outcomes.values()]
+        said = (self._problem.partition(":")[0], str(truth.get("refused", "")))
+        halted = "the robot's program is halted: press resume" if truth.get("halted") else ""
+        num_caught = sum(outcome == "caught" for outcome in outcomes)
+        return {
+            "seed": self.seed,
+            "throw": words.format(**known) if words else "nothing is heard of the twin",
+            "result": f"{outcomes[-1]}; {num_caught} of {len(outcomes)} caught" if outcomes else "none",
+            "trouble": "; ".join(filter(None, (*said, halted))),
+            "is_busy": self._is_in_trial,
+        }
+
+    def _heed(self, asked: dict[str, Any]) -> None:
+        """Do what this page asks for besides what every page does."""
+        match asked:
+            case {"do": "catch"}:
+                self.catch()
+            case {"do": "seed", "seed": int(seed)} if 0 <= seed < 2**31:
+                self.seed = seed
+            case {"do": "show"}:
+                self._point()
+            case {"do": str(name)} if name in REQUESTS:
+                self.ask(name)
+            case _:
+                raise DeploymentError(f"{asked} is none of catch, seed, show, {', '.join(REQUESTS)}")
+
+    def _point(self) -> None:
+        """Point at the object by what is true."""
+        box = self._operator.truth.get("box")
+        if not box:
+            raise DeploymentError("the camera sees no object: prepare a throw first")
+        self.console.point(box)
 
     def close(self) -> None:
         """End the page."""
-        self._page.close()
-
-    def _build_panel(self) -> None:
-        """The camera's image, the states, the buttons."""
-        gui = self._server.gui
-        self.seed = gui.add_number("seed of the next throw", 0, min=0, step=1)
-        gui.add_button("throw and catch").on_click(lambda _: self.catch())
-        with gui.add_folder("step by step", expand_by_default=False):
-            switch = gui.add_checkbox("hold the dead-man's switch", False)
-            switch.on_update(lambda _: self.hold(switch.value))
-            for name in REQUESTS:
-                gui.add_button(name.replace("_", " ")).on_click(lambda _, name=name: self.ask(name))
-            gui.add_button("arm").on_click(lambda _: self.console.arm())
-            gui.add_button("point at the object").on_click(lambda _: self.point())
-            gui.add_button("stop").on_click(lambda _: self.console.stop())
-        self.wire.add_states()
+        self.page.close()
 
 
 def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
@@ -115,7 +146,7 @@ def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> 
     clock = RealClock(rate)
     with make_transport("dds", "pixel2catch_page", LOOPBACK, clock) as node:
         page = TwinPage(cfg, scene, profile, node, clock)
-        print(f"the twin's page: {page.address}", file=sys.stderr, flush=True)
+        print(f"the twin's page: {page.page.address}", file=sys.stderr, flush=True)
         while True:
             page.update()
-            time.sleep(PERIOD)
+            page.page.rest()

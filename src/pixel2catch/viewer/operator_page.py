@@ -1,0 +1,240 @@
+"""The page of an operator: what the camera and perception see, what the servo does, and what one may ask for.
+
+It only listens and asks on the network, as any other node. A browser is no safety device: the switch on the
+page falls as soon as there is doubt whether anybody holds it, and the hardware emergency stop stays.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.resources import files
+from math import isfinite
+from threading import Event
+from typing import Any, final
+
+from pixel2catch.deployment.operator import OperatorConsole
+from pixel2catch.deployment.status_words import latencies, refusal_words, sight_words, status_words
+from pixel2catch.errors import DeploymentError
+from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import CameraProfile, Profile
+from pixel2catch.ros2.transport import Clock, Transport
+from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer.images import jpeg
+from pixel2catch.viewer.server import OwnPage, open_server
+from pixel2catch.viewer.visitors import HeldButton, Visitor, Visitors
+from pixel2catch.viewer.wire import StatusDetails, WireScene
+
+PATH = "/operate"  #: Where the page is on its server.
+KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}  #: Types of its files.
+
+PERIOD = 0.02  #: Real time between two looks at network and page [s]. Source: ours, half of the switch's.
+PICTURE_TIME = (
+    1 / 15
+)  #: Time between two images and moves of the scene [s]. Source: ours, light on the machine.
+SILENCE = 1.0  #: Time after which a deployment, or a camera, that says nothing is gone [s]. Source: ours.
+REFUSAL_TIME = 6.0  #: For how long it is said why arming was refused [s].
+LEAST_SIDE = 3.0  #: Of a box with which somebody points at something [px].
+
+ACTIVE = ("armed", "ramp", "run")  #: Modes in which the robot moves, or may.
+REQUESTS = "stop, arm, press, hold, let_go, point"  #: What every page may ask for.
+
+
+@final
+class OperatorPage:
+    """The page; `update` makes it current."""
+
+    def __init__(
+        self,
+        cfg: PageCfg,
+        title: str,
+        scene: SceneCfg,
+        profile: Profile,
+        transport: Transport,
+        clock: Clock,
+        console: OperatorConsole,
+        *,
+        button: HeldButton | None,
+        more: Callable[[dict[str, Any]], None] | None = None,
+    ) -> None:
+        """Serve it.
+
+        Args:
+            cfg: Where.
+            title: What the browser calls it.
+            scene: Robot and camera; the twin's scene, if it is one.
+            profile: Topics and names of the robot's drivers.
+            transport: The node that listens.
+            clock: The clock of the deployment.
+            console: What is sent; its owner watches it.
+            button: The switch on the page; none if another one is held, such as a pedal.
+            more: Does what a page may ask for besides `REQUESTS`, or raises DeploymentError.
+        """
+        self._console, self._clock, self._camera = console, clock, profile.camera
+        self._button, self._more, self._title = button, more, title
+        self._images = transport.subscription(profile.camera.image)
+        self._visitors = Visitors(self._heed, self._part)
+        own = OwnPage(path=PATH, files=page_files(), talk=self._visitors.talk)
+        self._server = open_server(cfg, title, own)
+        self._server.viser.gui.main_panel.minimize()
+        self.scene = WireScene(self._server.viser, scene, profile, transport, clock)  #: What is in the frame.
+        self._details = StatusDetails(scene.camera)
+        self._status = console.status
+        self._status_time = self._image_time = self._refusal_time = self._shown_time = -SILENCE
+        self._rows, self._refusal, self._image = list[tuple[str, str]](), "", b""
+        self._is_stopping, self._num_heard, self._is_switched = False, 0, Event()
+        self.state: dict[str, Any] = {}  #: What the page was told last.
+
+    @property
+    def address(self) -> str:
+        """Where it is served."""
+        return self._server.address
+
+    @property
+    def is_held(self) -> bool:
+        """Whether somebody holds the switch on the page."""
+        return self._button is not None and self._button.holder is not None
+
+    def update(self, truth: dict[str, Any] | None = None, twin: dict[str, Any] | None = None) -> None:
+        """Tell what has arrived; of a twin its newest state, and what its page says of it."""
+        now = self._clock.now()
+        if self._console.status is not self._status:
+            self._hear(self._console.status, now)
+        if self._is_stopping:
+            self._console.stop()
+        if now - self._shown_time >= PICTURE_TIME:
+            self._shown_time = now
+            self._look(now)
+            self.scene.update(truth or {})
+        self.state = self._told(now) | {"twin": twin}
+        self._visitors.tell(self.state, self._image)
+
+    def rest(self) -> None:
+        """Wait until it is time for the next update, or the switch was pressed or let go."""
+        self._is_switched.wait(PERIOD)
+        self._is_switched.clear()
+
+    def operate(self, is_over: Callable[[], bool], report: Callable[[dict[str, Any]], None]) -> None:
+        """Operate by the page until it is over, and let go of the switch then; report the newest status."""
+        try:
+            while not is_over():
+                self._console.holds = self.is_held
+                self._console.watch()
+                self.update()
+                report(self._console.status)
+                self.rest()
+        finally:
+            self._console.holds = False
+            self._console.watch()
+
+    def close(self) -> None:
+        """End the page."""
+        self._server.close()
+
+    def _hear(self, status: dict[str, Any], now: float) -> None:
+        """Take a status that has just arrived."""
+        self._status, self._status_time = status, now
+        self._rows = self._details.rows(status)
+        if (refusal := refusal_words(status)) or status.get("mode") in ACTIVE:
+            self._refusal, self._refusal_time = refusal, now
+        if self._is_stopping and status.get("mode") not in ACTIVE:
+            self._is_stopping, self._num_heard = False, self._num_heard + 1
+
+    def _look(self, now: float) -> None:
+        """Take the newest image, and encode it if anybody looks."""
+        for message in self._images.take()[-1:]:
+            with suppress(DeploymentError):  # one that cannot be read shows nothing
+                pixels = messages.read_image(message.data).pixels
+                self._image_time = now
+                if self._visitors.num:
+                    self._image = jpeg(pixels)
+
+    def _told(self, now: float) -> dict[str, Any]:
+        """All that the page shows, but for the image."""
+        is_heard = now - self._status_time < SILENCE
+        status = self._status if is_heard else {}
+        words = status_words(status)
+        return {
+            "title": self._title,
+            "tone": words.tone,
+            "headline": words.headline,
+            "advice": words.advice,
+            "refusal": self._refusal if now - self._refusal_time < REFUSAL_TIME else "",
+            "message": status.get("message", ""),
+            "is_active": status.get("mode") in ACTIVE,
+            "num_heard": self._num_heard,
+            "has_switch": self._button is not None,
+            "is_held": self._console.holds,
+            "size": (self._camera.width, self._camera.height),
+            "has_image": now - self._image_time < SILENCE,
+            "box": status.get("box"),
+            "sight": sight_words(status),
+            "is_seen": (status.get("object") or status.get("verdict")) == Verdict.SEEN,
+            "latency_ms": latencies(status),
+            "details": self._rows if is_heard else [],
+        }
+
+    def _heed(self, visitor: Visitor, asked: dict[str, Any]) -> None:
+        """Do what a browser asks for."""
+        match asked:
+            case {"do": "stop"}:
+                self._stop()
+            case {"do": "arm"}:
+                self._console.arm()
+            case {"do": "press"} if self._button:
+                self._button.press(visitor)
+                self._is_switched.set()
+            case {"do": "hold"} if self._button:
+                self._button.go_on(visitor)
+            case {"do": "let_go"} if self._button:
+                self._part(visitor)
+            case {"do": "point", "box": box}:
+                self._console.point(box_in_image(box, self._camera))
+            case _ if self._more:
+                self._more(asked)
+            case _:
+                raise DeploymentError(f"{asked} is none of {REQUESTS}")
+
+    def _stop(self) -> None:
+        """Ask to stop at once, and again until a status says that the servo has."""
+        if self._button:
+            self._button.drop()
+            self._is_switched.set()
+        self._is_stopping = True
+        self._console.stop()
+
+    def _part(self, visitor: Visitor) -> None:
+        """Let the switch fall if this browser holds it, which lets go of it or is gone."""
+        if self._button:
+            self._button.let_go(visitor)
+            self._is_switched.set()
+
+
+def page_files() -> dict[str, tuple[str, bytes]]:
+    """The page's files by their paths, with their types."""
+    folder = files("pixel2catch.viewer") / "operate"
+    found = {file.name: file.read_bytes() for file in folder.iterdir()}
+    contents = {f"{PATH}/{name}": (f"{_kind(name)}; charset=utf-8", data) for name, data in found.items()}
+    return contents | {PATH: contents[f"{PATH}/operate.html"]}
+
+
+def _kind(name: str) -> str:
+    return KINDS[f".{name.rpartition('.')[2]}"]
+
+
+def box_in_image(box: Any, camera: CameraProfile) -> list[float]:
+    """The part of a box that is in the image: xmin, ymin, xmax, ymax [px].
+
+    Raises:
+        DeploymentError: It is no box, or there is none of it in the image.
+    """
+    is_box = isinstance(box, list) and len(box) == 4 and all(type(edge) in (int, float) for edge in box)
+    if not (is_box and all(map(isfinite, box))):
+        raise DeploymentError(f"{box} is no box: give xmin, ymin, xmax, ymax in pixels of the image")
+    ends = (camera.width, camera.height, camera.width, camera.height)
+    xmin, ymin, xmax, ymax = (float(min(max(edge, 0), end)) for edge, end in zip(box, ends, strict=True))
+    if min(xmax - xmin, ymax - ymin) < LEAST_SIDE:
+        raise DeploymentError(
+            f"the box is {xmax - xmin:.0f} x {ymax - ymin:.0f} px: drag one round the object"
+        )
+    return [xmin, ymin, xmax, ymax]

@@ -1,0 +1,351 @@
+"""The operator's page: what a browser asks for, what the servo makes of it, and what the page says."""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+from websockets.typing import Origin
+
+from domains import PATIENCE, free_port
+from pixel2catch.deployment.operator import OperatorConsole
+from pixel2catch.deployment.stepped import StepClock
+from pixel2catch.errors import DeploymentError
+from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.twin.config import RehearsalCfg
+from pixel2catch.twin.stepped import in_step
+from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer.operator_page import REFUSAL_TIME, OperatorPage, box_in_image
+from pixel2catch.viewer.twin import TwinPage
+from pixel2catch.viewer.visitors import HeldButton
+
+PROFILE = Profile.load("ur5e_allegro_v4")
+OPERATOR = PROFILE.operator
+WAITS = {"mode": "idle", "stopped_by": [], "refused": [], "found": ["dead man"], "message": ""}
+
+
+class Desk:
+    """A page and the network beside it, whose time goes on by hand."""
+
+    def __init__(self, *, has_switch: bool = True) -> None:
+        self.clock, broker = StepClock(self._wait), Broker()
+        self.node = broker.node(self.clock)
+        page_node = broker.node(self.clock)
+        self.console = OperatorConsole(page_node, OPERATOR, self.clock)
+        self.page = OperatorPage(
+            PageCfg(port=free_port()),
+            "desk",
+            SceneCfg(),
+            PROFILE,
+            page_node,
+            self.clock,
+            self.console,
+            button=HeldButton(PATIENCE) if has_switch else None,
+        )
+        self.heard = {
+            name: self.node.subscription(getattr(OPERATOR, name), depth=1000)
+            for name in ("dead_man", "arm", "stop", "prompt")
+        }
+        self._status = self.node.publisher(OPERATOR.status)
+
+    def _wait(self, moment: float) -> None:
+        self.clock.time = moment
+
+    def tell(self, **status: Any) -> None:
+        self._status.publish(messages.text(json.dumps(WAITS | status)))
+
+    def go_on(self, seconds: float = 0.02) -> dict[str, Any]:
+        """What the page says a moment later."""
+        self.clock.time += seconds
+        self.console.holds = self.page.is_held
+        self.console.watch()
+        self.page.update()
+        return self.page.state
+
+    def until(self, is_true: Callable[[], Any]) -> None:
+        """Go on until something is true; the machine may be slow."""
+        until(is_true, self.go_on)
+
+    def taken(self, name: str) -> list[Any]:
+        read = messages.read_json if name == "prompt" else messages.read_boolean
+        return [read(message.data) for message in self.heard[name].take()]
+
+    @contextmanager
+    def visitor(self) -> Iterator[Connection]:
+        with link(self.page.address) as visitor:
+            yield visitor
+
+
+def until(is_true: Callable[[], Any], go_on: Callable[[], Any]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not is_true():
+        assert time.monotonic() < end
+        go_on()
+        time.sleep(0.001)
+
+
+@contextmanager
+def link(address: str) -> Iterator[Connection]:
+    """What the page's script connects to."""
+    origin = Origin(address.removesuffix("/operate"))
+    with connect(f"{address.replace('http', 'ws')}/link", origin=origin, open_timeout=PATIENCE) as visitor:
+        yield visitor
+
+
+def consume(visitor: Connection) -> None:
+    """Take what comes until the connection is closed."""
+    while True:
+        visitor.recv(PATIENCE)
+
+
+def ask(visitor: Connection, do: str, **more: Any) -> None:
+    visitor.send(json.dumps({"do": do, **more}))
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    desk = Desk()
+    yield desk
+    desk.page.close()
+
+
+def test_the_switch_is_held_while_its_holder_says_so():
+    now = [0.0]
+    button, me, other = HeldButton(0.25, lambda: now[0]), object(), object()
+    assert button.holder is None
+    button.press(me)
+    for time_ in (0.2, 0.4, 0.6):
+        now[0] = time_
+        button.go_on(me)
+        assert button.holder is me
+    with pytest.raises(DeploymentError, match="another page"):
+        button.press(other)
+    button.let_go(other)
+    assert button.holder is me
+    now[0] = 0.86  # silent for 0.26 s
+    assert button.holder is None
+    with pytest.raises(DeploymentError, match="has fallen"):
+        button.go_on(me)
+    assert button.holder is None
+    button.press(other)
+    button.drop()
+    assert button.holder is None
+
+
+def test_a_stop_is_sent_at_once_and_again_until_it_is_heard(desk: Desk):
+    with desk.visitor() as visitor:
+        desk.tell(mode="run", found=[])
+        desk.go_on()
+        ask(visitor, "press")
+        desk.until(lambda: desk.console.holds)
+        ask(visitor, "stop")
+        until(lambda: desk.taken("stop"), lambda: None)  # before the page goes on
+        assert desk.go_on()["num_heard"] == 0
+        assert not desk.page.is_held
+        assert desk.taken("dead_man")[-1] is False
+        assert desk.taken("stop")
+        desk.tell(mode="run", found=[])
+        assert desk.go_on()["num_heard"] == 0
+        desk.tell(mode="stopped", stopped_by=["stop request"])
+        state = desk.go_on()
+        assert (state["num_heard"], state["tone"]) == (1, "stopped")
+        assert state["headline"] == "stopped: somebody asked to stop"
+        desk.taken("stop")
+        desk.go_on()
+        assert desk.taken("stop") == []
+
+
+def test_the_switch_falls_with_the_connection(desk: Desk):
+    with desk.visitor() as visitor:
+        ask(visitor, "press")
+        desk.until(lambda: desk.console.holds)
+    desk.until(lambda: not desk.console.holds)
+    assert desk.taken("dead_man")[-1] is False
+
+
+def test_a_page_beside_a_pedal_has_no_switch():
+    desk = Desk(has_switch=False)
+    with desk.visitor() as visitor:
+        ask(visitor, "press")
+        until(lambda: "error" in json.loads(visitor.recv(PATIENCE)), lambda: None)
+        assert not desk.page.is_held
+        assert not desk.go_on()["has_switch"]
+    desk.page.close()
+
+
+def test_who_says_what_no_page_says_is_cut_off(desk: Desk):
+    for said in ("[]", "no JSON", "1" * 2000, b"\x00", 500 * "["):
+        with desk.visitor() as visitor:
+            visitor.send(said)
+            with pytest.raises(ConnectionClosed, match="not a request"):
+                consume(visitor)
+
+
+def test_what_cannot_be_done_is_said_to_who_asked(desk: Desk):
+    with desk.visitor() as visitor:
+        for asked in ({}, {"do": 5}, {"do": "point", "box": [1, 2, 3]}, {"do": "fly"}, {"do": "hold"}):
+            visitor.send(json.dumps(asked))
+            until(lambda: "error" in json.loads(visitor.recv(PATIENCE)), lambda: None)
+
+
+@pytest.mark.parametrize(
+    ("box", "expected"),
+    [
+        ([10, 20, 30.5, 40], [10.0, 20.0, 30.5, 40.0]),
+        ([-5, -5, 10, 10], [0.0, 0.0, 10.0, 10.0]),
+        ([600, 470, 700, 1e300], [600.0, 470.0, 640.0, 480.0]),
+        *((box, None) for box in ([30, 40, 10, 20], [0, 0, 2, 9], [700, 10, 720, 30], [0, 0, True, 9])),
+        *((box, None) for box in ([0, 0, float("nan"), 9], "box", None, [1, 2, 3, "4"])),
+    ],
+)
+def test_a_box_is_that_in_the_image(box: Any, expected: list[float] | None):
+    if expected:
+        assert box_in_image(box, PROFILE.camera) == expected
+    else:
+        with pytest.raises(DeploymentError):
+            box_in_image(box, PROFILE.camera)
+
+
+def test_words_follow_the_statuses(desk: Desk):
+    assert desk.go_on()["tone"] == "absent"
+    desk.tell(refused=["dead man", "switch not pressed"], latency_ms={"p50": 20.0}, verdict="not found")
+    state = desk.go_on()
+    assert state["headline"] == "waiting: hold the switch and press arm"
+    assert state["refusal"] == "Arming was refused: the dead-man's switch is not held. Hold the switch."
+    assert state["sight"] == "perception has lost the object: point at it"
+    assert state["latency_ms"] == {"p50": 20.0}
+    assert ("servo", "idle") in map(tuple, state["details"])
+    desk.tell()
+    assert desk.go_on(0.9 * REFUSAL_TIME)["refusal"]
+    desk.tell(mode="armed")
+    assert not desk.go_on()["refusal"]
+    assert desk.go_on(1.5)["headline"] == "nothing is heard of a deployment"
+
+
+def test_garbage_shows_nothing(desk: Desk):
+    garbage = b"\x00\x01\x00\x00garbage"
+    for topic in (PROFILE.camera.image, PROFILE.robots[0].state_topic, OPERATOR.status):
+        desk.node.publisher(topic).publish(garbage)
+    desk.go_on(0.1)
+    desk.tell(latency_ms=[1], clamped=5, verdict=[7], num_missed={})
+    state = desk.go_on(0.1)
+    assert (state["tone"], state["has_image"]) == ("waiting", False)
+
+
+def is_on(box: Any) -> Callable[[float, float], tuple[float, float]]:
+    """Where pixels of an image are that is shown in a box of a browser's window."""
+    return lambda x, y: (box["x"] + x * box["width"] / 640, box["y"] + y * box["height"] / 480)
+
+
+def test_the_switch_of_a_browser_falls_whenever_there_is_doubt(desk: Desk, browser_page: Any):
+    image = desk.node.publisher(PROFILE.camera.image)
+    desk.go_on()
+    browser_page.goto(desk.page.address)
+    hold = browser_page.locator("#hold")
+    desk.until(hold.is_visible)
+    box = hold.bounding_box()
+    middle = (box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    hide = "Object.defineProperty(document, 'hidden', {value: true}); document.dispatchEvent(new Event('%s'))"
+    for let_go in (
+        browser_page.mouse.up,
+        lambda: browser_page.mouse.move(5, 300),
+        lambda: browser_page.evaluate("dispatchEvent(new Event('blur'))"),
+        lambda: browser_page.evaluate(hide % "visibilitychange"),
+    ):
+        browser_page.mouse.move(*middle)
+        browser_page.mouse.down()
+        desk.until(lambda: desk.console.holds)
+        let_go()
+        desk.until(lambda: not desk.console.holds)
+        browser_page.mouse.up()
+    desk.taken("prompt")
+    pixels = np.full((480, 640, 3), 90, np.uint8)
+    image.publish(messages.image(pixels, 0.0))
+    at = is_on(browser_page.locator("#image").bounding_box())
+    browser_page.mouse.move(*at(300, 120))
+    browser_page.mouse.down()
+    browser_page.mouse.move(*at(200, 160))
+    browser_page.mouse.up()
+    prompts: list[Any] = []
+    desk.until(lambda: prompts.extend(desk.taken("prompt")) or prompts)
+    assert prompts[0]["box"] == pytest.approx([200, 120, 300, 160], abs=1.0)
+    for stop in (browser_page.locator("#stop").click, lambda: browser_page.keyboard.press("Escape")):
+        desk.taken("stop")
+        stop()
+        desk.until(lambda: desk.taken("stop"))
+        desk.until(lambda: "was not heard" in browser_page.locator("#heard").text_content())
+        desk.tell(mode="stopped")
+        desk.until(lambda: "was heard after" in browser_page.locator("#heard").text_content())
+        desk.taken("stop")
+        desk.go_on()
+        assert desk.taken("stop") == []
+    for let_go in (
+        lambda: browser_page.keyboard.up("h"),
+        lambda: browser_page.evaluate("dispatchEvent(new KeyboardEvent('keyup', {code: 'KeyH'}))"),
+        browser_page.close,
+    ):
+        browser_page.keyboard.down("h")
+        desk.until(lambda: desk.console.holds)
+        let_go()
+        desk.until(lambda: not desk.console.holds)
+        if not browser_page.is_closed():
+            browser_page.keyboard.up("h")
+
+
+def test_a_visitor_arms_points_runs_and_stops(browser_page: Any):
+    """In a browser, with a servo, a policy and a laboratory whose time goes on between the clicks."""
+    wrong: list[str] = []
+    browser_page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+    browser_page.on("pageerror", lambda error: wrong.append(str(error)))
+    browser_page.set_viewport_size({"width": 800, "height": 800})  # too narrow for the scene at once
+    policy, _ = load_policy(None)
+    task = task_of(policy, physics_hz=120.0)
+    with in_step(RehearsalCfg(throws=1, plain=True), task, policy) as rehearsal:
+        clock = rehearsal.clock
+        node = rehearsal.broker.node(clock)
+        twin = TwinPage(PageCfg(port=free_port()), task.scene, PROFILE, node, clock, HeldButton(PATIENCE))
+
+        def go_on() -> None:
+            clock.sleep_until(clock.now() + 0.04)
+            twin.update()
+
+        def wait_for(place: str, words: str) -> None:
+            until(lambda: words in browser_page.locator(place).text_content(), go_on)
+
+        go_on()
+        browser_page.goto(twin.page.address)
+        wait_for("#headline", "waiting: hold the switch and press arm")
+        browser_page.get_by_text("Step by step").click()
+        browser_page.get_by_role("button", name="prepare").click()
+        wait_for("#throw", "the thrower holds")
+        browser_page.keyboard.down("h")
+        wait_for("#headline", "the switch is held; press arm")
+        browser_page.keyboard.press("a")
+        wait_for("#headline", "armed")
+        xmin, ymin, xmax, ymax = rehearsal.lab.truth()["box"]
+        at = is_on(browser_page.locator("#image").bounding_box())
+        browser_page.mouse.move(*at(xmin, ymin))
+        browser_page.mouse.down()
+        browser_page.mouse.move(*at(xmax, ymax))
+        browser_page.mouse.up()
+        wait_for("#headline", "running: follows the policy")
+        wait_for("#sight", "sees the object")
+        browser_page.keyboard.press("Space")
+        wait_for("#heard", "STOP was heard after")
+        wait_for("#headline", "stopped: somebody asked to stop")
+        assert not twin.page.is_held
+        assert not browser_page.locator("#details").is_visible()
+        twin.close()
+        wait_for_end = browser_page.locator("#headline")
+        until(lambda: "no connection" in wait_for_end.text_content(), lambda: None)
+    assert [said for said in wrong if "WebSocket" not in said] == []  # it tries to connect again
