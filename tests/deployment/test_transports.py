@@ -46,9 +46,9 @@ def test_a_message_reaches_all_others_and_the_node_itself(make: MakeNode):
         assert numbers(subscription) == []
 
 
-def test_what_is_not_awaited_ends_no_wait(make: MakeNode):
+def test_what_is_only_watched_ends_no_wait(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
-    recorded, awaited = receiver.subscription(NUMBER, is_awaited=False), receiver.subscription(NUMBER)
+    recorded, awaited = receiver.subscription(NUMBER, only_watches=True), receiver.subscription(NUMBER)
     sender.publisher(NUMBER).publish(messages.number(1.5))
     assert messages.read_number(wait_for(receiver, awaited)) == 1.5
     assert not receiver.wait(0.05)

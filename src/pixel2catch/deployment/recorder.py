@@ -141,7 +141,7 @@ class DeploymentRecorder:
         topics |= {*vars(profile.operator).values()}
         topics |= {topic for topic in vars(profile.status).values() if topic}
         self._subscriptions = [
-            (topic, transport.subscription(topic, DEPTH, is_awaited=False)) for topic in topics
+            (topic, transport.subscription(topic, DEPTH, only_watches=True)) for topic in topics
         ]
 
     @property

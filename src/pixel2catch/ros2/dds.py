@@ -221,10 +221,10 @@ class DdsTransport(Transport):
         self._kept.append(publisher := _DdsPublisher(topic, writer))
         return publisher
 
-    def subscription(self, topic: Topic, depth: int = 1, *, is_awaited: bool = True) -> Subscription:
+    def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """See `Transport.subscription`."""
         reader = self._reader(topic, depth)
-        if is_awaited:
+        if not only_watches:
             self._news.attach(ReadCondition(reader, NEW))
         if self._announcement:
             self._announcement.add(reader)

@@ -89,9 +89,9 @@ class MemoryTransport(Transport):
             self.publishers.append(publisher)
         return publisher
 
-    def subscription(self, topic: Topic, depth: int = 1, *, is_awaited: bool = True) -> Subscription:
+    def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """Begin to listen to a topic; one that is latched gives its last messages."""
-        queue = self._queues.add(depth, is_awaited=is_awaited)
+        queue = self._queues.add(depth, is_awaited=not only_watches)
         with self.broker.lock:
             self.listeners.append((topic, queue))
             for publisher in (each for node in self.broker.nodes for each in node.publishers):

@@ -54,9 +54,9 @@ class RosTransport(Transport):
         qos = _qos(topic, 1, is_reader=False)
         return _RosPublisher(self._node.create_publisher(_type(topic), topic.name, qos))
 
-    def subscription(self, topic: Topic, depth: int = 1, *, is_awaited: bool = True) -> Subscription:
+    def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """See `Transport.subscription`."""
-        queue = self._queues.add(depth, is_awaited=is_awaited)
+        queue = self._queues.add(depth, is_awaited=not only_watches)
         qos = _qos(topic, depth, is_reader=True)
         self._node.create_subscription(_type(topic), topic.name, queue.put, qos, raw=True)
         return queue

@@ -99,10 +99,10 @@ class Transport(ABC):
         """Announce a topic that this node sends."""
 
     @abstractmethod
-    def subscription(self, topic: Topic, depth: int = 1, *, is_awaited: bool = True) -> Subscription:
+    def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """Begin to listen to a topic; so many messages are kept until they are taken.
 
-        Those that are awaited end a `wait`, as long as they have not been taken.
+        Those of one that only watches, such as a recording's, end no `wait`.
         """
 
     @abstractmethod
@@ -111,7 +111,7 @@ class Transport(ABC):
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
-        """Wait until something that is awaited has arrived, or for a real time [s]; say which."""
+        """Wait until something has arrived for a subscription that does not only watch, or for a real time [s]; say which."""
 
     @abstractmethod
     def close(self) -> None:
