@@ -214,13 +214,20 @@ def until(queue: Subscription, num: int) -> list[bool]:
     return said
 
 
+LISTS = '"stopped_by": [], "refused": [], "found": []'
+
+
 @pytest.mark.parametrize(
     "text",
     [
         *("", "[]", "{}", 20_000 * "[", '{"mode": 5}', '{"mode": "run", "message": "", "found": "all"}'),
         *(
-            f'{{"mode": "run", "message": "", "stopped_by": [], "refused": [], "found": [], "box": {box}}}'
+            f'{{"mode": "run", "message": "", {LISTS}, "box": {box}}}'
             for box in ("5", "[1, 2, 3]", '[1, 2, 3, "x"]', "[0, 0, Infinity, NaN]", "[0, 0, 1e300, 9]")
+        ),
+        *(
+            f'{{"mode": "run", "message": "", {LISTS}, "latency_ms": {ms}}}'
+            for ms in ("22.5", "{}", '{"p50": 1, "p90": "2", "p99": 3}', '{"p50": 1, "p90": NaN, "p99": 3}')
         ),
     ],
 )

@@ -55,7 +55,7 @@ def test_a_message_reaches_all_others_and_the_node_itself(make: MakeNode):
         assert numbers(subscription) == []
 
 
-def test_what_is_not_awaited_ends_no_wait(make: MakeNode):
+def test_what_is_only_watched_ends_no_wait(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     recorded, awaited = receiver.subscription(NUMBER, only_watches=True), receiver.subscription(NUMBER)
     sender.publisher(NUMBER).publish(messages.number(1.5))

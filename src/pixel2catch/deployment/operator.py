@@ -15,7 +15,8 @@ from pixel2catch.ros2.transport import Clock, Subscription, Transport
 SWITCH_TIME = 0.04
 """Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of what the servo waits."""
 
-FARTHEST = 1e6  #: Distance from the image's corner at which no box is [px].
+FARTHEST = 1e6  #: Distance from the image's corner at which no box is [px], and a latency that is none [ms].
+SHOWN_LATENCIES = ("p50", "p90", "p99")  #: What is shown of the latency.
 DEPTH = 64  #: Messages that are kept from one look to the next.
 
 
@@ -70,13 +71,21 @@ def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
 
 def _is_status(said: dict[str, Any]) -> bool:
     """Whether it is the status of a deployment, as far as operators and pages need it."""
-    box = said.get("box")
-    is_box = isinstance(box, list) and len(box) == 4 and all(isinstance(edge, int | float) for edge in box)
-    if box is not None and not (is_box and all(abs(edge) < FARTHEST for edge in box)):
+    box, latency = said.get("box"), said.get("latency_ms")
+    if box is not None and not (isinstance(box, list) and len(box) == 4 and all(map(_is_near, box))):
+        return False
+    if latency is not None and not (
+        isinstance(latency, dict) and all(_is_near(latency.get(name)) for name in SHOWN_LATENCIES)
+    ):
         return False
     lists = [said.get(name) for name in ("stopped_by", "refused", "found")]
     texts = [said.get("mode"), said.get("message"), *(text for each in lists for text in each or ())]
     return all(isinstance(each, list) for each in lists) and all(isinstance(text, str) for text in texts)
+
+
+def _is_near(value: Any) -> bool:
+    """Whether a value is a number that can be shown."""
+    return isinstance(value, int | float) and abs(value) < FARTHEST
 
 
 POLL = 0.005  #: Time between two looks at the keys [s]. Source: ours.

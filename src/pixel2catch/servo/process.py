@@ -33,7 +33,7 @@ SERVO_PRIORITY, LOOP_PRIORITY, RECORDER_PRIORITY = 10, 5, 1
 """Priorities among real-time threads of the servo, of perception and policy, and of what is recorded of them.
 
 Source: ours, below what drivers take. On two busy cores, images of 30 Hz: without it perception, which takes
-7 ms of a core, is done 13 ms after an image in the median and 46 ms in one of a hundred, with it 10 and 13.
+7 ms of a core, is done 13 ms after an image in the median and 46 ms at p99, with it 10 and 13.
 """
 
 
