@@ -1,5 +1,6 @@
 """Robot profiles: the shipped ones, what they make of commands and joint states, and what is refused."""
 
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -176,7 +177,7 @@ MISTAKES = [
     ),
     ("robots.0.command_size", 7, "places 0 to 6, joints and held have [0, 1, 2, 3, 4, 5]: give each place"),
     ("robots.1.held.4", GONE, "a command has places 0 to 15, joints and held have [0, 1, 2, 3, 5,"),
-    ("robots.1.held.4", float("nan"), "the held angles must be numbers"),
+    ("robots.1.held.4", float("nan"), "4 has the number nan; it must be finite"),
     ("robots.1.rate_hz", 0, "robots[1]: rate_hz must be positive"),
     (
         "robots.0.command_topic.type",
@@ -203,20 +204,22 @@ def test_a_mistake_is_named_with_its_file_its_key_and_the_fix(tmp_path: Path, ke
 
     with pytest.raises(DeploymentError) as raised:
         Profile.load(changed(tmp_path, change))
-    assert str(raised.value).startswith(f"{tmp_path / 'lab.yaml'}: ")
+    assert str(tmp_path / "lab.yaml") in str(raised.value)
     assert message in str(raised.value)
 
 
 def test_a_joint_may_have_one_driver(tmp_path: Path):
     with pytest.raises(DeploymentError, match=r"the joint .*elbow_joint.* is given twice"):
-        Profile.load(changed(tmp_path, lambda content: content["robots"].append(content["robots"][0])))
+        Profile.load(
+            changed(tmp_path, lambda content: content["robots"].append(deepcopy(content["robots"][0])))
+        )
 
 
 @pytest.mark.parametrize("text", ["camera: [", "- 1", "", "\x00"])
 def test_a_file_that_is_no_profile_is_refused(tmp_path: Path, text: str):
     path = tmp_path / "lab.yaml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(DeploymentError, match=r"lab\.yaml: "):
+    with pytest.raises(DeploymentError, match=r"lab\.yaml"):
         Profile.load(path)
-    with pytest.raises(DeploymentError, match=r"gone\.yaml: cannot be read"):
+    with pytest.raises(DeploymentError, match=r"cannot read the profile '.*gone\.yaml': .* Correct it"):
         Profile.load(tmp_path / "gone.yaml")

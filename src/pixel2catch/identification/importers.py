@@ -12,19 +12,19 @@ from pixel2catch.identification.joints import find_part, joints_of, specs_of
 from pixel2catch.identification.recording import REMEDY, Place, Recording, held, require_motion
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.bags import (
-    BAG_SUFFIXES,
     MOTION_FIELDS,
     MOTION_TYPES,
     BagMessage,
     JointMotion,
     decoded,
+    is_bag,
     joint_motion,
     opened_bag,
 )
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2 import Reader
 
 MEASURED_TOPIC = "/joint_states"  # topic of the measurements. Source: ROS 2, `joint_state_broadcaster`.
 
@@ -124,7 +124,7 @@ def read_recording(
     joints, names = joints_of(workcell, part), names or Names()
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
-    if path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").exists():
+    if is_bag(path):
         return read_rosbag(path, joints, names, workcell)
     if path.is_dir() and any((path / name).exists() for name in (MEASURED_FILE, COMMAND_FILE)):
         return _read_rtde(path, workcell).select(joints)
@@ -231,7 +231,7 @@ class _Bag:
     """An open bag, and what is looked for in it."""
 
     path: Path
-    reader: "AnyReader"
+    reader: "Reader"
     workcell: WorkcellSpec
     joints: tuple[str, ...]
     names: Names

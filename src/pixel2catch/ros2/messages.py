@@ -3,7 +3,6 @@
 Stamps are seconds since the epoch; a decoded message is checked for what its type alone does not say.
 """
 
-import json
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -15,13 +14,16 @@ from jaxtyping import Float, UInt8
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from pixel2catch.errors import DeploymentError
+from pixel2catch.errors import DeploymentError, InvalidValueError
+from pixel2catch.files import json_object
 from pixel2catch.robots.spec import IDENTITY
 from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
 
 SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
 ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
+
+MOST_BYTES = 2**26  #: Bytes of a message that is read: an image of 22 million pixels. Source: ours.
 
 NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
 """Modes of a UR robot; it may move in the first and the last. Source: `ur_dashboard_msgs`."""
@@ -43,6 +45,8 @@ def decode(data: bytes, kind: str) -> Any:
     Raises:
         DeploymentError: It is of another type, or damaged.
     """
+    if len(data) > MOST_BYTES:
+        raise DeploymentError(f"a message has {len(data):,} bytes; {MOST_BYTES:,} at most are read.")
     try:
         return STORE.deserialize_cdr(memoryview(data), kind)
     except (SerdeError, struct.error, ValueError, IndexError) as error:
@@ -250,15 +254,12 @@ def read_json(data: bytes) -> dict[str, Any]:
         DeploymentError: It is another text, or too long, or too deep.
     """
     written = read_text(data)
+    if len(written) > MOST_TEXT:
+        raise DeploymentError(f"a text of {len(written)} characters is too long; it may have {MOST_TEXT}.")
     try:
-        content = json.loads(written) if len(written) <= MOST_TEXT else None
-    except (ValueError, RecursionError) as error:
-        raise DeploymentError(f"a text is no JSON ({error}): look at what publishes it.") from error
-    if not isinstance(content, dict):
-        raise DeploymentError(
-            f"a text of {len(written)} characters is no JSON object of {MOST_TEXT} at most."
-        )
-    return content
+        return json_object(written)
+    except InvalidValueError as error:
+        raise DeploymentError(f"a text is no JSON object ({error}): look at what publishes it.") from error
 
 
 safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
