@@ -238,7 +238,7 @@ def test_damaged_foreign_and_missing_files(file: Path, tmp_path: Path) -> None:
 def test_a_policy_with_weights_that_are_no_numbers_is_not_exported() -> None:
     policy = random_policy(recurrent=0)
     torch.nn.init.constant_(next(policy.network("hand").parameters()), torch.nan)
-    with pytest.raises(PolicyMismatchError, match="weights 'weight\\d+' are .* not finite"):
+    with pytest.raises(PolicyMismatchError, match=r"weights 'weight\d+' are .* not finite"):
         to_onnx(policy)
 
 

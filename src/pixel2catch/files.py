@@ -242,14 +242,14 @@ def decoded(kind: Any, value: Any, name: str = "") -> Any:
     """
     kind = _chosen(kind, value)
     origin, inner = get_origin(kind), get_args(kind)
-    if _is_nested(kind) and not _has_shape(origin, value) or not _is_of(kind, value):
+    if (_is_nested(kind) and not _has_shape(origin, value)) or not _is_of(kind, value):
         raise InvalidValueError(f"field '{name}' is {shown(value)}")
     if origin is tuple:
         kinds = inner if Ellipsis not in inner else inner[:1] * len(value)
         if len(kinds) != len(value):
             raise InvalidValueError(f"field '{name}' has {len(value)} entries; it needs {len(kinds)}")
         return tuple(decoded(each, entry, name) for each, entry in zip(kinds, value, strict=True))
-    if origin is dict:
+    if origin in (dict, Mapping):
         return {key: decoded(inner[1], entry, f"{name}.{key}") for key, entry in value.items()}
     if name and hasattr(kind, "from_dict"):
         return kind.from_dict(value)
@@ -295,7 +295,7 @@ def _has_shape(origin: Any, value: Any) -> bool:
 
 
 def _is_nested(kind: Any) -> bool:
-    return get_origin(kind) in (tuple, dict) or dataclasses.is_dataclass(kind)
+    return get_origin(kind) in (tuple, dict, Mapping) or dataclasses.is_dataclass(kind)
 
 
 def require_free_folder(folder: Path, option: str = "--out") -> None:

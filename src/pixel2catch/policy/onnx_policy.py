@@ -239,8 +239,8 @@ def _needs_libraries() -> Iterator[None]:
 
 def _session(model: bytes | Path, name: str) -> "InferenceSession":
     with _needs_libraries():
-        from onnxruntime import InferenceSession, SessionOptions  # pyright: ignore[reportAttributeAccessIssue]
         import onnx
+        from onnxruntime import InferenceSession, SessionOptions  # pyright: ignore[reportAttributeAccessIssue]
     options = SessionOptions()
     options.intra_op_num_threads = 1  # its threads only make steps of these small tensors slower
     options.log_severity_level = 4
@@ -288,6 +288,6 @@ def _require_shapes(session: "InferenceSession", contract: PolicyContract, recur
     for field in expected | found:
         if expected.get(field) != found.get(field):
             raise PolicyMismatchError(
-                f"'{name}': '{field}' has size {found.get(field)}, and {expected.get(field)} by its contract; "
-                "export the policy again."
+                f"'{name}': '{field}' has size {found.get(field)}, and {expected.get(field)} by its "
+                "contract; export the policy again."
             )

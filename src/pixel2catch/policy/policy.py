@@ -160,7 +160,8 @@ def _require_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ..
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    text, data = read_text(folder / CONTRACT_FILE), read_bytes(folder / WEIGHTS_FILE, MOST_WEIGHTS)
+    text = read_text(folder / CONTRACT_FILE)
+    description, data = json_object(text), read_bytes(folder / WEIGHTS_FILE, MOST_WEIGHTS)
     size = int.from_bytes(data[:8], "little")
     if size > MOST_JSON:
         raise InvalidValueError(f"{WEIGHTS_FILE} is none, or damaged")
@@ -171,4 +172,4 @@ def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         raise InvalidValueError(f"{WEIGHTS_FILE} is damaged: {error}") from error
     if decoded(dict[str, str], header.get("__metadata__", {}), "__metadata__").get("policy") != text:
         raise InvalidValueError(f"{CONTRACT_FILE} and {WEIGHTS_FILE} are not of the same save")
-    return json_object(text), tensors
+    return description, tensors

@@ -80,7 +80,8 @@ class JointDynamics:
             bad = int(np.argmin(is_good))
             least = "0 or more" if may_be_zero else "more than 0"
             raise InvalidValueError(
-                f"{name} of {self.joints[bad]} is {values[bad]:g}; it must be {least}, and at most {largest:g}"
+                f"{name} of {self.joints[bad]} is {values[bad]:g}; it must be {least}, and at most "
+                f"{largest:g}"
             )
 
     def __eq__(self, other: object) -> bool:

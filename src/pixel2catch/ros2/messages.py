@@ -7,6 +7,7 @@ import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
+from io import BytesIO
 from typing import Any, TypeVar
 
 import numpy as np
@@ -264,6 +265,8 @@ def read_json(data: bytes) -> dict[str, Any]:
 
 safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
 robot_mode, read_robot_mode = _single(ROBOT_MODE, int, "mode")
+LARGEST_JPEG = 65_500  #: Width and height of the largest JPEG [px]. Source: libjpeg.
+MOST_PIXELS = 2**25  #: Of an image that is unpacked; 50 times what the policies look at. Source: ours.
 FORMAT = "rgb8; jpeg compressed bgr8"  #: What was compressed, and how. Source: image_transport.
 
 SUFFIX = "/compressed"
@@ -279,22 +282,35 @@ def compress(data: bytes) -> bytes:
     """An image message as a JPEG message.
 
     Raises:
-        DeploymentError: It is damaged, or of another encoding than `CHANNELS`.
+        DeploymentError: It is damaged, of another encoding than `CHANNELS`, or larger than a JPEG may be.
     """
     import cv2
 
     reading = read_image(data)
+    if max(reading.pixels.shape) > LARGEST_JPEG:
+        raise DeploymentError(f"an image of shape {reading.pixels.shape} is larger than a JPEG may be.")
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(reading.pixels, cv2.COLOR_RGB2BGR))
     return encode(COMPRESSED_IMAGE, header(reading.stamp, OPTICAL_FRAME), FORMAT, jpeg)
 
 
-def uncompressed(message: Any) -> Pixels | None:
-    """The pixels of a decoded compressed image; None if it is damaged."""
+def unpacked_image(data: bytes) -> Pixels | None:
+    """The pixels of a JPEG, PNG, BMP or TIFF; None if it is damaged, or has more than `MOST_PIXELS`."""
     import cv2
+    from PIL import Image
 
-    data = np.frombuffer(bytes(message.data), dtype=np.uint8)
-    pixels = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    try:
+        with Image.open(BytesIO(data), formats=("JPEG", "PNG", "BMP", "TIFF")) as file:
+            if file.width * file.height > MOST_PIXELS:
+                return None
+        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+    except Exception:  # each format has errors of its own
+        return None
     return None if pixels is None else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+
+
+def uncompressed(message: Any) -> Pixels | None:
+    """The pixels of a decoded compressed image; see `unpacked_image`."""
+    return unpacked_image(bytes(message.data))
 
 
 def uncompress(data: bytes) -> bytes:
