@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
+from tokenize import TokenError
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
@@ -16,6 +17,18 @@ from pixel2catch.files import read_bytes
 
 MOST_NUMBERS = 2**24
 """Numbers in all arrays of a file: 20 minutes of an arm at 500 Hz, 128 MiB. Source: ours."""
+
+UNREADABLE = (
+    BadZipFile,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    SyntaxError,
+    TokenError,
+    ValueError,
+    zlib.error,
+)
+"""What zipfile and numpy raise where a file is damaged."""
 
 MOST_CHARACTERS = 2**16  #: Of arrays of text, together; names of joints have some hundred.
 MOST_DIRECTORY = 2**18  #: Bytes of an archive's list of its members: some thousand. Source: ours.
@@ -39,7 +52,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
             arrays = {name: _array(archive.read(m)) for name, m in members.items() if m in there}
     except InvalidValueError:
         raise
-    except (BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, zlib.error) as error:
+    except UNREADABLE as error:
         raise InvalidValueError(f"it is no whole npz file ({error})") from error
     if sum(array.size for array in arrays.values()) > MOST_NUMBERS:
         raise InvalidValueError(f"it has more than {MOST_NUMBERS:,} numbers; cut it")

@@ -26,6 +26,8 @@ MOST_WEIGHTS = 2**28  #: Bytes of a policy's networks, or of a checkpoint; ours 
 MOST_DEPTH = 32  #: Lists and objects in each other. Source: ours; four times what is written.
 LARGEST_INTEGER = 2**63  #: Integers are smaller, as everything that takes them counts in 64 bits.
 
+LONGEST_REASON = 1000  #: Characters of a file's content that a message repeats.
+
 DAMAGE = (
     OSError,
     EOFError,
@@ -98,6 +100,7 @@ def reading(
         yield
     except DAMAGE as damage:
         reason = f"there is no {damage}" if isinstance(damage, KeyError) else str(damage).rstrip(".")
+        reason = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ..."
         raise error(f"cannot read the {what} '{path}': {reason}. {fix}") from damage
 
 

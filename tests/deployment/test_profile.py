@@ -163,7 +163,7 @@ MISTAKES = [
     ("camera.image", GONE, "camera: image missing; add it"),
     ("camera.width", "640", "camera: width: '640' is not of type int"),
     ("camera.width", True, "camera: width: True is not of type int"),
-    ("camera.image", "raw", "camera: image: 'raw' is no topic; write its whole name: '/raw'"),
+    ("camera.image", "raw", "camera: image: 'raw' is no topic; write its whole name, such as"),
     ("workcell", 5, "workcell: 5 is not of type str"),
     ("robots", 3, "robots: 3 is not of type list"),
     ("status", "none", "status: 'none' has no keys"),

@@ -120,7 +120,7 @@ def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
     """
     num_frames, stamp = 0, 0.0
     try:
-        with av.open(str(path), options=OPTIONS) as container:
+        with av.open(str(path), options=OPTIONS, metadata_errors="replace") as container:
             if not container.streams.video:
                 raise PerceptionError(f"{path} has no video stream; give a video file.")
             period = 1.0 / float(container.streams.video[0].average_rate or 30)
@@ -128,10 +128,11 @@ def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
                 stamp = float(frame.time) if frame.time is not None else stamp + period
                 yield CameraFrame(image=frame.to_ndarray(format="rgb24"), stamp=stamp)
                 num_frames += 1
-    except FFmpegError as error:
+    except (FFmpegError, ValueError, OverflowError) as error:
+        reason = getattr(error, "strerror", error)
         if not num_frames:
-            raise PerceptionError(f"{path} cannot be read as a video: {error.strerror}.") from error
-        notes.append(f"the video is damaged after {num_frames} images: {error.strerror}.")
+            raise PerceptionError(f"{path} cannot be read as a video: {reason}.") from error
+        notes.append(f"the video is damaged after {num_frames} images: {reason}.")
 
 
 def is_camera(source: str) -> bool:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 SUFFIX = ".onnx"  #: How such a file's name ends.
 METADATA = "policy"  #: Name of the entry of the file's metadata.
+FIX = "Make one with 'pixel2catch export POLICY'."
 OPERATIONS = frozenset({"Sub", "Div", "Clip", "Unsqueeze", "GRU", "Squeeze", "Gemm", "Elu"})
 """What the graph is made of."""
 MOST_NODES = 1000  #: Operations of a graph that is read; one of four agents has some sixty. Source: ours.
@@ -53,12 +54,10 @@ class OnnxPolicy:
         """
         name = str(model) if isinstance(model, Path) else "made here"
         self._session = _session(model, name)
-        text = self._session.get_modelmeta().custom_metadata_map.get(METADATA)
-        if text is None:
-            raise PolicyMismatchError(
-                f"'{name}' is an ONNX file, but no policy; make one with 'pixel2catch export POLICY'."
-            )
-        with reading("policy", name, "Export it again.", PolicyMismatchError):
+        with reading("policy", name, FIX, PolicyMismatchError):
+            text = self._session.get_modelmeta().custom_metadata_map.get(METADATA)
+            if text is None:
+                raise InvalidValueError("it is an ONNX file, but no policy")
             self.contract, _, self.recurrent = described(json_object(text))
         self._outputs = [output.name for output in self._session.get_outputs()]
         self._states: dict[str, np.ndarray] = {}
@@ -244,7 +243,7 @@ def _session(model: bytes | Path, name: str) -> "InferenceSession":
     options = SessionOptions()
     options.intra_op_num_threads = 1  # its threads only make steps of these small tensors slower
     options.log_severity_level = 4
-    with reading("policy", name, "Export it again: 'pixel2catch export POLICY'.", PolicyMismatchError):
+    with reading("policy", name, FIX, PolicyMismatchError):
         content = read_bytes(model, MOST_WEIGHTS) if isinstance(model, Path) else model
         try:
             _require_ours(onnx.load_model_from_string(content))

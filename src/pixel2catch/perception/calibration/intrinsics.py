@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
-from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading
+from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.perception.calibration.target import Board, View, read_image
 from pixel2catch.perception.rosbag_images import first_camera_info
 from pixel2catch.ros2.bags import is_bag
@@ -126,7 +126,7 @@ def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> Intrinsics:
     """What a CameraInfo of ROS says, in our image coordinates; refuse what is no lens of OpenCV's."""
     if info.distortion_model not in LENS_MODELS or len(info.d) not in LENS_SIZES:
         raise PerceptionError(
-            f"{path}: lens model '{info.distortion_model}' with {len(info.d)} numbers is not read; "
+            f"{path}: lens model {shown(info.distortion_model)} with {len(info.d)} numbers is not read; "
             "record rectified images and give --rectified, or calibrate with plumb_bob."
         )
     flat, columns = (info.p, 4) if is_rectified else (info.k, 3)
