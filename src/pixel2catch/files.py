@@ -109,16 +109,17 @@ def read_bytes(path: Path, most: int) -> bytes:
 
     Raises:
         OSError: It cannot be read.
-        InvalidValueError: It is no file, or longer.
+        InvalidValueError: It is no file, longer, or being written.
     """
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise InvalidValueError(
-                f"'{path}' is no file, but a pipe or a device; copy what it gives to a file"
-            )
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise InvalidValueError(f"'{path}' is too long; it may have {most:,} bytes")
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise InvalidValueError(f"'{path}' is no file, but a pipe or a device; name a file")
+        if found.st_size > most:
+            raise InvalidValueError(f"'{path}' has {found.st_size:,} bytes; it may have {most:,}")
+        content = file.read(found.st_size + 1)
+    if len(content) != found.st_size:
+        raise InvalidValueError(f"'{path}' changes while it is read; wait until it is written")
     return content
 
 

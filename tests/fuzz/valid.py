@@ -47,12 +47,11 @@ image_height: 480
 distortion_model: plumb_bob
 camera_matrix: {rows: 3, cols: 3, data: [618.1, 0.0, 320.0, 0.0, 618.1, 240.0, 0.0, 0.0, 1.0]}
 distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.0, 0.0, 0.0]}
-projection_matrix: {rows: 3, cols: 4, data: [618.1, 0.0, 320.0, 0.0, 0.0, 618.1, 240.0, 0.0, 0.0, 0.0, 1.0, 0.0]}
+projection_matrix: {rows: 3, cols: 4, data: [618.1, 0.0, 320.0, 0.0, 0.0, 618.1, 240.0, 0.0, 0.0, 0.0, 1, 0]}
 """
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "".join(
-    f"f {face}\n"
-    for face in ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
+    f"f {face}\n" for face in ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
 )
 
 
@@ -222,7 +221,9 @@ def _dynamics(folder: Path) -> Path:
 
 
 def _camera(folder: Path) -> Path:
-    CameraFile(camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0), focal_std=0.01).save(folder / "camera.json")
+    CameraFile(camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0), focal_std=0.01).save(
+        folder / "camera.json"
+    )
     return folder / "camera.json"
 
 
@@ -254,8 +255,12 @@ KINDS = {
     "png": Kind(write=_image(".png"), read=read_image),
     "jpeg": Kind(write=_image(".jpg"), read=read_image),
     "tiff": Kind(write=_image(".tiff"), read=read_image),
-    "mp4": Kind(write=_video(".mp4", "libx264", "yuv420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]),
-    "avi": Kind(write=_video(".avi", "mjpeg", "yuvj420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]),
+    "mp4": Kind(
+        write=_video(".mp4", "libx264", "yuv420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]
+    ),
+    "avi": Kind(
+        write=_video(".avi", "mjpeg", "yuvj420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]
+    ),
     "mesh": Kind(write=_text("cube.obj", CUBE), read=read_mesh),
     "checkpoint": Kind(write=_checkpoint, read=_read_checkpoint),
     "run": Kind(write=_run, read=lambda file: TrainCfg.of_run(file.parent), change=changed_json),

@@ -75,8 +75,10 @@ def _is_status(said: dict[str, Any]) -> bool:
     if box is not None and not (is_box and all(abs(edge) < FARTHEST for edge in box)):
         return False
     lists = [said.get(name) for name in ("stopped_by", "refused", "found")]
+    if not all(isinstance(each, list) for each in lists):
+        return False
     texts = [said.get("mode"), said.get("message"), *(text for each in lists for text in each or ())]
-    return all(isinstance(each, list) for each in lists) and all(isinstance(text, str) for text in texts)
+    return all(isinstance(text, str) for text in texts)
 
 
 POLL = 0.005  #: Time between two looks at the keys [s]. Source: ours.

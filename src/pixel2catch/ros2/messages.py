@@ -50,7 +50,7 @@ def decode(data: bytes, kind: str) -> Any:
         raise DeploymentError(f"a message has {len(data):,} bytes; {MOST_BYTES:,} at most are read.")
     try:
         return STORE.deserialize_cdr(memoryview(data), kind)
-    except (SerdeError, struct.error, ValueError, IndexError) as error:
+    except (SerdeError, struct.error, ValueError, LookupError) as error:
         raise DeploymentError(
             f"a message is no {kind} ({error}): two programs disagree about the type of a topic."
         ) from error

@@ -276,7 +276,9 @@ def _parse(place: str, value: Any, kind: Any) -> Any:
 
 def _topic(place: str, name: str, sends: TopicType) -> Topic:
     if not name.startswith("/"):
-        raise DeploymentError(f"{place}: {shown(name)} is no topic; write its whole name, such as '/joint_states'.")
+        raise DeploymentError(
+            f"{place}: {shown(name)} is no topic; write its whole name, such as '/joint_states'."
+        )
     return Topic(name=name, type=sends.type, is_latched=sends.is_latched)
 
 
