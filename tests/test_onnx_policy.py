@@ -227,7 +227,7 @@ def test_damaged_foreign_and_missing_files(file: Path, tmp_path: Path) -> None:
     model = onnx.load(file)
     model.ClearField("metadata_props")
     onnx.save(model, foreign)
-    with pytest.raises(PolicyMismatchError, match="an ONNX file, but no policy. Make one with"):
+    with pytest.raises(PolicyMismatchError, match=r"an ONNX file, but no policy\. Make one with"):
         load(foreign)
     with pytest.raises(UnknownNameError, match=r"missing\.onnx"):
         load_policy(tmp_path / "missing.onnx")

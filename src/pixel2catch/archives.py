@@ -97,4 +97,8 @@ def _array(data: bytes) -> np.ndarray:
     start = file.tell()
     if math.prod(shape) * dtype.itemsize != len(data) - start:
         raise InvalidValueError(f"it has an array of shape {shape}, and {len(data) - start:,} bytes of it")
+    if dtype.kind == "U":
+        data[start:].decode(
+            "utf-32-le" if dtype.isnative else "utf-32-be"
+        )  # numpy would make no text of others
     return np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if is_fortran else "C")

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import resource
 import struct
 import tracemalloc
 import zipfile
@@ -118,6 +119,15 @@ def test_an_array_takes_no_memory_that_its_file_does_not_have(tmp_path: Path):
         read_arrays(tmp_path / "big.npz", ["q"])
 
 
+def test_a_text_of_an_array_is_one(tmp_path: Path):
+    """NumPy takes any 32 bits for a character, of which Python makes strings that end it."""
+    names = np.array(ARM)
+    names.view(np.uint32)[0] = 0x7FFFFFFF
+    np.savez(tmp_path / "names.npz", joints=names)
+    with pytest.raises(InvalidValueError, match="code point not in range"):
+        read_arrays(tmp_path / "names.npz", ["joints"])
+
+
 def test_an_archive_is_not_unpacked_if_it_is_too_large(tmp_path: Path):
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("q.npy", bytes(200 * 2**20))
@@ -129,6 +139,16 @@ def test_an_archive_is_not_unpacked_if_it_is_too_large(tmp_path: Path):
         assert tracemalloc.get_traced_memory()[1] < 2**22
     finally:
         tracemalloc.stop()
+
+
+def test_an_image_takes_no_memory_that_its_file_does_not_have():
+    """A part of it says that it has 2 GB."""
+    data = bytearray(cv2.imencode(".png", PIXELS)[1].tobytes())
+    place = data.find(b"IDAT") - 4
+    data[place : place + 4] = b"\x7f\xff\xff\xff"
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert messages.unpacked_image(bytes(data)) is None
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100 * 2**10
 
 
 @pytest.mark.parametrize("suffix", [".png", ".bmp"])
@@ -176,7 +196,7 @@ def test_a_chunk_of_a_bag_is_not_unpacked_if_it_is_too_large(tmp_path: Path, mon
         pass
     monkeypatch.setattr(bags, "_require_chunks", lambda chunks: None)
     with pytest.raises(PerceptionError, match="Chunk size mismatch"), bags.opened_bag(file) as reader:
-        [*reader.messages()]
+        list(reader.messages())
 
 
 def test_chunks_of_one_time_are_counted_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -232,12 +232,12 @@ def _agent(name: str, contract: AgentContract, method: str, workcell: WorkcellSp
 def _term(name: str, method: str) -> ObservationTerm:
     term = vars(observations).get(name)
     if getattr(term, "__module__", None) != observations.__name__:
-        raise _undefined(method, f"observes '{name}'")
+        raise _undefined(method, f"observes {shown(name)}")
     return cast(ObservationTerm, term)
 
 
 def _undefined(method: str, what: str) -> PolicyMismatchError:
     return PolicyMismatchError(
-        f"unknown method '{method}', and its policy {what}; name the Python file that registers it: "
+        f"unknown method {shown(method)}, and its policy {what}; name the Python file that registers it: "
         f"pixel2catch {OPTION} FILE.py COMMAND ... Methods of this package: {', '.join(METHODS)}."
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError, RecordingError
-from pixel2catch.files import MOST_YAML, parse_yaml, read_text
+from pixel2catch.files import LONGEST_REASON, MOST_YAML, parse_yaml, read_text
 from pixel2catch.installation import install_command
 
 if TYPE_CHECKING:
@@ -55,7 +55,8 @@ def opened_bag(
     except Pixel2CatchError as known:
         raise known if isinstance(known, error) else error(f"{path}: {known}.") from known
     except Exception as damage:
-        raise error(f"{path}: not a readable rosbag2 ({damage}); try 'ros2 bag reindex'.") from damage
+        reason = str(damage)[:LONGEST_REASON]
+        raise error(f"{path}: not a readable rosbag2 ({reason}); try 'ros2 bag reindex'.") from damage
 
 
 def _require_files(path: Path) -> None:

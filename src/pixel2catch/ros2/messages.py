@@ -295,17 +295,14 @@ def compress(data: bytes) -> bytes:
 
 def unpacked_image(data: bytes) -> Pixels | None:
     """The pixels of a JPEG, PNG, BMP or TIFF; None if it is damaged, or has more than `MOST_PIXELS`."""
-    import cv2
-    from PIL import Image
+    from PIL import Image, ImageOps
 
     try:
         with Image.open(BytesIO(data), formats=("JPEG", "PNG", "BMP", "TIFF")) as file:
-            if file.width * file.height > MOST_PIXELS:
-                return None
-        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+            is_small = file.width * file.height <= MOST_PIXELS
+            return np.asarray(ImageOps.exif_transpose(file).convert("RGB")) if is_small else None
     except Exception:  # each format has errors of its own
         return None
-    return None if pixels is None else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
 
 
 def uncompressed(message: Any) -> Pixels | None:
