@@ -116,6 +116,7 @@ class InputFile(Requirement):
     def require(self, name: str, value: Path) -> None:  # noqa: D102
         if not value.is_file():
             found = "a folder; name a file in it" if value.is_dir() else "which is not there"
+            found = "a pipe or a device; name a file" if value.exists() and not value.is_dir() else found
             raise InvalidValueError(f"{name} is '{value}', {found}.")
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+LONGEST_NAME = 200  #: Characters of a name that a message repeats: enough for a path.
+
 
 class Pixel2CatchError(Exception):
     """Base class of all errors that a user can cause and mend."""
@@ -21,6 +23,7 @@ class UnknownNameError(Pixel2CatchError):
     def __init__(self, kind: str, name: str, valid: Iterable[str], other: str = "") -> None:
         """Compose the message from the closest and from all valid names."""
         names = list(valid)
+        name = name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]} ..."
         close = get_close_matches(name, names, n=1)
         hint = f" Did you mean '{close[0]}'?" if close else ""
         all_valid = ", ".join([*names, other] if other else names)

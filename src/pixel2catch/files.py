@@ -1,18 +1,44 @@
-"""Files that are either the old ones or the new ones, never half of each; and what is written into them."""
+"""Files: written whole or not at all, and read within bounds of size, depth, time and memory.
+
+Whoever wrote a file that is read here, it is a mistake in it that is said, nothing else happens.
+"""
 
 import dataclasses
 import json
 import math
 import os
-from collections.abc import Mapping
+import reprlib
+import stat
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import InvalidValueError, Pixel2CatchError
 
 JSON_KINDS = {list: "a list", str: "a text", int: "a number", float: "a number", bool: "true or false"}
 """What JSON may hold instead of an object, in words."""
+
+MOST_JSON = 2 * 2**20  #: Bytes of a JSON file; the largest that are written have some hundred thousand.
+MOST_YAML = 2**17  #: Bytes of a YAML file; profiles have some thousand.
+MOST_WEIGHTS = 2**28  #: Bytes of a policy's networks, or of a checkpoint; ours have a few million.
+MOST_DEPTH = 32  #: Lists and objects in each other. Source: ours; four times what is written.
+LARGEST_INTEGER = 2**63  #: Integers are smaller, as everything that takes them counts in 64 bits.
+
+LONGEST_REASON = 1000  #: Characters of a file's content that a message repeats.
+
+DAMAGE = (
+    OSError,
+    EOFError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    Pixel2CatchError,
+)
+"""What making a value of a file's content can raise where the content is not what it should be."""
 
 
 def write_atomically(contents: Mapping[Path, bytes]) -> None:
@@ -61,19 +87,149 @@ def as_json(value: Any) -> Any:
     return as_json(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
-def read_json_object(path: Path) -> dict[str, Any]:
-    """The JSON object in a file.
+@contextmanager
+def reading(
+    what: str, path: Path | str, fix: str, error: type[Pixel2CatchError] = InvalidValueError
+) -> Iterator[None]:
+    """One error for all that is wrong with a file: which it is, the reason, and the fix.
+
+    Raises:
+        error: Whatever of `DAMAGE` was raised within.
+    """
+    try:
+        yield
+    except DAMAGE as damage:
+        reason = f"there is no {damage}" if isinstance(damage, KeyError) else str(damage).rstrip(".")
+        reason = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ..."
+        raise error(f"cannot read the {what} '{path}': {reason}. {fix}") from damage
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The content of a file of so many bytes at the most; a pipe or a device is none, and nothing waits.
 
     Raises:
         OSError: It cannot be read.
-        ValueError: It is no JSON, or JSON of another kind.
+        InvalidValueError: It is no file, longer, or being written.
     """
-    content = json.loads(path.read_text(encoding="utf-8"))
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise InvalidValueError(f"'{path}' is no file, but a pipe or a device; name a file")
+        if found.st_size > most:
+            raise InvalidValueError(f"'{path}' has {found.st_size:,} bytes; it may have {most:,}")
+        content = file.read(found.st_size + 1)
+    if len(content) != found.st_size:
+        raise InvalidValueError(f"'{path}' changes while it is read; wait until it is written")
+    return content
+
+
+def read_text(path: Path, most: int = MOST_JSON) -> str:
+    """The content of a text file, without a byte order mark; raises as `read_bytes`, or if it is no UTF-8."""
+    try:
+        return read_bytes(path, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InvalidValueError(f"it is no text in UTF-8 ({error})") from error
+
+
+def parse_json(text: str) -> Any:
+    """What a JSON text holds.
+
+    Raises:
+        InvalidValueError: It is no JSON, names something twice, or has a number that none of ours is.
+    """
+    try:
+        content = _bounded(json.loads(text, object_pairs_hook=_unique))
+        json.dumps(content, ensure_ascii=False).encode()  # half a character can be written in JSON only
+        return content
+    except InvalidValueError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InvalidValueError(f"it is no JSON ({error})") from error
+
+
+def json_object(text: str) -> dict[str, Any]:
+    """The object that a JSON text holds; raises as `parse_json`, or if it holds something else."""
+    content = parse_json(text)
     if not isinstance(content, dict):
         raise InvalidValueError(
             f"it holds {JSON_KINDS.get(type(content), 'null')}, not a JSON object {{...}}"
         )
     return content
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Raises:
+        OSError: It cannot be read.
+        InvalidValueError: It is no JSON within bounds, or JSON of another kind.
+    """
+    return json_object(read_text(path))
+
+
+def parse_yaml(text: str) -> Any:
+    """What a YAML text holds, in which nothing has an alias. Needs PyYAML.
+
+    Raises:
+        InvalidValueError: It is no YAML, names something twice, or has a number that none of ours is.
+    """
+    import yaml
+
+    parser = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        depth = 0
+        for event in yaml.parse(text, parser):
+            if isinstance(event, yaml.AliasEvent):
+                raise InvalidValueError(f"it has the alias '*{event.anchor}'; write out what it stands for")
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            _require_depth(depth)
+        loader = parser(text)
+        loader.construct_mapping = lambda node, deep=False: _unique(
+            (loader.construct_object(key, deep=True), loader.construct_object(value, deep=deep))
+            for key, value in node.value
+        )
+        return _bounded(loader.get_single_data())
+    except InvalidValueError:
+        raise
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
+        raise InvalidValueError(f"it is no YAML ({error})") from error
+
+
+def _unique(pairs: Any) -> dict[Any, Any]:
+    """The mapping of some pairs, each key of which is there once."""
+    content: dict[Any, Any] = {}
+    for key, value in pairs:
+        if key in content:
+            raise InvalidValueError(f"it has the entry {shown(key)} twice; keep one")
+        content[key] = value
+    return content
+
+
+def _bounded(content: Any) -> Any:
+    """Content of lists and mappings, not too deep, and of finite numbers that are not too large."""
+    level, depth = [("it", content)], 0
+    while level:
+        _require_depth(depth)
+        for name, value in level:
+            if isinstance(value, float) and not math.isfinite(value):
+                raise InvalidValueError(f"{name} has the number {value}; it must be finite")
+            if isinstance(value, int) and not -LARGEST_INTEGER <= value < LARGEST_INTEGER:
+                raise InvalidValueError(f"{name} has an integer of more than 64 bits; it must be smaller")
+        lists = [(name, each) for name, value in level if isinstance(value, list) for each in value]
+        mappings = (value.items() for _, value in level if isinstance(value, dict))
+        level = lists + [(shown(key), each) for items in mappings for key, each in items]
+        depth += 1
+    return content
+
+
+def _require_depth(depth: int) -> None:
+    if depth > MOST_DEPTH:
+        raise InvalidValueError(f"its lists and entries are nested deeper than {MOST_DEPTH} times")
+
+
+def shown(value: Any) -> str:
+    """A value for a message, which stays short whatever the value is."""
+    return reprlib.repr(value)
 
 
 def decoded(kind: Any, value: Any, name: str = "") -> Any:
@@ -90,14 +246,14 @@ def decoded(kind: Any, value: Any, name: str = "") -> Any:
     """
     kind = _chosen(kind, value)
     origin, inner = get_origin(kind), get_args(kind)
-    if _is_nested(kind) and not _has_shape(origin, value):
-        raise InvalidValueError(f"field '{name}' is {value!r}")
+    if (_is_nested(kind) and not _has_shape(origin, value)) or not _is_of(kind, value):
+        raise InvalidValueError(f"field '{name}' is {shown(value)}")
     if origin is tuple:
         kinds = inner if Ellipsis not in inner else inner[:1] * len(value)
         if len(kinds) != len(value):
             raise InvalidValueError(f"field '{name}' has {len(value)} entries; it needs {len(kinds)}")
         return tuple(decoded(each, entry, name) for each, entry in zip(kinds, value, strict=True))
-    if origin is dict:
+    if origin in (dict, Mapping):
         return {key: decoded(inner[1], entry, f"{name}.{key}") for key, entry in value.items()}
     if name and hasattr(kind, "from_dict"):
         return kind.from_dict(value)
@@ -124,7 +280,18 @@ def _chosen(kind: Any, value: Any) -> Any:
         return kind
     is_nested = isinstance(value, list | dict)
     members = [each for each in get_args(kind) if (each is NoneType) is (value is None)]
-    return next((each for each in members if _is_nested(each) is is_nested), get_args(kind)[0])
+    fitting = (each for each in members if _is_nested(each) is is_nested and _is_of(each, value))
+    return next(fitting, get_args(kind)[0])
+
+
+def _is_of(kind: Any, value: Any) -> bool:
+    """Whether a value can be one of a plain type, such as a number; of other types it may be."""
+    if get_origin(kind) is Literal:
+        return value in get_args(kind)
+    if kind is NoneType:
+        return value is None
+    accepted = {float: (float, int), int: (int,), str: (str,), Path: (str,), bool: (bool,)}.get(kind)
+    return accepted is None or (isinstance(value, accepted) and isinstance(value, bool) is (kind is bool))
 
 
 def _has_shape(origin: Any, value: Any) -> bool:
@@ -132,7 +299,7 @@ def _has_shape(origin: Any, value: Any) -> bool:
 
 
 def _is_nested(kind: Any) -> bool:
-    return get_origin(kind) in (tuple, dict) or dataclasses.is_dataclass(kind)
+    return get_origin(kind) in (tuple, dict, Mapping) or dataclasses.is_dataclass(kind)
 
 
 def require_free_folder(folder: Path, option: str = "--out") -> None:

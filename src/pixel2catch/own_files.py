@@ -12,10 +12,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from traceback import extract_tb
 from types import ModuleType
 from typing import Any, TypeVar
 
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import InvalidValueError, Pixel2CatchError
 
 OPTION = "--import"
 VARIABLE = "PIXEL2CATCH_IMPORT"
@@ -85,9 +86,15 @@ def import_file(name: str) -> ModuleType:
     sys.modules[path.stem] = module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except BaseException:
+    except BaseException as error:
         del sys.modules[path.stem]
-        raise
+        if isinstance(error, Pixel2CatchError) or not isinstance(error, Exception):
+            raise
+        lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
+        where = f" in line {lines[-1]}" if lines else ""
+        raise InvalidValueError(
+            f"'{name}' cannot be imported: {type(error).__name__}{where}: {error}; correct it."
+        ) from error
     for each in _CATALOGUES:
         each.join(module)
     _MODULES[str(path)] = module

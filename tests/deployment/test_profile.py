@@ -1,5 +1,6 @@
 """Robot profiles: the shipped ones, what they make of commands and joint states, and what is refused."""
 
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +163,7 @@ MISTAKES = [
     ("camera.image", GONE, "camera: image missing; add it"),
     ("camera.width", "640", "camera: width: '640' is not of type int"),
     ("camera.width", True, "camera: width: True is not of type int"),
-    ("camera.image", "raw", "camera: image: 'raw' is no topic; write its whole name: '/raw'"),
+    ("camera.image", "raw", "camera: image: 'raw' is no topic; write its whole name, such as"),
     ("workcell", 5, "workcell: 5 is not of type str"),
     ("robots", 3, "robots: 3 is not of type list"),
     ("status", "none", "status: 'none' has no keys"),
@@ -178,13 +179,9 @@ MISTAKES = [
     ("robots.1.held.4", GONE, "a command has places 0 to 15, joints and held have [0, 1, 2, 3, 5,"),
     ("robots.0.limits", {"velocity": 2}, "robots[0]: limits: unknown key 'velocity'"),
     ("robots.0.limits", {"speed": 0}, "robots[0]: limits: speed is 0; it must be more than 0"),
-    ("robots.0.limits", {"jerk": float("nan")}, "robots[0]: limits: jerk is nan; it must be more than 0"),
+    ("robots.0.limits", {"jerk": float("nan")}, "'jerk' has the number nan; it must be finite"),
     ("robots.0.limits", {"speed": "2"}, "limits: speed: '2' is not of type float"),
-    (
-        "robots.1.held.4.angle",
-        float("nan"),
-        "robots[1]: held.4: angle is nan rad; it must be from -6.283 to",
-    ),
+    ("robots.1.held.4.angle", float("nan"), "'angle' has the number nan; it must be finite"),
     ("robots.1.held.4.angle", 1e6, "robots[1]: held.4: angle is 1e+06 rad; it must be from -6.283 to 6.283"),
     ("robots.1.held.4", 0.0, "held.4: 0.0 has no keys"),
     ("robots.1.held.4.name_in_state", "ah_joint11", "the joint state's name ah_joint11 is given twice"),
@@ -214,20 +211,22 @@ def test_a_mistake_is_named_with_its_file_its_key_and_the_fix(tmp_path: Path, ke
 
     with pytest.raises(DeploymentError) as raised:
         Profile.load(changed(tmp_path, change))
-    assert str(raised.value).startswith(f"{tmp_path / 'lab.yaml'}: ")
+    assert str(tmp_path / "lab.yaml") in str(raised.value)
     assert message in str(raised.value)
 
 
 def test_a_joint_may_have_one_driver(tmp_path: Path):
     with pytest.raises(DeploymentError, match=r"the joint .*elbow_joint.* is given twice"):
-        Profile.load(changed(tmp_path, lambda content: content["robots"].append(content["robots"][0])))
+        Profile.load(
+            changed(tmp_path, lambda content: content["robots"].append(deepcopy(content["robots"][0])))
+        )
 
 
 @pytest.mark.parametrize("text", ["camera: [", "- 1", "", "\x00"])
 def test_a_file_that_is_no_profile_is_refused(tmp_path: Path, text: str):
     path = tmp_path / "lab.yaml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(DeploymentError, match=r"lab\.yaml: "):
+    with pytest.raises(DeploymentError, match=r"lab\.yaml"):
         Profile.load(path)
-    with pytest.raises(DeploymentError, match=r"gone\.yaml: cannot be read"):
+    with pytest.raises(DeploymentError, match=r"cannot read the profile '.*gone\.yaml': .* Correct it"):
         Profile.load(tmp_path / "gone.yaml")

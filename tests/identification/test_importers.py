@@ -72,10 +72,10 @@ def test_empty_log_is_refused(content: str, tmp_path: Path):
 def test_missing_or_binary_log_is_refused(tmp_path: Path):
     folder = write_rtde(tmp_path / "run", short())
     (folder / "commands.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(RecordingError, match=r"commands\.csv: not a readable text file"):
+    with pytest.raises(RecordingError, match=r"cannot read the table .*commands\.csv"):
         read_recording(folder, "ur5e")
     (folder / "commands.csv").unlink()
-    with pytest.raises(RecordingError, match=r"commands\.csv: not a readable text file .*No such file"):
+    with pytest.raises(RecordingError, match=r"commands\.csv.*No such file"):
         read_recording(folder, "ur5e")
 
 

@@ -108,10 +108,10 @@ def write_objects(path: Path) -> None:
 @pytest.mark.parametrize(
     ("write", "message"),
     [
-        (write_text, "not a readable npz file"),
-        (write_nothing, "not a readable npz file"),
+        (write_text, "motion.npz.: it is no whole npz file"),
+        (write_nothing, "it is no whole npz file"),
         (write_halves, "no array t_cmd, q_cmd, t_meas; a recording has"),
-        (write_objects, "not a readable npz file .*allow_pickle"),
+        (write_objects, "it has an array of object"),
     ],
 )
 def test_broken_canonical_file_is_refused(write, message: str, tmp_path: Path):

@@ -148,7 +148,6 @@ def test_empty_and_damaged_bags_are_refused(storage: StoragePlugin, tmp_path: Pa
 
 def test_without_the_library_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = write_bag(tmp_path / "bag", measured(short()) + commands(short(), ARRAY))
-    monkeypatch.delitem(sys.modules, "pixel2catch.identification.rosbag", raising=False)
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     with pytest.raises(RecordingError, match=r"needs rosbags.*pip install .*\[identification\]"):
         read_recording(path, "ur5e")

@@ -56,7 +56,7 @@ def test_file_without_ranges_keeps_the_papers(tmp_path):
         ("joints", ["index_joint_1", "elbow_joint"], "in the order"),
         ("joints", [], "stiffness has 2 entries; it needs 0"),
         ("stiffness", [1.0, -2.0], "stiffness of index_joint_1 is -2; it must be more than 0"),
-        ("latency", [float("nan"), 0.0], "latency of elbow_joint is nan"),
+        ("latency", [float("nan"), 0.0], "'latency' has the number nan"),
         ("damping", [1.0], "damping has 1 entries; it needs 2"),
         ("armature", "heavy", "Identify again, or correct that entry"),
         ("weight", [1.0, 1.0], "'weight' is unknown"),

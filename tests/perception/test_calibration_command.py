@@ -111,7 +111,7 @@ def test_a_table_that_cannot_be_is_refused(
         "no column wrist_3_joint": (rows, ["image", *JOINTS[:5], "wrist_4_joint"]),
         "if the file is in degrees, convert it to radians": (degrees, None),
         "5 images show the board in the hand, 6 are needed": (rows[:5], None),
-        "not a readable image": ([["nowhere.png", *rows[0][1:]], *rows], None),
+        "nowhere.png'. Correct its name, or leave it out": ([["nowhere.png", *rows[0][1:]], *rows], None),
     }
     for words, (table, names) in cases.items():
         assert words in error_of(capsys, write_table(tmp_path / "views.csv", table, names), *lens)

@@ -1,12 +1,10 @@
 """The camera file: what a calibration writes, and training, evaluation and perception can take."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import lru_cache
-from math import isfinite, sqrt
+from math import sqrt
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,13 +14,16 @@ from torch import Tensor
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.device_constants import constant
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import read_json_object, write_atomically
+from pixel2catch.files import decoded, read_json_object, reading, write_atomically
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
 
 LENS_SIZES = (0, 4, 5, 8)
 """How many numbers the lens models have that are read: none, and OpenCV's with 4, 5 or 8."""
+
+LARGEST_IMAGE = 8192  #: Width and height of the largest images [px]. Source: ours.
+LARGEST = 1e5  #: No size [px] and no distance [m] of a camera is larger. Source: ours.
 
 NO_POSE_ERROR = ((0.0,) * 6,) * 6  #: Covariance of a pose that is known exactly.
 
@@ -43,15 +44,23 @@ class CameraFile:
     def __post_init__(self) -> None:
         """Refuse what is no camera."""
         camera = self.camera
-        if min(camera.width, camera.height, camera.fx, camera.fy) <= 0:
-            raise InvalidValueError("width, height, fx and fy must be positive")
+        sizes, places = (
+            (camera.width, camera.height, camera.fx, camera.fy),
+            (camera.cx, camera.cy, *camera.pos),
+        )
+        if not (min(sizes) > 0 and max(sizes[:2]) <= LARGEST_IMAGE):
+            raise InvalidValueError(
+                f"width, height, fx and fy must be positive, images of {LARGEST_IMAGE} at most"
+            )
+        if not max(map(abs, (*sizes, *places))) <= LARGEST:
+            raise InvalidValueError(f"fx, fy, cx, cy and pos must be numbers of {LARGEST:g} at most")
         if abs(sum(q * q for q in camera.quat) - 1.0) > 1e-3:
             raise InvalidValueError(f"quat is {camera.quat}; it must be a unit quaternion (w, x, y, z)")
         if len(self.distortion) not in LENS_SIZES:
             raise InvalidValueError(f"distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8")
         _require_covariance(self.pose_covariance)
-        if self.focal_std is not None and self.focal_std < 0.0:
-            raise InvalidValueError(f"focal_std is {self.focal_std}; it must be 0 or more")
+        if self.focal_std is not None and not 0.0 <= self.focal_std <= 1.0:
+            raise InvalidValueError(f"focal_std is {self.focal_std}; it must be from 0 to 1")
 
     @property
     def pos_std(self) -> Vec3:
@@ -84,17 +93,12 @@ class CameraFile:
         Raises:
             InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
         """
-        try:
+        with reading("camera file", path, "Calibrate again, or correct that entry."):
             content = read_json_object(path)
             version = content.pop("format_version")
             if version != FORMAT_VERSION:
                 raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
-            return _parsed(content)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            reason = f"there is no {error}" if isinstance(error, KeyError) else error
-            raise InvalidValueError(
-                f"cannot read the camera file '{path}': {reason}. Calibrate again, or correct that entry."
-            ) from error
+            return decoded(cls, content)
 
     def _stds(self, first: int) -> Vec3:
         x, y, z = (sqrt(self.pose_covariance[i][i]) for i in range(first, first + 3))
@@ -113,39 +117,8 @@ def _require_covariance(rows: tuple[tuple[float, ...], ...]) -> None:
     if len(rows) != 6 or any(len(row) != 6 for row in rows):
         raise InvalidValueError("pose_covariance must have 6 rows of 6 numbers")
     matrix = torch.tensor(rows, dtype=torch.float64)
+    if not (matrix.abs() <= LARGEST).all():
+        raise InvalidValueError(f"pose_covariance must have numbers of {LARGEST:g} at most")
     smallest = float(torch.linalg.eigvalsh(matrix)[0])
     if not torch.allclose(matrix, matrix.T) or smallest < -1e-6 * float(matrix.trace()) - 1e-12:
         raise InvalidValueError("pose_covariance must be symmetric, without negative variances")
-
-
-def _parsed(content: Mapping[str, Any]) -> CameraFile:
-    """The file's content as what it means."""
-    _require_names(content, CameraFile)
-    _require_names(content["camera"], CameraSpec)
-    camera = {name: _numbers(value) for name, value in content["camera"].items()}
-    for name, size in (("pos", 3), ("quat", 4)):
-        if len(camera[name]) != size:
-            raise InvalidValueError(f"{[*camera[name]]} must have {size} numbers")
-    others = {name: _numbers(value) for name, value in content.items() if name != "camera"}
-    return CameraFile(camera=CameraSpec(**camera), **others)
-
-
-def _require_names(content: Mapping[str, Any], kind: type[CameraFile | CameraSpec]) -> None:
-    names = [field.name for field in fields(kind)]
-    for name in content:
-        if name not in names:
-            raise InvalidValueError(f"the entry '{name}' is unknown")
-    for name in names:
-        if name not in content:
-            raise KeyError(name)
-
-
-def _numbers(value: Any) -> Any:
-    """A number, or tuples of numbers; none stays."""
-    if value is None or isinstance(value, int):
-        return value
-    if isinstance(value, list):
-        return tuple(_numbers(entry) for entry in value)
-    if not isfinite(number := float(value)):
-        raise InvalidValueError(f"{number} is no number")
-    return number

@@ -13,7 +13,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import InputFile, OutputFile, Positive
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.extras import needs_extra
-from pixel2catch.errors import InvalidValueError, RecordingError
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, require_free_file, write_atomically
 from pixel2catch.scene.constants import RGB_CAMERA
 
@@ -136,13 +136,11 @@ class Calibrate:
         from pixel2catch.workcells import find_workcell
 
         table = read_table(path)
-        if IMAGE_COLUMN not in table.names:
-            raise RecordingError(f"{path}: no column {IMAGE_COLUMN}; it has {', '.join(table.names)}.")
         workcell = find_workcell(self.workcell)
         joints = workcell.joint_names[workcell.palms[0].carriers]
         joint_pos = table.columns(joints)
         require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
-        names = [row[table.names.index(IMAGE_COLUMN)] for row in table.rows]
+        names = table.texts(IMAGE_COLUMN)
         board, views, blank = CharucoBoard(self.square), [], []
         palms = first_chain(workcell).link_poses(torch.from_numpy(joint_pos))[:, -1].numpy()
         for name, palm in zip(names, palms, strict=True):

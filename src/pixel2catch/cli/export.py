@@ -133,7 +133,6 @@ class Export:
 
 
 def _is_recording(source: Path | None) -> bool:
-    """Whether it is a rosbag2: its folder, or its .mcap or .db3 file."""
-    from pixel2catch.ros2.bags import BAG_SUFFIXES
+    from pixel2catch.ros2.bags import is_bag
 
-    return source is not None and (source.suffix in BAG_SUFFIXES or (source / "metadata.yaml").exists())
+    return source is not None and is_bag(source)

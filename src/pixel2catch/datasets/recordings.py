@@ -1,6 +1,5 @@
 """Recordings of deployments as data sets: every run of the policy is an episode. Needs rosbags."""
 
-import json
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -101,7 +100,7 @@ def _read(
             elif topic == ORDERS.name:
                 orders.append((time, PolicyCommand.of(messages.read_float_array(data))))
             elif topic == profile.operator.status.name:
-                box = json.loads(messages.read_text(data))["box"]
+                box = messages.read_json(data)["box"]
                 if box is not None or boxes:
                     boxes.append((time, boxes[-1][1] if box is None else np.array(box)))
             elif topic in _image_topics(profile):

@@ -79,8 +79,10 @@ def _is_status(said: dict[str, Any]) -> bool:
     ):
         return False
     lists = [said.get(name) for name in ("stopped_by", "refused", "found")]
+    if not all(isinstance(each, list) for each in lists):
+        return False
     texts = [said.get("mode"), said.get("message"), *(text for each in lists for text in each or ())]
-    return all(isinstance(each, list) for each in lists) and all(isinstance(text, str) for text in texts)
+    return all(isinstance(text, str) for text in texts)
 
 
 def _is_near(value: Any) -> bool:

@@ -29,6 +29,8 @@ from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 
+LONGEST = 3600 * 10**9  #: Of a recording that is replayed [ns]; each control step is gone through.
+
 
 @final
 class BagPlayer(AbstractContextManager["BagPlayer"]):
@@ -45,6 +47,8 @@ class BagPlayer(AbstractContextManager["BagPlayer"]):
         self._publishers = {(topic.name, topic.type): node.publisher(topic) for topic in topics}
         self._bag = ExitStack()
         reader = self._bag.enter_context(opened_bag(path))
+        if reader.end_time - reader.start_time > LONGEST:
+            raise PerceptionError(f"{path}: lasts longer than an hour; cut it, or mend its times.")
         self.start = 1e-9 * reader.start_time  #: Time of the first message, since the epoch [s].
         self._messages = reader.messages()
         self._next = self._read()
@@ -178,8 +182,8 @@ def recorded_targets(recording: Path) -> RecordedTargets:
                 order = PolicyCommand.of(row)
                 taken = order.image_stamp
                 targets.setdefault(taken, (taken + offset, order.joint_pos_target))
-    times, rows = [time for time, _ in targets.values()], [target for _, target in targets.values()]
-    return RecordedTargets(time=np.array(times), target=np.array(rows).reshape(len(rows), -1))
+        times, rows = [time for time, _ in targets.values()], [target for _, target in targets.values()]
+        return RecordedTargets(time=np.array(times), target=np.array(rows).reshape(len(rows), -1))
 
 
 def compare(then: RecordedTargets, now: RecordedTargets, workcell: WorkcellSpec) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from pixel2catch.policy.policy import WEIGHTS_FILE
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.shipped import policy_folder
-from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells import known_workcell
 
 PHYSICS_HZ = 600.0
 """Physics rate of evaluations. Source: ours, five times the paper's rate of training.
@@ -36,7 +36,7 @@ def load_policy(folder: Path | None, device: str = "cpu") -> tuple[LoadedPolicy,
             method that neither this package nor its contract defines.
     """
     policy = load(policy_folder(folder), device)
-    workcell = find_workcell(policy.contract.workcell)
+    workcell = known_workcell(policy.contract.workcell)
     method = method_of(policy.contract)
     expected, found = contract_of(method, workcell), policy.contract.camera
     size = {name: expected.camera[name] for name in ("width", "height")}

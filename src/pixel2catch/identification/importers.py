@@ -8,25 +8,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
+from pixel2catch.files import read_text, reading, shown
 from pixel2catch.identification.joints import find_part, joints_of, specs_of
 from pixel2catch.identification.recording import REMEDY, Place, Recording, held, require_motion
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.bags import (
-    BAG_SUFFIXES,
     MOTION_FIELDS,
     MOTION_TYPES,
     BagMessage,
     JointMotion,
     decoded,
+    is_bag,
     joint_motion,
     opened_bag,
 )
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2 import Reader
 
 MEASURED_TOPIC = "/joint_states"  # topic of the measurements. Source: ROS 2, `joint_state_broadcaster`.
+
+MOST_NAMED = 30  #: Columns of a table that a message names.
+MOST_TABLE, MOST_ROWS = 2**27, 2**21
+"""Bytes and lines of a text table: an hour at 500 Hz. Source: ours."""
 
 MEASURED_FILE = "rtde.csv"
 """Measurements: `timestamp, actual_q_0` … `actual_q_5`, perhaps `actual_qd_*`. Source: the names of RTDE."""
@@ -124,7 +129,7 @@ def read_recording(
     joints, names = joints_of(workcell, part), names or Names()
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
-    if path.suffix in BAG_SUFFIXES or (path / "metadata.yaml").exists():
+    if is_bag(path):
         return read_rosbag(path, joints, names, workcell)
     if path.is_dir() and any((path / name).exists() for name in (MEASURED_FILE, COMMAND_FILE)):
         return _read_rtde(path, workcell).select(joints)
@@ -144,8 +149,22 @@ class Table:
 
     path: Path
     names: tuple[str, ...]  #: names of the columns
-    rows: tuple[tuple[str, ...], ...]  #: cells as text, row by row
+    lines: tuple[str, ...]  #: of the rows
     place: Place  #: what rows are called in messages: lines of the file, counted from 1
+
+    def texts(self, name: str) -> list[str]:
+        """The cells of a column.
+
+        Raises:
+            RecordingError: If there is no such column.
+        """
+        if name not in self.names:
+            raise RecordingError(
+                f"{self.path}: no column {name}; it has {', '.join(self.names[:MOST_NAMED])}. "
+                "Record this column, or give it this name in the first line."
+            )
+        column = self.names.index(name)
+        return [_cells(line)[column] for line in self.lines]
 
     def column(self, name: str) -> np.ndarray:
         """The numbers of a column.
@@ -153,18 +172,15 @@ class Table:
         Raises:
             RecordingError: If there is no such column, or a cell is no number.
         """
-        if name not in self.names:
-            raise RecordingError(
-                f"{self.path}: no column {name}; it has {', '.join(self.names)}. "
-                "Record this column, or give it this name in the first line."
-            )
-        numbers, cells = np.empty(len(self.rows)), [row[self.names.index(name)] for row in self.rows]
-        for i, cell in enumerate(cells):
+        numbers = np.empty(len(self.lines))
+        for i, cell in enumerate(self.texts(name)):
             try:
                 numbers[i] = float(cell)
             except ValueError:
                 where = f"{self.place.at(i)}, column {name}"
-                raise RecordingError(f"{where}: '{cell}' is no number; correct or cut this line.") from None
+                raise RecordingError(
+                    f"{where}: {shown(cell)} is no number; correct or cut this line."
+                ) from None
         return numbers
 
     def columns(self, names: Iterable[str]) -> np.ndarray:
@@ -176,26 +192,30 @@ def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
     """Read cells between commas, or spaces where no comma is; line 1 names the columns, unless names do.
 
     Raises:
-        RecordingError: If the file cannot be read, is empty, or a line has too few or too many cells.
+        RecordingError: If the file cannot be read, is empty or too long, or a line has too few or too many
+            cells.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").strip().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: not a readable text file ({error}).") from None
-    cells = [line.split(",") if "," in line else line.split() for line in lines]
-    rows = tuple(tuple(cell.strip() for cell in row) for row in cells)
+    with reading("table", path, "Record again, or cut it.", RecordingError):
+        text = read_text(path, MOST_TABLE).strip()
+        if text.count("\n") > MOST_ROWS:
+            raise RecordingError(f"it has more than {MOST_ROWS:,} lines")
+    lines = text.split("\n")
     first = 0 if names else 1
-    if len(rows) <= first:
+    if len(lines) <= first or not text:
         raise RecordingError(f"{path}: empty, there is no line of numbers; record again.")
     place = Place(source=str(path), row="line", first_row=1 + first)
-    table = Table(path=path, names=names or rows[0], rows=rows[first:], place=place)
-    for i, row in enumerate(table.rows):
-        if len(row) != len(table.names):
+    table = Table(path=path, names=names or tuple(_cells(lines[0])), lines=tuple(lines[first:]), place=place)
+    for i, line in enumerate(table.lines):
+        if (num_cells := len(_cells(line))) != len(table.names):
             raise RecordingError(
-                f"{place.at(i)}: {len(row)} columns instead of {len(table.names)}; "
+                f"{place.at(i)}: {num_cells} columns instead of {len(table.names)}; "
                 "correct or cut this line (the last one may have been cut off while recording)."
             )
     return table
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.split(",")] if "," in line else line.split()
 
 
 def _read_rtde(folder: Path, workcell: WorkcellSpec) -> Recording:
@@ -231,7 +251,7 @@ class _Bag:
     """An open bag, and what is looked for in it."""
 
     path: Path
-    reader: "AnyReader"
+    reader: "Reader"
     workcell: WorkcellSpec
     joints: tuple[str, ...]
     names: Names

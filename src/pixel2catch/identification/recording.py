@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, Float64, Shaped
 
-from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
-from pixel2catch.files import write_atomically
+from pixel2catch.archives import read_arrays
+from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
+from pixel2catch.files import json_object, reading, write_atomically
 from pixel2catch.identification.joints import MOTION_RANGES, groups_of, largest_step, specs_of
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 REMEDY = "Record the missing joints, rename them (--rename OURS=THEIRS), or choose another --robot."
@@ -26,18 +26,6 @@ FORMAT_VERSION = 1  #: Version of the trajectory files.
 REST = 1.0
 """Least time at rest, at the beginning and at the end of a trajectory [s]. Source: ours; a recording's first
 half second is not compared, and a servo settles in about as long."""
-
-UNREADABLE = (
-    OSError,
-    EOFError,
-    BadZipFile,
-    ValueError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    Pixel2CatchError,
-)
-"""What reading a file that is no trajectory, or none to follow, can raise."""
 
 TOLERANCE = 1e-9  # excess of a limit that is rounding [rad, s]
 
@@ -141,21 +129,16 @@ class Recording:
             RecordingError: If it is no such file, or what it says cannot be.
         """
         required = ("joints", "t_cmd", "q_cmd", "t_meas", "q")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in (*required, "qd", "effort") if name in file}
-                missing = [name for name in required if name not in arrays]
-                if missing:
-                    raise RecordingError(
-                        f"{path}: no array {', '.join(missing)}; a recording has {', '.join(required)}, "
-                        "and may have qd and effort."
-                    )
-                joints = ours(map(str, np.atleast_1d(arrays.pop("joints"))))
-                arrays = {name: np.asarray(values, dtype=np.float64) for name, values in arrays.items()}
-        except (OSError, EOFError, BadZipFile, ValueError) as error:
-            raise RecordingError(
-                f"{path}: not a readable npz file ({error}); record or convert it again."
-            ) from None
+        with reading("recording", path, "Record or convert it again.", RecordingError):
+            arrays = read_arrays(path, (*required, "qd", "effort"))
+            missing = [name for name in required if name not in arrays]
+            if missing:
+                raise RecordingError(
+                    f"no array {', '.join(missing)}; a recording has {', '.join(required)}, and may have qd "
+                    "and effort"
+                )
+            joints = ours(_texts(arrays.pop("joints")))
+            arrays = {name: _numbers(values) for name, values in arrays.items()}
         known = specs_of(workcell)
         unknown = [joint for joint in joints if joint not in known]
         if unknown:
@@ -168,6 +151,18 @@ class Recording:
     def _arrays(self) -> dict[str, np.ndarray]:
         arrays = {field.name: getattr(self, field.name) for field in fields(self)[3:]}
         return {name: values for name, values in arrays.items() if values is not None}
+
+
+def _texts(array: np.ndarray) -> tuple[str, ...]:
+    if array.dtype.kind != "U":
+        raise InvalidValueError(f"names of joints are of the type {array.dtype}; they must be text")
+    return tuple(map(str, array.ravel()))
+
+
+def _numbers(array: np.ndarray) -> np.ndarray:
+    if array.dtype.kind == "U":
+        raise InvalidValueError("it has text where numbers are needed")
+    return array.astype(np.float64)
 
 
 def _require_known(joints: Iterable[str], workcell: WorkcellSpec) -> None:
@@ -301,23 +296,19 @@ class Trajectory:
         Raises:
             InvalidValueError: If it is no such file, or a robot should not follow it.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                header = json.loads(str(file["header"]))
-                version = header.pop("format_version")
-                if version != FORMAT_VERSION:
-                    raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
-                return Trajectory(
-                    workcell=find_workcell(header.pop("workcell", UR5E_ALLEGRO.name)),
-                    joints=tuple(map(str, np.atleast_1d(file["joints"]))),
-                    times=np.asarray(file["times"], dtype=np.float64),
-                    positions=np.asarray(file["positions"], dtype=np.float64),
-                    header=header,
-                )
-        except UNREADABLE as error:
-            raise InvalidValueError(
-                f"cannot follow the trajectory '{path}': {error}. Write it again with 'pixel2catch excite'."
-            ) from error
+        with reading("trajectory", path, "Write it again with 'pixel2catch excite'."):
+            arrays = read_arrays(path, ("header", "joints", "times", "positions"))
+            header = json_object(str(arrays["header"]))
+            version = header.pop("format_version")
+            if version != FORMAT_VERSION:
+                raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+            return Trajectory(
+                workcell=known_workcell(header.pop("workcell", UR5E_ALLEGRO.name)),
+                joints=_texts(arrays["joints"]),
+                times=_numbers(arrays["times"]),
+                positions=_numbers(arrays["positions"]),
+                header=header,
+            )
 
     def _require_limits(self) -> None:
         specs = [specs_of(self.workcell)[name] for name in self.joints]

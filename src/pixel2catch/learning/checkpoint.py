@@ -11,12 +11,24 @@ import pickle
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import torch
 
+from pixel2catch.archives import open_archive
 from pixel2catch.circumstances import circumstances
-from pixel2catch.errors import CheckpointError
-from pixel2catch.files import json_text, write_atomically
+from pixel2catch.errors import CheckpointError, InvalidValueError
+from pixel2catch.files import (
+    MOST_WEIGHTS,
+    decoded,
+    json_object,
+    json_text,
+    parse_json,
+    read_bytes,
+    read_text,
+    reading,
+    write_atomically,
+)
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import PolicyContract
 
@@ -59,34 +71,38 @@ def load_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract) -> Progr
         CheckpointError: The file is missing or damaged, or does not fit this learner.
         PolicyMismatchError: It was trained under another contract; the message names the fields.
     """
-    state = _read(path, mappo.cfg.device)
-    saved = PolicyContract.from_dict(json.loads(state["contract"]))
+    fix = "Start without --resume, or with the configuration that it was begun with."
+    with reading("checkpoint", path, fix, CheckpointError):
+        state = _read(path, mappo.cfg.device)
+        saved = PolicyContract.from_dict(json_object(state["contract"]))
+        progress = decoded(Progress, state["progress"])
     saved.require(contract)
     if saved.task != contract.task:
         raise CheckpointError(
             f"checkpoint '{path}' is of a training for the task '{saved.task}'; train with --task "
             f"{saved.task}, or name another folder."
         )
-    try:
-        mappo.load_state_dict(state["mappo"])
-    except (KeyError, RuntimeError, ValueError) as error:
-        raise CheckpointError(f"checkpoint '{path}' does not fit this configuration: {error}") from error
-    torch.set_rng_state(state["random"]["cpu"].cpu())
-    if "cuda" in state["random"] and mappo.cfg.device.startswith("cuda"):
-        torch.cuda.set_rng_state(state["random"]["cuda"].cpu(), mappo.cfg.device)
-    return Progress(**state["progress"])
+    with reading("checkpoint", path, fix, CheckpointError):
+        try:
+            mappo.load_state_dict(state["mappo"])
+            torch.set_rng_state(state["random"]["cpu"].cpu())
+            if "cuda" in state["random"] and mappo.cfg.device.startswith("cuda"):
+                torch.cuda.set_rng_state(state["random"]["cuda"].cpu(), mappo.cfg.device)
+        except RuntimeError as error:
+            raise InvalidValueError(f"it does not fit this configuration: {error}") from error
+    return progress
 
 
 def _read(path: Path, device: str) -> dict[str, Any]:
+    data = read_bytes(path, MOST_WEIGHTS)
     try:
-        state = torch.load(path, map_location=device, weights_only=True)
-    except FileNotFoundError as error:
-        raise CheckpointError(f"no checkpoint '{path}'; start without --resume.") from error
-    except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
-        raise CheckpointError(f"checkpoint '{path}' is damaged ({error}); start without --resume.") from error
+        open_archive(data, MOST_WEIGHTS).close()
+        state = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
+    except (RuntimeError, EOFError, pickle.UnpicklingError, BadZipFile) as error:
+        raise InvalidValueError(f"it is damaged ({error})") from error
     version = state.get("format_version") if isinstance(state, dict) else None
     if version != FORMAT_VERSION:
-        raise CheckpointError(f"checkpoint '{path}' has format {version}, this code reads {FORMAT_VERSION}.")
+        raise InvalidValueError(f"it has format {version}, this code reads {FORMAT_VERSION}")
     return state
 
 
@@ -163,7 +179,7 @@ class RunFolder:
             {self.copy_of(name): file.read_bytes() for name, file in self.inputs.items() if file}
         )
         sessions_file = self.path / "sessions.json"
-        sessions = json.loads(sessions_file.read_text()) if sessions_file.exists() else []
+        sessions = parse_json(read_text(sessions_file)) if sessions_file.exists() else []
         session = {**circumstances(), "processes": num_processes}
         self.write_json("sessions.json", [*sessions, {**session, "config": config}])
 

@@ -3,7 +3,6 @@
 import csv
 import importlib
 import io
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from rich.console import Console
 from torch.utils.tensorboard import SummaryWriter
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import write_atomically
+from pixel2catch.files import read_json_object, write_atomically
 from pixel2catch.installation import install_command
 from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
 from pixel2catch.progress import ProgressBar
@@ -111,7 +110,7 @@ class WandbRun:
         Raises:
             InvalidValueError: If it cannot begin.
         """
-        config = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))
+        config = read_json_object(folder / CONFIG_FILE)
         file = folder / WANDB_FILE
         number = file.read_text(encoding="utf-8") if file.exists() else None
         wandb = wandb_package()

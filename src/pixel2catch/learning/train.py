@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -100,7 +99,7 @@ def _require_teacher(cfg: TrainCfg, folder: RunFolder) -> None:
         CheckpointError: It had one, and none is named.
     """
     file = folder.path / CONFIG_FILE
-    before = json.loads(file.read_text(encoding="utf-8"))["train"].get("teacher") if file.exists() else None
+    before = TrainCfg.of_run(folder.path).teacher if file.exists() else None
     if before and not cfg.teacher:
         raise CheckpointError(
             f"'{folder.path}' was begun with the teacher '{before}'; go on with --teacher {before}."

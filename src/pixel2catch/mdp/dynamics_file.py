@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.files import read_json_object, write_atomically
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import read_json_object, reading, write_atomically
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -49,7 +49,7 @@ class DynamicsFile:
         """
         if path is None:
             return cls(dynamics=JointDynamics.nominal(specs=workcell.joints), workcell=workcell)
-        try:
+        with reading("dynamics file", path, "Identify again, or correct that entry."):
             content = read_json_object(path)
             version, ranges = content.pop("format_version"), content.pop("gain_ranges", {})
             if version != FORMAT_VERSION:
@@ -58,11 +58,6 @@ class DynamicsFile:
             dynamics.require(workcell.joints)
             gains = _gains(ranges, _rows(dynamics, workcell), workcell)
             return cls(dynamics=dynamics, gains=gains, workcell=workcell)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, UnknownNameError) as error:
-            reason = f"there is no {error}" if isinstance(error, KeyError) else error
-            raise InvalidValueError(
-                f"cannot read the dynamics file '{path}': {reason}. Identify again, or correct that entry."
-            ) from error
 
 
 def _rows(dynamics: JointDynamics, workcell: WorkcellSpec) -> list[int]:

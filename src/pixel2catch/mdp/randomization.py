@@ -16,6 +16,8 @@ from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import Amount, Range, uniform
 from pixel2catch.robots.workcell import WorkcellSpec
 
+LARGEST_FACTOR = 1e3  #: On a gain; a larger one is a mistake. Source: ours.
+
 
 @dataclass(frozen=True, kw_only=True)
 class GainRanges:
@@ -37,10 +39,10 @@ class GainRanges:
         """
         for name in ("stiffness_scale", "damping_scale"):
             for joint, (low, high) in zip(workcell.joints, getattr(self, name), strict=False):
-                if not 0.0 < low <= high < float("inf"):
+                if not 0.0 < low <= high <= LARGEST_FACTOR:
                     raise InvalidValueError(
                         f"{name} of {joint.name} is from {low:g} to {high:g}; give two factors, the lower "
-                        "first, more than 0"
+                        f"first, more than 0 and at most {LARGEST_FACTOR:g}"
                     )
         own = tuple(group.gain_range for group in workcell.groups for _ in group.joints)
         return GainRanges(

@@ -8,7 +8,6 @@ Needs transformers, the extra `sam2`, and a checkpoint in a local folder: errors
 download. The network is never used.
 """
 
-import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,7 @@ from torch import Tensor, nn
 from torch.utils import _pytree as pytree
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.files import read_json_object
 from pixel2catch.installation import install_command
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
@@ -299,7 +299,12 @@ def load_sam2(
         config = Sam2VideoConfig.from_pretrained(folder, local_files_only=True)
         config = config if image_size is None else _with_image_size(config, image_size)
         loaded: Any = Sam2VideoModel.from_pretrained(
-            folder, config=config, dtype=dtype, local_files_only=True, output_loading_info=True
+            folder,
+            config=config,
+            dtype=dtype,
+            local_files_only=True,
+            use_safetensors=True,
+            output_loading_info=True,
         )
     except (OSError, ValueError, KeyError, RuntimeError, SafetensorError, StrictDataclassError) as error:
         raise _unusable(folder, f"{folder} cannot be read as SAM 2: {error}") from error
@@ -317,8 +322,8 @@ def _require_files(folder: Path) -> None:
     if not any(folder.glob("*.safetensors")):
         raise _unusable(folder, f"{folder} has no weights (*.safetensors)")
     try:
-        kind = json.loads(config.read_text()).get("model_type")
-    except (ValueError, AttributeError) as error:
+        kind = read_json_object(config).get("model_type")
+    except (OSError, ValueError) as error:
         raise _unusable(folder, f"{config} is damaged: {error}") from error
     if kind != (wanted := Sam2VideoConfig.model_type):
         raise _unusable(folder, f"{folder} holds a model of type '{kind}', not '{wanted}'")

@@ -20,6 +20,7 @@ from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.rosbag_images import bag_frames
 from pixel2catch.ros2.bags import BAG_SUFFIXES
+from pixel2catch.ros2.messages import MOST_PIXELS
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 PHASE = 0.5
@@ -38,6 +39,13 @@ RETRY, POLL = 0.01, 0.002
 """Time between attempts to read a camera that gives nothing, and between looks for a new image [s]."""
 
 DEVICES = Path("/dev")
+
+OPTIONS = {
+    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,ogg,gif",
+    "protocol_whitelist": "file",
+    "max_pixels": str(MOST_PIXELS),
+}
+"""Of FFmpeg: kinds of video, none of which names other files, and pixels of an image."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +75,9 @@ def ticks_of(cfg: SourceCfg, notes: list[str]) -> Generator[Tick, None, None]:
     if is_camera(cfg.name):
         return live_ticks(open_camera(cfg.name), notes)
     path = Path(cfg.name)
-    if not path.exists():
+    if not (path.is_file() or path.is_dir()):
         raise PerceptionError(
-            f"there is no '{path}'; a source is a video file, a rosbag2, or a camera: its number or "
+            f"there is no file '{path}'; a source is a video file, a rosbag2, or a camera: its number or "
             "/dev/videoN."
         )
     if path.suffix in BAG_SUFFIXES or path.is_dir():
@@ -112,7 +120,7 @@ def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
     """
     num_frames, stamp = 0, 0.0
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), options=OPTIONS, metadata_errors="replace") as container:
             if not container.streams.video:
                 raise PerceptionError(f"{path} has no video stream; give a video file.")
             period = 1.0 / float(container.streams.video[0].average_rate or 30)
@@ -120,10 +128,11 @@ def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
                 stamp = float(frame.time) if frame.time is not None else stamp + period
                 yield CameraFrame(image=frame.to_ndarray(format="rgb24"), stamp=stamp)
                 num_frames += 1
-    except FFmpegError as error:
+    except (FFmpegError, ValueError, OverflowError) as error:
+        reason = getattr(error, "strerror", error)
         if not num_frames:
-            raise PerceptionError(f"{path} cannot be read as a video: {error.strerror}.") from error
-        notes.append(f"the video is damaged after {num_frames} images: {error.strerror}.")
+            raise PerceptionError(f"{path} cannot be read as a video: {reason}.") from error
+        notes.append(f"the video is damaged after {num_frames} images: {reason}.")
 
 
 def is_camera(source: str) -> bool:

@@ -15,7 +15,7 @@ import torch
 
 from pixel2catch.agents import AgentSpec, agents_of, commands_of
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError, UnknownNameError
-from pixel2catch.files import decoded
+from pixel2catch.files import decoded, shown
 from pixel2catch.mdp import observations, rewards
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.observations import Frame, ObservationTerm, pixel_columns
@@ -25,11 +25,16 @@ from pixel2catch.methods import METHODS, Memory, Method, find_memory, find_metho
 from pixel2catch.own_files import OPTION, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
-from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FORMAT_VERSION = 2
 """Version of the files that `Policy.save` writes. Raised when an older file can no longer be read."""
+
+MOST_AGENTS, MOST_INPUTS = (
+    16,
+    8192,
+)  #: Of the policies that are read. Source: ours; the largest have 4, and 200.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -81,9 +86,16 @@ class PolicyContract:
                 "train again or use the version of this package that wrote the policy."
             )
         try:
-            return decoded(cls, dict(data))
+            contract = decoded(cls, dict(data))
         except InvalidValueError as error:
             raise PolicyMismatchError(f"policy {error}; train again.") from error
+        sizes = [each.num_inputs for each in contract.agents.values()]
+        if not 1 <= len(sizes) <= MOST_AGENTS or not all(1 <= size <= MOST_INPUTS for size in sizes):
+            raise PolicyMismatchError(
+                f"policy field 'agents' has {len(sizes)} agents with {shown(sizes)} inputs; there may be "
+                f"{MOST_AGENTS} agents, with 1 to {MOST_INPUTS} inputs each; train again."
+            )
+        return contract
 
     def require(self, expected: "PolicyContract") -> None:
         """Compare with the contract of the place where the policy is to act.
@@ -179,7 +191,7 @@ def method_of(contract: PolicyContract) -> Method:
     """
     import_files()
     base, _, suffix = contract.method.partition("+")
-    workcell = find_workcell(contract.workcell)
+    workcell = known_workcell(contract.workcell)
     if base in METHODS:
         return find_method(contract.method, workcell)
     memory = _memory(suffix if contract.pixel_features else suffix and "age")
@@ -220,12 +232,12 @@ def _agent(name: str, contract: AgentContract, method: str, workcell: WorkcellSp
 def _term(name: str, method: str) -> ObservationTerm:
     term = vars(observations).get(name)
     if getattr(term, "__module__", None) != observations.__name__:
-        raise _undefined(method, f"observes '{name}'")
+        raise _undefined(method, f"observes {shown(name)}")
     return cast(ObservationTerm, term)
 
 
 def _undefined(method: str, what: str) -> PolicyMismatchError:
     return PolicyMismatchError(
-        f"unknown method '{method}', and its policy {what}; name the Python file that registers it: "
+        f"unknown method {shown(method)}, and its policy {what}; name the Python file that registers it: "
         f"pixel2catch {OPTION} FILE.py COMMAND ... Methods of this package: {', '.join(METHODS)}."
     )

@@ -6,7 +6,6 @@ well, zeros at the first step of an episode, and `next_hidden_state.NAME` (num_e
 The metadata's entry `policy` is what `policy.json` says, the contract included.
 """
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,11 +16,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from pixel2catch.errors import NonFiniteError, PolicyMismatchError
+from pixel2catch.errors import InvalidValueError, NonFiniteError, PolicyMismatchError
+from pixel2catch.files import MOST_WEIGHTS, json_object, read_bytes, reading, shown
 from pixel2catch.installation import install_command
 from pixel2catch.policy.contract import PolicyContract
 from pixel2catch.policy.networks import INPUT_CLIP, AgentNetwork
-from pixel2catch.policy.policy import Policy
+from pixel2catch.policy.policy import Policy, described
 
 if TYPE_CHECKING:
     import onnx
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 
 SUFFIX = ".onnx"  #: How such a file's name ends.
 METADATA = "policy"  #: Name of the entry of the file's metadata.
+FIX = "Make one with 'pixel2catch export POLICY'."
+OPERATIONS = frozenset({"Sub", "Div", "Clip", "Unsqueeze", "GRU", "Squeeze", "Gemm", "Elu"})
+"""What the graph is made of."""
+MOST_NODES = 1000  #: Operations of a graph that is read; one of four agents has some sixty. Source: ours.
 OPSET, IR_VERSION = 17, 8  #: ONNX of 2022: what runtimes in use read. Source: ours.
 TOLERANCE = 1e-5  #: Most that an action may differ from that of the original. Source: ours.
 NUM_TRIED = 10_000  #: Inputs on which that is tried. Source: ours.
@@ -39,26 +43,22 @@ NUM_STEPS = 10  #: Steps in a row of each: hidden states go on. Source: ours.
 class OnnxPolicy:
     """What `to_onnx` made, with `contract`, `act` and `reset` of a `Policy`; the CPU runs its networks."""
 
+    contract: PolicyContract
+    recurrent: int  #: Size of the GRU, 0 for none.
+
     def __init__(self, model: bytes | Path) -> None:
         """Read a model.
 
         Raises:
             PolicyMismatchError: It is missing, damaged, no policy, or does not fit this code.
         """
-        name = f"'{model}'" if isinstance(model, Path) else "the model"
+        name = str(model) if isinstance(model, Path) else "made here"
         self._session = _session(model, name)
-        text = self._session.get_modelmeta().custom_metadata_map.get(METADATA)
-        if text is None:
-            raise PolicyMismatchError(
-                f"{name} is an ONNX file, but no policy; make one with 'pixel2catch export POLICY'."
-            )
-        try:
-            description = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise PolicyMismatchError(f"the policy in {name} is damaged: {error}") from error
-        description.pop("hidden", None)
-        self.recurrent: int = description.pop("recurrent", 0)  #: Size of the GRU, 0 for none.
-        self.contract = PolicyContract.from_dict(description)
+        with reading("policy", name, FIX, PolicyMismatchError):
+            text = self._session.get_modelmeta().custom_metadata_map.get(METADATA)
+            if text is None:
+                raise InvalidValueError("it is an ONNX file, but no policy")
+            self.contract, _, self.recurrent = described(json_object(text))
         self._outputs = [output.name for output in self._session.get_outputs()]
         self._states: dict[str, np.ndarray] = {}
         _require_shapes(self._session, self.contract, self.recurrent, name)
@@ -238,17 +238,39 @@ def _needs_libraries() -> Iterator[None]:
 
 def _session(model: bytes | Path, name: str) -> "InferenceSession":
     with _needs_libraries():
+        import onnx
         from onnxruntime import InferenceSession, SessionOptions  # pyright: ignore[reportAttributeAccessIssue]
     options = SessionOptions()
     options.intra_op_num_threads = 1  # its threads only make steps of these small tensors slower
     options.log_severity_level = 4
-    if isinstance(model, Path) and not model.is_file():
-        raise PolicyMismatchError(f"there is no file {name}; make it with 'pixel2catch export POLICY'.")
-    try:
-        content = model.read_bytes() if isinstance(model, Path) else model
-        return InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # the library raises a class of its own for every kind of damage
-        raise PolicyMismatchError(f"{name} is damaged, or no ONNX file: {error}") from error
+    with reading("policy", name, FIX, PolicyMismatchError):
+        content = read_bytes(model, MOST_WEIGHTS) if isinstance(model, Path) else model
+        try:
+            _require_ours(onnx.load_model_from_string(content))
+            return InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        except InvalidValueError:
+            raise
+        except Exception as error:  # the libraries raise a class of their own for every kind of damage
+            raise InvalidValueError(f"it is damaged, or no ONNX file: {error}") from error
+
+
+def _require_ours(model: "onnx.ModelProto") -> None:
+    """Refuse a graph with anything but what a policy is made of: others may compute without end.
+
+    Raises:
+        InvalidValueError: It has another operation, or weights that are not in the file or not finite.
+    """
+    from onnx import numpy_helper
+
+    other = {node.op_type for node in model.graph.node} - OPERATIONS
+    if other or len(model.functions) or len(model.graph.node) > MOST_NODES:
+        raise InvalidValueError(
+            f"it has {len(model.graph.node)} operations, {shown(sorted(other))} among them; a policy has "
+            f"{', '.join(sorted(OPERATIONS))}, at most {MOST_NODES}"
+        )
+    for each in model.graph.initializer:
+        if each.external_data or not np.isfinite(numpy_helper.to_array(each)).all():
+            raise InvalidValueError(f"its weights '{each.name}' are in another file, or not finite")
 
 
 def _require_shapes(session: "InferenceSession", contract: PolicyContract, recurrent: int, name: str) -> None:
@@ -258,10 +280,13 @@ def _require_shapes(session: "InferenceSession", contract: PolicyContract, recur
         expected |= {f"observation.{agent}": each.num_inputs, f"action.{agent}": len(each.joints)}
         states = (f"hidden_state.{agent}", f"next_hidden_state.{agent}")
         expected |= dict.fromkeys(states, recurrent) if recurrent else {}
-    found = {each.name: each.shape[-1] for each in (*session.get_inputs(), *session.get_outputs())}
+    found = {
+        each.name: each.shape[-1] if each.shape else None
+        for each in (*session.get_inputs(), *session.get_outputs())
+    }
     for field in expected | found:
         if expected.get(field) != found.get(field):
             raise PolicyMismatchError(
-                f"{name}: '{field}' has size {found.get(field)}, and {expected.get(field)} by its contract; "
-                "export the policy again."
+                f"'{name}': '{field}' has size {found.get(field)}, and {expected.get(field)} by its "
+                "contract; export the policy again."
             )

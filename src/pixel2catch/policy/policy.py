@@ -11,13 +11,27 @@ from jaxtyping import Bool, Float
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
-from pixel2catch.errors import PolicyMismatchError
-from pixel2catch.files import read_json_object, write_atomically
+from pixel2catch.errors import InvalidValueError, PolicyMismatchError
+from pixel2catch.files import (
+    MOST_JSON,
+    MOST_WEIGHTS,
+    decoded,
+    json_object,
+    read_bytes,
+    read_text,
+    reading,
+    shown,
+    write_atomically,
+)
 from pixel2catch.policy.contract import PolicyContract
 from pixel2catch.policy.networks import HIDDEN, AgentNetwork
 
 WEIGHTS_FILE = "policy.safetensors"
 CONTRACT_FILE = "policy.json"
+MOST_LAYERS, LARGEST_LAYER = (
+    16,
+    8192,
+)  #: Of the networks that are read. Source: ours; a paper's has 3, of 512.
 
 
 class Policy(nn.Module):
@@ -101,39 +115,61 @@ class Policy(nn.Module):
         Raises:
             PolicyMismatchError: A file is missing or damaged, or a field does not fit this code.
         """
-        description, tensors = _read(folder)
-        hidden, recurrent = description.pop("hidden", None), description.pop("recurrent", 0)
-        if hidden is None:
-            raise PolicyMismatchError(
-                f"policy field 'hidden' is missing in {folder / CONTRACT_FILE}; train again."
-            )
-        policy = cls(PolicyContract.from_dict(description), hidden, recurrent)
-        for name, expected in policy.state_dict().items():
-            found = tuple(tensors[name].shape) if name in tensors else "nothing"
-            if found != tuple(expected.shape):
-                raise PolicyMismatchError(
-                    f"policy tensor '{name}' should have shape {tuple(expected.shape)} by {CONTRACT_FILE}, "
-                    f"but {WEIGHTS_FILE} has {found}; train again or restore both files."
-                )
-        policy.load_state_dict(tensors)
+        fix = f"It needs {WEIGHTS_FILE} and {CONTRACT_FILE}, both of one save; train again, or restore both."
+        with reading("policy", folder, fix, PolicyMismatchError):
+            description, tensors = _read(folder)
+            contract, hidden, recurrent = described(description)
+            with torch.device("meta"):  # the sizes are the file's: no memory before they are known to be true
+                policy = cls(contract, hidden, recurrent)
+            _require_tensors(tensors, {name: tuple(each.shape) for name, each in policy.state_dict().items()})
+            policy.load_state_dict(tensors, assign=True)
         return policy.to(device).eval()
 
 
-def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    try:
-        text = (folder / CONTRACT_FILE).read_text()
-        description = read_json_object(folder / CONTRACT_FILE)
-        with safetensors.safe_open(folder / WEIGHTS_FILE, framework="pt") as file:
-            saved_text = (file.metadata() or {}).get("policy")
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise PolicyMismatchError(
-            f"no policy in '{folder}': it needs {WEIGHTS_FILE} and {CONTRACT_FILE}, as training writes them."
-        ) from error
-    except (SafetensorError, ValueError) as error:
-        raise PolicyMismatchError(f"the policy in '{folder}' is damaged: {error}") from error
-    if saved_text != text:
-        raise PolicyMismatchError(
-            f"{CONTRACT_FILE} and {WEIGHTS_FILE} in '{folder}' are not of the same save; restore both files."
+def described(content: dict[str, Any]) -> tuple[PolicyContract, tuple[int, ...], int]:
+    """Contract, sizes of the hidden layers and of the GRU, of what a policy says of itself.
+
+    Raises:
+        InvalidValueError: A size is missing, or none that a network has.
+        PolicyMismatchError: Another field does not fit this code.
+    """
+    if "hidden" not in content:
+        raise InvalidValueError("field 'hidden' is missing")
+    contract = {name: value for name, value in content.items() if name not in ("hidden", "recurrent")}
+    hidden = decoded(tuple[int, ...], content["hidden"], "hidden")
+    recurrent = decoded(int, content.get("recurrent", 0), "recurrent")
+    if len(hidden) > MOST_LAYERS or not all(1 <= size <= LARGEST_LAYER for size in (*hidden, recurrent or 1)):
+        raise InvalidValueError(
+            f"hidden layers are of sizes {shown(hidden)}, the GRU of {recurrent}; they must be from 1 to "
+            f"{LARGEST_LAYER}, in {MOST_LAYERS} layers at most"
         )
+    return PolicyContract.from_dict(contract), hidden, recurrent
+
+
+def _require_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> None:
+    """Refuse networks that are not of these shapes, or whose numbers are not finite."""
+    for name in shapes | tensors:
+        found = tuple(tensors[name].shape) if name in tensors else "nothing"
+        if found != shapes.get(name, "nothing"):
+            raise InvalidValueError(
+                f"tensor '{name}' should have shape {shapes.get(name, 'nothing')} by {CONTRACT_FILE}, but "
+                f"{WEIGHTS_FILE} has {found}"
+            )
+        if tensors[name].dtype != torch.float32 or not tensors[name].isfinite().all():
+            raise InvalidValueError(f"tensor '{name}' has numbers that are not finite, or no 32-bit ones")
+
+
+def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    text = read_text(folder / CONTRACT_FILE)
+    description, data = json_object(text), read_bytes(folder / WEIGHTS_FILE, MOST_WEIGHTS)
+    size = int.from_bytes(data[:8], "little")
+    if size > MOST_JSON:
+        raise InvalidValueError(f"{WEIGHTS_FILE} is none, or damaged")
+    header = json_object(data[8 : 8 + size].decode())
+    try:
+        tensors = safetensors.torch.load(data)
+    except SafetensorError as error:
+        raise InvalidValueError(f"{WEIGHTS_FILE} is damaged: {error}") from error
+    if decoded(dict[str, str], header.get("__metadata__", {}), "__metadata__").get("policy") != text:
+        raise InvalidValueError(f"{CONTRACT_FILE} and {WEIGHTS_FILE} are not of the same save")
     return description, tensors

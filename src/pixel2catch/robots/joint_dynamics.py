@@ -30,6 +30,9 @@ SERVOJ_GAIN = 300.0
 
 SERVOJ_LOOKAHEAD = 0.1  #: Look-ahead time of the UR5e's servoJ filter [s]. Source: as of the gain.
 
+LARGEST, LARGEST_OTHER = {"latency": 1.0, "filter_lookahead": 10.0}, 1e9
+"""Above these no parameter is believed, by name and of the others. Source: ours."""
+
 Parameter = Float[np.ndarray, " num_joints"]
 
 
@@ -71,13 +74,14 @@ class JointDynamics:
         values = getattr(self, name)
         may_be_zero = name in ("frictionloss", "latency", "filter_lookahead")
         is_good = (values >= 0.0) if may_be_zero else (values > 0.0)
-        if name != "filter_gain":
-            is_good &= np.isfinite(values)
+        largest = LARGEST.get(name, LARGEST_OTHER)
+        is_good &= (values <= largest) | (np.isinf(values) if name == "filter_gain" else False)
         if not is_good.all():
             bad = int(np.argmin(is_good))
             least = "0 or more" if may_be_zero else "more than 0"
             raise InvalidValueError(
-                f"{name} of {self.joints[bad]} is {values[bad]:g}; it must be {least}, and finite"
+                f"{name} of {self.joints[bad]} is {values[bad]:g}; it must be {least}, and at most "
+                f"{largest:g}"
             )
 
     def __eq__(self, other: object) -> bool:

@@ -1,44 +1,101 @@
 """Recordings of ROS 2 (rosbag2: MCAP or SQLite), opened and read message by message. Needs rosbags."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixel2catch.errors import PerceptionError, Pixel2CatchError, RecordingError
+from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError, RecordingError
+from pixel2catch.files import LONGEST_REASON, MOST_YAML, parse_yaml, read_text
 from pixel2catch.installation import install_command
 
 if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
+    from rosbags.rosbag2 import Reader
+    from rosbags.rosbag2.storage_mcap import ChunkInfo
 
-BAG_SUFFIXES = (".mcap", ".db3")
+BAG_SUFFIXES, METADATA = (".mcap", ".db3"), "metadata.yaml"
+
+MOST_CHUNK = 2**26  #: Bytes of a chunk of an MCAP file, unpacked; recorders write some million. Source: ours.
+MOST_AT_ONCE = 2**28
+"""Bytes of chunks of an MCAP file whose times overlap, which are unpacked at the same time. Source: ours."""
+
+
+def is_bag(path: Path) -> bool:
+    """Whether it is a rosbag2: its folder, or its .mcap or .db3 file."""
+    return path.suffix in BAG_SUFFIXES or (path / METADATA).exists()
 
 
 @contextmanager
 def opened_bag(
     path: Path, error: type[Pixel2CatchError] = PerceptionError, extra: str = "perception"
-) -> "Iterator[AnyReader]":
+) -> "Iterator[Reader]":
     """A bag, by its folder or .mcap or .db3 file; whatever a damaged one raises becomes one error.
+
+    Its definitions of messages are not read: what is decoded has the types of `messages.STORE`.
 
     Raises:
         error: If it cannot be read, or the library is missing, which the package's `extra` brings along.
     """
     try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.rosbag2 import Reader, storage_mcap
     except ModuleNotFoundError as missing:
         raise error(f"{path}: reading bags needs {missing.name}; {install_command(extra)}.") from None
+    storage_mcap.DECOMPRESSORS.update(lz4=_unpacked_lz4, zstd=_unpacked_zstd)
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        _require_files(path)
+        with Reader(path) as reader:
+            for storage in getattr(reader.storage, "storages", [reader.storage]):
+                _require_chunks(getattr(storage, "chunks", ()))
             yield reader
-    except Pixel2CatchError:
-        raise
+    except Pixel2CatchError as known:
+        raise known if isinstance(known, error) else error(f"{path}: {known}.") from known
     except Exception as damage:
-        raise error(f"{path}: not a readable rosbag2 ({damage}); try 'ros2 bag reindex'.") from damage
+        reason = str(damage)[:LONGEST_REASON]
+        raise error(f"{path}: not a readable rosbag2 ({reason}); try 'ros2 bag reindex'.") from damage
+
+
+def _require_files(path: Path) -> None:
+    """Refuse what waits when it is opened, and a description that is not simple."""
+    files = [path]
+    if path.is_dir():
+        content = parse_yaml(read_text(path / METADATA, MOST_YAML))["rosbag2_bagfile_information"]
+        for topic in content["topics_with_message_count"]:
+            if isinstance(qos := topic["topic_metadata"].get("offered_qos_profiles"), str):
+                parse_yaml(qos)
+        if content.get("compression_mode", "").lower() not in ("", "none"):
+            raise InvalidValueError("it is compressed as a whole; unpack it with 'ros2 bag convert'")
+        files = [path / Path(name).name for name in content["relative_file_paths"]]
+    for file in files:
+        if file.exists() and not file.is_file():
+            raise InvalidValueError(f"'{file}' is no file")
+
+
+def _require_chunks(chunks: "Sequence[ChunkInfo]") -> None:
+    """Refuse chunks that are too large, alone or together: all that overlap in time are unpacked at once."""
+    sizes = [(each.message_start_time, 0, each.uncompressed_size) for each in chunks]
+    sizes += [(each.message_end_time, 1, -each.uncompressed_size) for each in chunks]
+    most = max(accumulate(size for *_, size in sorted(sizes)), default=0)
+    if most > MOST_AT_ONCE or any(each.uncompressed_size > MOST_CHUNK for each in chunks):
+        raise InvalidValueError(
+            f"its chunks are too large; {MOST_CHUNK:,} bytes each are read, {MOST_AT_ONCE:,} of one time"
+        )
+
+
+def _unpacked_lz4(data: bytes, size: int) -> bytes:
+    from lz4.frame import LZ4FrameDecompressor
+
+    return LZ4FrameDecompressor().decompress(data, min(size, MOST_CHUNK) + 1)
+
+
+def _unpacked_zstd(data: bytes, size: int) -> bytes:
+    from rosbags.rosbag2.storage_mcap import zstd
+
+    return zstd.ZstdDecompressor().decompress(data, min(size, MOST_CHUNK) + 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +109,7 @@ class BagMessage:
     content: Any  #: as `messages.decode` has it
 
 
-def decoded(reader: "AnyReader", connections: "list[Connection]") -> Iterator[BagMessage]:
+def decoded(reader: "Reader", connections: "list[Connection]") -> Iterator[BagMessage]:
     """The messages of some connections, in the order of the bag.
 
     Raises:

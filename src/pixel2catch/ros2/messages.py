@@ -3,11 +3,11 @@
 Stamps are seconds since the epoch; a decoded message is checked for what its type alone does not say.
 """
 
-import json
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from io import BytesIO
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,7 +15,8 @@ from jaxtyping import Float, UInt8
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from pixel2catch.errors import DeploymentError
+from pixel2catch.errors import DeploymentError, InvalidValueError
+from pixel2catch.files import json_object
 from pixel2catch.robots.spec import IDENTITY
 from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
@@ -24,6 +25,8 @@ SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
 ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
 ACTIVITY = "controller_manager_msgs/msg/ControllerManagerActivity"
 _CONTROLLER = "controller_manager_msgs/msg/NamedLifecycleState"
+
+MOST_BYTES = 2**26  #: Bytes of a message that is read: an image of 22 million pixels. Source: ours.
 
 NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
 """Modes of a UR robot; it may move in the first and the last. Source: `ur_dashboard_msgs`."""
@@ -60,9 +63,11 @@ def decode(data: bytes, kind: str) -> Any:
     Raises:
         DeploymentError: It is of another type, or damaged.
     """
+    if len(data) > MOST_BYTES:
+        raise DeploymentError(f"a message has {len(data):,} bytes; {MOST_BYTES:,} at most are read.")
     try:
         return STORE.deserialize_cdr(memoryview(data), kind)
-    except (SerdeError, struct.error, ValueError, IndexError) as error:
+    except (SerdeError, struct.error, ValueError, LookupError) as error:
         raise DeploymentError(
             f"a message is no {kind} ({error}): two programs disagree about the type of a topic."
         ) from error
@@ -267,15 +272,12 @@ def read_json(data: bytes) -> dict[str, Any]:
         DeploymentError: It is another text, or too long, or too deep.
     """
     written = read_text(data)
+    if len(written) > MOST_TEXT:
+        raise DeploymentError(f"a text of {len(written)} characters is too long; it may have {MOST_TEXT}.")
     try:
-        content = json.loads(written) if len(written) <= MOST_TEXT else None
-    except (ValueError, RecursionError) as error:
-        raise DeploymentError(f"a text is no JSON ({error}): look at what publishes it.") from error
-    if not isinstance(content, dict):
-        raise DeploymentError(
-            f"a text of {len(written)} characters is no JSON object of {MOST_TEXT} at most."
-        )
-    return content
+        return json_object(written)
+    except InvalidValueError as error:
+        raise DeploymentError(f"a text is no JSON object ({error}): look at what publishes it.") from error
 
 
 safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
@@ -294,6 +296,8 @@ def read_active_controllers(data: bytes) -> frozenset[str]:
     return frozenset(each.name for each in decode(data, ACTIVITY).controllers if each.state.id == ACTIVE)
 
 
+LARGEST_JPEG = 65_500  #: Width and height of the largest JPEG [px]. Source: libjpeg.
+MOST_PIXELS = 2**25  #: Of an image that is unpacked; 50 times what the policies look at. Source: ours.
 FORMAT = "rgb8; jpeg compressed bgr8"  #: What was compressed, and how. Source: image_transport.
 
 SUFFIX = "/compressed"
@@ -309,22 +313,32 @@ def compress(data: bytes) -> bytes:
     """An image message as a JPEG message.
 
     Raises:
-        DeploymentError: It is damaged, or of another encoding than `CHANNELS`.
+        DeploymentError: It is damaged, of another encoding than `CHANNELS`, or larger than a JPEG may be.
     """
     import cv2
 
     reading = read_image(data)
+    if max(reading.pixels.shape) > LARGEST_JPEG:
+        raise DeploymentError(f"an image of shape {reading.pixels.shape} is larger than a JPEG may be.")
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(reading.pixels, cv2.COLOR_RGB2BGR))
     return encode(COMPRESSED_IMAGE, header(reading.stamp, OPTICAL_FRAME), FORMAT, jpeg)
 
 
-def uncompressed(message: Any) -> Pixels | None:
-    """The pixels of a decoded compressed image; None if it is damaged."""
-    import cv2
+def unpacked_image(data: bytes) -> Pixels | None:
+    """The pixels of a JPEG, PNG, BMP or TIFF; None if it is damaged, or has more than `MOST_PIXELS`."""
+    from PIL import Image, ImageOps
 
-    data = np.frombuffer(bytes(message.data), dtype=np.uint8)
-    pixels = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
-    return None if pixels is None else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+    try:
+        with Image.open(BytesIO(data), formats=("JPEG", "PNG", "BMP", "TIFF")) as file:
+            is_small = file.width * file.height <= MOST_PIXELS
+            return np.asarray(ImageOps.exif_transpose(file).convert("RGB")) if is_small else None
+    except Exception:  # each format has errors of its own
+        return None
+
+
+def uncompressed(message: Any) -> Pixels | None:
+    """The pixels of a decoded compressed image; see `unpacked_image`."""
+    return unpacked_image(bytes(message.data))
 
 
 def uncompress(data: bytes) -> bytes:

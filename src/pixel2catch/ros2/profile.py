@@ -13,10 +13,10 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
-import yaml
 from jaxtyping import Float, Int
 
 from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError, UnknownNameError
+from pixel2catch.files import MOST_YAML, parse_yaml, read_text, reading, shown
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading, JointReading
 from pixel2catch.ros2.transport import Topic
@@ -105,7 +105,7 @@ class RobotPart:
         _require_once("the joint state's name", names)
         places = [*(theirs.index_in_command for theirs in all_theirs), *self.held]
         _require_once("the command's place", places)
-        if sorted(places) != list(range(self.command_size)):
+        if len(places) != self.command_size or sorted(places) != list(range(len(places))):
             raise InvalidValueError(
                 f"a command has places 0 to {self.command_size - 1}, joints and held have {sorted(places)}: "
                 "give each place one joint or one held angle"
@@ -301,10 +301,8 @@ class Profile:
             if str(name_or_path) not in shipped:
                 raise UnknownNameError("profile", str(name_or_path), [*shipped, "a .yaml file of yours"])
             path = shipped[str(name_or_path)]
-        try:
-            content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise DeploymentError(f"{path}: cannot be read ({error}); correct it.") from error
+        with reading("profile", path, "Correct it.", DeploymentError):
+            content = parse_yaml(read_text(path, MOST_YAML))
         return _parse(str(path), content, cls)
 
     def require(self, joints: Iterable[str]) -> None:
@@ -346,7 +344,9 @@ def _parse(place: str, value: Any, kind: Any) -> Any:
 
 def _topic(place: str, name: str, sends: TopicType) -> Topic:
     if not name.startswith("/"):
-        raise DeploymentError(f"{place}: '{name}' is no topic; write its whole name: '/{name}'.")
+        raise DeploymentError(
+            f"{place}: {shown(name)} is no topic; write its whole name, such as '/joint_states'."
+        )
     return Topic(name=name, type=sends.type, is_latched=sends.is_latched)
 
 
@@ -372,11 +372,11 @@ def _plain(place: str, value: Any, kind: type) -> Any:
     if kind is float and type(value) is int:
         return float(value)
     if type(value) is not kind:
-        raise DeploymentError(f"{place}: {value!r} is not of type {kind.__name__}; correct it.")
+        raise DeploymentError(f"{place}: {shown(value)} is not of type {kind.__name__}; correct it.")
     return value
 
 
 def _mapping(place: str, value: Any) -> Mapping[Any, Any]:
     if not isinstance(value, dict):
-        raise DeploymentError(f"{place}: {value!r} has no keys; write 'key: value'.")
+        raise DeploymentError(f"{place}: {shown(value)} has no keys; write 'key: value'.")
     return value

@@ -5,6 +5,7 @@ Reading needs trimesh, decomposition CoACD: the extra `meshes`.
 
 import importlib
 import warnings
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,14 @@ from numpy import ndarray
 from scipy.spatial import ConvexHull
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import read_bytes
 from pixel2catch.installation import install_command
 from pixel2catch.scene import shapes
 from pixel2catch.scene.objects import OBJECT_MASS, ObjectSpec, of_solid
 from pixel2catch.scene.shapes import ConvexPart, moments, moments_inside
+
+FORMATS = (".stl", ".obj", ".ply", ".off")  #: Mesh files that are read: none that names another one.
+MOST_BYTES, MOST_FACES = 2**26, 500_000  #: Of a mesh file. Source: ours; scans have some hundred thousand.
 
 CONCAVITY = 0.05
 """How concave a part may stay, of the size of the mesh: CoACD's threshold. Source: CoACD's default."""
@@ -50,7 +55,7 @@ def mesh_object(
     Raises:
         InvalidValueError: If the file cannot be read, has no volume, or a value is out of range.
     """
-    if not scale > 0.0 or max_parts < 1:
+    if not 0.0 < scale < np.inf or max_parts < 1:
         raise InvalidValueError(f"scale is {scale}, max_parts {max_parts}; both must be greater than 0.")
     mesh = _read(Path(file))
     mesh.apply_scale(scale)
@@ -72,9 +77,15 @@ def _read(file: Path) -> Any:
     if trimesh is None:
         raise InvalidValueError(f"meshes are read by trimesh: {install_command('meshes')}.")
     try:
-        mesh = trimesh.load_mesh(file)
+        if file.suffix.lower() not in FORMATS:
+            raise InvalidValueError(f"it must end in {', '.join(FORMATS)}")
+        content = BytesIO(read_bytes(file, MOST_BYTES))
+        mesh = trimesh.load_mesh(content, file_type=file.suffix[1:].lower(), skip_materials=True)
+        if len(mesh.faces) > MOST_FACES:
+            raise InvalidValueError(f"it has {len(mesh.faces):,} faces; simplify it to {MOST_FACES:,}")
         mesh.fix_normals()
-        thickness = np.linalg.svd(mesh.vertices - mesh.vertices.mean(axis=0))[1].min()
+        offsets = mesh.vertices - mesh.vertices.mean(axis=0)
+        thickness = np.linalg.svd(offsets, compute_uv=False).min()
     except Exception as error:  # each of trimesh's readers has errors of its own
         raise InvalidValueError(
             f"'{file}' cannot be read as a mesh ({error}); it must be a file such as .stl or .obj."

@@ -1,6 +1,5 @@
 """A comparison of methods with several seeds each: what belongs to it, and where it lies."""
 
-import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pixel2catch.errors import StudyError
 from pixel2catch.evaluation.loading import fingerprint
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.report import differences
-from pixel2catch.files import as_json, json_text, write_atomically
+from pixel2catch.files import as_json, decoded, json_text, read_json_object, reading, write_atomically
 
 GROUPS = ("seen", "unseen")  #: Sets of objects that every policy is evaluated on. Source: paper, Sec. V.
 
@@ -112,7 +111,8 @@ class ComparisonFolder:
         content = self._content()
         if content is None:
             raise StudyError(f"'{self.path}' holds no {FILE}; name another folder with --out.")
-        return Plan(**(content["plan"] | {"methods": tuple(content["plan"]["methods"])}))
+        with reading("study", self.path / FILE, "Mend it, or name another folder with --out.", StudyError):
+            return decoded(Plan, content["plan"])
 
     def sessions(self) -> list[Json]:
         """When, how and where the study was worked at."""
@@ -158,6 +158,6 @@ class ComparisonFolder:
 def _read(path: Path) -> Json | None:
     """Content of a JSON file, nothing if it is absent or incomplete."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return read_json_object(path)
     except (FileNotFoundError, ValueError):
         return None

@@ -7,7 +7,6 @@ processes: it has seeds of its own, and the physics is the same on any number of
 OUT/cells/POLICY/SETTING.json    metrics of a policy under a setting, and how they were obtained
 """
 
-import json
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +24,7 @@ from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_rounds
 from pixel2catch.evaluation.report import differences
 from pixel2catch.evaluation.stress.suite import Setting
-from pixel2catch.files import as_json, json_text, write_atomically
+from pixel2catch.files import as_json, json_text, read_json_object, write_atomically
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.own_files import import_files
@@ -64,7 +63,7 @@ class Result:
             StudyError: If the file is damaged.
         """
         try:
-            return json.loads(self.file.read_text(encoding="utf-8"))
+            return read_json_object(self.file)
         except FileNotFoundError:
             return None
         except ValueError as error:

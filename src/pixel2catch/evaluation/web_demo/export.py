@@ -23,7 +23,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.world import MASS_POWER, NUM_SURFACE_POINTS, OCCLUDER_GROUPS
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.files import as_json, require_free_folder
+from pixel2catch.files import as_json, read_json_object, require_free_folder
 from pixel2catch.mdp import terminations
 from pixel2catch.policy import Policy
 from pixel2catch.policy.networks import INPUT_CLIP
@@ -133,7 +133,7 @@ def _bundle_libraries(out: Path, versions: dict[str, str]) -> tuple[str, ...]:
     missing = []
     for package, files in LIBRARIES.items():
         folder, description = out / NPM_FOLDER / package, out / NPM_FOLDER / package / "package.json"
-        found = json.loads(description.read_text())["version"] if description.is_file() else None
+        found = read_json_object(description).get("version") if description.is_file() else None
         if found != versions[package]:
             missing.append(f"{package}@{versions[package]}")
             continue

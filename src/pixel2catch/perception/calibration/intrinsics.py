@@ -15,8 +15,10 @@ from jaxtyping import Float
 
 from pixel2catch.camera.camera_file import LENS_SIZES, CameraFile
 from pixel2catch.errors import PerceptionError
+from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.perception.calibration.target import Board, View, read_image
 from pixel2catch.perception.rosbag_images import first_camera_info
+from pixel2catch.ros2.bags import is_bag
 from pixel2catch.scene.constants import PIXEL_CENTER
 
 LENS_MODELS = ("", "plumb_bob", "rational_polynomial")
@@ -69,7 +71,7 @@ def read_intrinsics(
         )
     if path.suffix in (".yaml", ".yml"):
         return _of_camera_info(path, _of_yaml(path), is_rectified)
-    if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists():
+    if is_bag(path):
         return _of_camera_info(path, first_camera_info(path, topic), is_rectified)
     if path.is_dir():
         return intrinsics_of_images(path, board)
@@ -86,12 +88,14 @@ def intrinsics_of_images(folder: Path, board: Board) -> Intrinsics:
         PerceptionError: If too few images show it, or their sizes differ.
     """
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-    images = {path.name: read_image(path) for path in paths}
-    sizes = {image.shape[1::-1] for image in images.values()}
-    views = [view for image in images.values() if (view := board.find(image))]
+    sizes, views = set[tuple[int, int]](), list[View]()
+    for image in map(read_image, paths):
+        sizes.add((image.shape[1], image.shape[0]))
+        if view := board.find(image):
+            views.append(view)
     if len(views) < MIN_VIEWS:
         raise PerceptionError(
-            f"{folder}: {len(views)} of {len(images)} images show the whole board; {MIN_VIEWS} are needed. "
+            f"{folder}: {len(views)} of {len(paths)} images show the whole board; {MIN_VIEWS} are needed. "
             "Hold it nearer and in the light; check --chessboard, which counts inner corners."
         )
     if len(sizes) > 1:
@@ -122,7 +126,7 @@ def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> Intrinsics:
     """What a CameraInfo of ROS says, in our image coordinates; refuse what is no lens of OpenCV's."""
     if info.distortion_model not in LENS_MODELS or len(info.d) not in LENS_SIZES:
         raise PerceptionError(
-            f"{path}: lens model '{info.distortion_model}' with {len(info.d)} numbers is not read; "
+            f"{path}: lens model {shown(info.distortion_model)} with {len(info.d)} numbers is not read; "
             "record rectified images and give --rectified, or calibrate with plumb_bob."
         )
     flat, columns = (info.p, 4) if is_rectified else (info.k, 3)
@@ -137,21 +141,14 @@ def _of_camera_info(path: Path, info: Any, is_rectified: bool) -> Intrinsics:
 
 
 def _of_yaml(path: Path) -> SimpleNamespace:
-    """What a file of `camera_calibration` says, by the names of a CameraInfo.
-
-    It is read by OpenCV's parser, which only misses a first line.
-    """
+    """What a file of `camera_calibration` says, by the names of a CameraInfo."""
     names = {"k": "camera_matrix", "d": "distortion_coefficients", "p": "projection_matrix"}
-    reading = cv2.FileStorage_READ | cv2.FileStorage_MEMORY
-    try:
-        file = cv2.FileStorage(f"%YAML:1.0\n---\n{path.read_text(encoding='utf-8')}", reading)
-        width, height = (int(file.getNode(name).real()) for name in ("image_width", "image_height"))
-        rows = {short: file.getNode(name).getNode("data") for short, name in names.items()}
-        numbers = {short: [row.at(i).real() for i in range(row.size())] for short, row in rows.items()}
-        model = file.getNode("distortion_model").string()
-    except (OSError, UnicodeDecodeError, cv2.error, SystemError) as error:
-        raise PerceptionError(
-            f"{path}: not a file of camera_calibration ({' '.join(str(error).split())}); it has image_width, "
-            "image_height, camera_matrix, distortion_model, distortion_coefficients, projection_matrix."
-        ) from None
-    return SimpleNamespace(width=width, height=height, distortion_model=model, **numbers)
+    fix = f"It needs image_width, image_height, distortion_model, {', '.join(names.values())}."
+    with reading("file of camera_calibration", path, fix, PerceptionError):
+        content = parse_yaml(read_text(path, MOST_YAML))
+        lists = {
+            short: decoded(tuple[float, ...], content[name]["data"], name) for short, name in names.items()
+        }
+        width, height = (decoded(int, content[name], name) for name in ("image_width", "image_height"))
+        model = decoded(str, content["distortion_model"], "distortion_model")
+    return SimpleNamespace(width=width, height=height, distortion_model=model, **lists)

@@ -10,7 +10,9 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.files import read_bytes, reading
 from pixel2catch.perception.segmenter import Image
+from pixel2catch.ros2.messages import MOST_PIXELS, unpacked_image
 from pixel2catch.scene.constants import PIXEL_CENTER
 
 MIN_CORNERS = 5
@@ -24,6 +26,7 @@ SQUARE = 0.06  #: Edge of a printed square [m].
 MARKER_SHARE = 0.75  #: Edge of a marker over that of its square.
 PAGE, PAGE_DPI, MM_PER_INCH = (210.0, 297.0), 300, 25.4  #: A4 [mm].
 SQUARE_PIXELS = 480
+MOST_IMAGE = 2**27  #: Bytes of an image file. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,10 +102,11 @@ def read_image(path: Path) -> Image:
     Raises:
         PerceptionError: If it is missing or no image.
     """
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-    if picture is None:
-        raise PerceptionError(f"{path}: not a readable image; correct its name, or leave it out.")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    with reading("image", path, "Correct its name, or leave it out.", PerceptionError):
+        pixels = unpacked_image(read_bytes(path, MOST_IMAGE))
+        if pixels is None:
+            raise PerceptionError(f"not a readable image of {MOST_PIXELS:,} pixels at most")
+    return pixels
 
 
 def sheet() -> Figure:

@@ -1,0 +1,238 @@
+"""Valid files and messages, changed: by their structure, or by their bytes."""
+
+import copy
+import io
+import json
+import random
+import zipfile
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import yaml
+
+HOSTILE: tuple[Any, ...] = (
+    None,
+    True,
+    0,
+    -1,
+    10**9,
+    2**63,
+    10**400,
+    0.5,
+    -0.0,
+    1e308,
+    float("nan"),
+    float("inf"),
+    "",
+    "a",
+    "/tmp/own.py",
+    "../..",
+    "\ud800",
+    "\x1b[2J\n",
+    "9" * 5000,
+    "x" * 70_000,
+    [],
+    {},
+    [None],
+    [[0.0] * 3] * 3,
+    {"a": 1},
+    list(range(1000)),
+)
+"""What stands in the place of an entry."""
+
+WORDS = (
+    b"\xff" * 4,
+    b"\xff" * 8,
+    b"\0" * 4,
+    b"\0\0\0\x80",
+    b"\x7f\xff\xff\xff",
+    b"\0\0\0\0\0\0\xf8\x7f",
+    b"\x01\0\0\0",
+)
+"""Lengths, offsets and numbers that stand anywhere in a binary file."""
+
+SHAPES = ("(1000000000000000,)", "(-1,)", "(0, 0)", "()", "(3, 6", "(2147483648, 2147483648)", "(7, 2)")
+TYPES = ("|O", "<c16", "<U4000000", "<f2", "|b1", "<M8[s]", "|V8", "<i8", "f8,i4", "|U0")
+
+
+def changed_bytes(data: bytes, rng: random.Random) -> bytes:
+    """Bits flipped, words set, parts cut, doubled and moved."""
+    content = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 4, 16))):
+        place, size = rng.randrange(len(content) + 1), rng.choice((1, 2, 8, 64))
+        match rng.randrange(6):
+            case 0 if place < len(content):
+                content[place] ^= 1 << rng.randrange(8)
+            case 1:
+                content[place : place + size] = rng.choice(WORDS)
+            case 2:
+                del content[place : place + size]
+            case 3:
+                content[place:place] = content[place : place + size]
+            case 4:
+                content[place : place + size] = rng.randbytes(size)
+            case 5 if rng.random() < 0.3:
+                del content[place:]
+    return bytes(content)
+
+
+def _hostile(rng: random.Random) -> Any:
+    return copy.deepcopy(rng.choice(HOSTILE))
+
+
+def changed_value(content: Any, rng: random.Random) -> Any:
+    """An entry of lists and mappings exchanged, taken away, added or put one deeper."""
+    content = copy.deepcopy(content)
+    for _ in range(rng.choice((1, 1, 1, 2, 5))):
+        if not (isinstance(content, dict | list) and content):
+            return _hostile(rng)
+        _change_entry(*_place(content, rng), rng)
+    return content
+
+
+def _place(holder: Any, rng: random.Random) -> tuple[Any, Any]:
+    """An entry: its list or mapping, which is not empty, and its number or key."""
+    key = rng.choice(list(holder)) if isinstance(holder, dict) else rng.randrange(len(holder))
+    inner = holder[key]
+    if not (isinstance(inner, dict | list) and inner) or rng.random() < 0.25:
+        return holder, key
+    return _place(inner, rng)
+
+
+def _change_entry(holder: Any, key: Any, rng: random.Random) -> None:
+    match rng.randrange(5):
+        case 0 | 1:
+            holder[key] = _hostile(rng)
+        case 2:
+            del holder[key]
+        case 3 if isinstance(holder, dict):
+            holder[rng.choice(("x", "format_version", "name"))] = _hostile(rng)
+        case _:
+            holder[key] = [holder[key]] if rng.random() < 0.5 else {"x": holder[key]}
+
+
+def changed_json(data: bytes, rng: random.Random) -> bytes:
+    """A JSON text with another content, or of another form."""
+    match rng.randrange(8):
+        case 0:
+            return changed_bytes(data, rng)
+        case 1:
+            return rng.choice(
+                (b"\xef\xbb\xbf" + data, data.decode().encode("utf-16"), data.replace(b"\n", b"\r\n"))
+            )
+        case 2:
+            deep = rng.choice((40, 900, 100_000))
+            return rng.choice(
+                (b"[" * deep + b"]" * deep, b'{"a":' * deep, data[:-2] + b',"x":' + b"[" * deep)
+            )
+        case 3:
+            start = data.find(b"{") + 1
+            return data[:start] + rng.choice((b'"a":1,"a":1,', b'"x":1e999,', b'"\\ud800":1,')) + data[start:]
+    return json.dumps(changed_value(json.loads(data), rng)).encode()
+
+
+def changed_yaml(data: bytes, rng: random.Random) -> bytes:
+    """A YAML text with another content, or of another form."""
+    match rng.randrange(8):
+        case 0:
+            return changed_bytes(data, rng)
+        case 1:
+            bomb = "a: &a [x, x, x]\n" + "".join(
+                f"{b}: &{b} [*{a}, *{a}, *{a}]\n" for a, b in pairwise("abcdefghi")
+            )
+            return rng.choice((bomb.encode() + data, data + bomb.encode(), b"&a [*a]"))
+        case 2:
+            return rng.choice(
+                (b"!!python/object/apply:os.system [id]", b"- !!timestamp x", b"? {a: 1}\n: 2", b"%TAG ! x")
+            )
+        case 3:
+            return data + rng.choice(
+                (b"\nname: again\n", b"\n---\na: 1", b"\n" + b"[" * 90_000, b"\nx: 0x" + b"f" * 9000)
+            )
+    content = changed_value(yaml.safe_load(data), rng)
+    return json.dumps(content).encode()  # JSON is YAML
+
+
+def changed_npz(data: bytes, rng: random.Random) -> bytes:
+    """An archive whose arrays say something else of themselves, or are others; or its bytes."""
+    if rng.random() < 0.3:
+        return changed_bytes(data, rng)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = rng.choice(list(members))
+    if rng.random() < 0.15:
+        del members[name]
+    else:
+        members[name] = _changed_npy(members[name], rng)
+    packed, packing = io.BytesIO(), rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2))
+    with zipfile.ZipFile(packed, "w", packing) as archive:
+        for each, content in members.items():
+            archive.writestr(each, content)
+    return packed.getvalue()
+
+
+def _changed_npy(data: bytes, rng: random.Random) -> bytes:
+    match rng.randrange(5):
+        case 0:
+            return _with_header(data, "shape", rng.choice(SHAPES))
+        case 1:
+            return _with_header(data, "descr", repr(rng.choice(TYPES)))
+        case 2 if b"<f8" in data[:128]:
+            array = np.load(io.BytesIO(data))
+            array.flat[rng.randrange(array.size)] = rng.choice((np.nan, np.inf, 1e308, -1e3))
+            return _npy(array)
+        case 2 | 3:
+            texts = (np.array(text) for text in ("{", "[1]", "x" * 100_000))
+            numbers = (
+                np.zeros(shape, dtype=rng.choice(("f8", "i1", "?"))) for shape in ((2**20, 8), (5, 5), (), 0)
+            )
+            return _npy(rng.choice((*texts, *numbers)))
+    return changed_bytes(data, rng)
+
+
+def _npy(array: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def _with_header(data: bytes, key: str, value: str) -> bytes:
+    """An .npy file of format 1.0 with another shape or type in its header."""
+    size = int.from_bytes(data[8:10], "little")
+    header = {name: repr(entry) for name, entry in eval(data[10 : 10 + size]).items()}
+    text = "{" + ", ".join(f"'{name}': {entry}" for name, entry in (header | {key: value}).items()) + "}\n"
+    return data[:8] + len(text).to_bytes(2, "little") + text.encode() + data[10 + size :]
+
+
+def changed_csv(data: bytes, rng: random.Random) -> bytes:
+    """A table with other cells, lines or separators."""
+    if rng.random() < 0.3:
+        return changed_bytes(data, rng)
+    rows = [line.split(b",") for line in data.split(b"\n")]
+    row = rng.choice(rows)
+    cell = rng.choice(
+        (
+            b"",
+            b"nan",
+            b"1e400",
+            b"-1",
+            b"x" * 10_000,
+            b"0x1p3",
+            b"1_0",
+            "²".encode(),
+            b"\0",
+            b'"',
+            b"../../../dev/zero",
+        )
+    )
+    match rng.randrange(3):
+        case 0:
+            row[rng.randrange(len(row))] = cell
+        case 1:
+            row.append(cell)
+        case 2:
+            rows.insert(rng.randrange(len(rows)), [cell])
+    return rng.choice((b"\n", b"\r\n", b"\r")).join(
+        rng.choice((b",", b" ", b";")).join(each) for each in rows
+    )

@@ -1,0 +1,55 @@
+"""Files of every kind, changed at random: one clear error or a value, soon, and in little memory."""
+
+import random
+import resource
+import time
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+
+import pytest
+from valid import KINDS, Kind
+
+from pixel2catch.errors import Pixel2CatchError
+
+NUM_CHANGES = 12  #: Changed files of each kind in the test that takes seconds.
+MANY_SECONDS = 25.0  #: Time for each kind in the slow test [s].
+LONGEST_TIME = 5.0  #: Of the processor for a file [s]: one second on a machine that is five times faster.
+MOST_MEMORY = 500 * 2**10  #: That a kind of file may add to the process at its peak [KiB].
+LONGEST_MESSAGE = 3000  #: Characters of an error.
+
+
+def read_changed(kind: Kind, folder: Path, goes_on: Callable[[int], bool]) -> None:
+    """Change a file and read it, again and again; every number gives the same change in every run."""
+    file = kind.write(folder)
+    valid = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    kind.read(file)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for number in count():
+        if not goes_on(number):
+            break
+        for path, content in valid.items():
+            path.write_bytes(content)
+        file.write_bytes(kind.change(valid[file], random.Random(number)))
+        start = time.thread_time()
+        try:
+            kind.read(file)
+        except Pixel2CatchError as error:
+            message = str(error)
+            assert len(message) < LONGEST_MESSAGE
+        assert time.thread_time() - start < LONGEST_TIME, number
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak < MOST_MEMORY
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.filterwarnings("ignore")  # what libraries say of damage is theirs
+def test_a_changed_file_is_read_or_refused(name: str, tmp_path: Path):
+    read_changed(KINDS[name], tmp_path, lambda number: number < NUM_CHANGES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.filterwarnings("ignore")
+def test_many_changed_files_are_read_or_refused(name: str, tmp_path: Path):
+    end = time.monotonic() + MANY_SECONDS
+    read_changed(KINDS[name], tmp_path, lambda _: time.monotonic() < end)

@@ -1,0 +1,313 @@
+"""Files that were made to do harm: each is refused by its own words, before it costs time or memory."""
+
+import io
+import json
+import os
+import resource
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from valid import ARM, KINDS, PIXELS
+
+from pixel2catch.archives import read_arrays
+from pixel2catch.cli.main import main
+from pixel2catch.deployment.recorder import BagRecorder
+from pixel2catch.errors import InvalidValueError, PerceptionError, Pixel2CatchError
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.files import MOST_JSON, read_bytes, read_json_object
+from pixel2catch.identification.recording import Trajectory
+from pixel2catch.perception.calibration.target import read_image
+from pixel2catch.ros2 import bags, messages
+from pixel2catch.ros2.messages import STORE, compress, compressed_topic
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import Topic
+from pixel2catch.scene.meshes import mesh_object
+
+COMMANDS = {
+    "evaluate --dynamics {}": ".json",
+    "evaluate --camera {}": ".json",
+    "evaluate {}": ".onnx",
+    "evaluate  {}": "",
+    "deploy --loopback --dry-run --profile {}": ".yaml",
+    "deploy --loopback --dry-run --dynamics {}": ".json",
+    "identify {} --robot ur5e --out {out}": ".npz",
+    "identify {}  --robot ur5e --out {out}": ".mcap",
+    "identify {}   --robot ur5e --out {out}": ".db3",
+    "replay {} --out {out}": ".mcap",
+    "track {} --out {out}": ".mp4",
+    "track {}  --out {out}": ".db3",
+    "calibrate views.csv --intrinsics {} --out {out}": ".yaml",
+    "calibrate {} --intrinsics lens.yaml --out {out}": ".csv",
+    "record {} --out {out} --loopback": ".npz",
+    "export {} --format lerobot --out {out}": ".mcap",
+    "train --resume --out {}": "",
+    "play --meshes {} --out {out}.mp4": "",
+    "twin --dynamics {}": ".json",
+    "--import {} evaluate": ".py",
+}
+"""Commands that read a file, and how its name ends."""
+
+
+def words_only(file: Path) -> None:
+    file.write_text("hello\nworld")
+
+
+PLACES: dict[str, Callable[[Path], object]] = {
+    "words": words_only,
+    "two bytes": lambda file: file.write_bytes(b"\x89P"),
+    "folder": lambda file: file.mkdir(),
+    "pipe": os.mkfifo,
+    "loop": lambda file: file.symlink_to(file),
+    "endless": lambda file: file.symlink_to("/dev/zero"),
+    "nothing": lambda file: None,
+}
+"""What is where a file should be."""
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_whatever_is_in_the_place_of_a_file_is_refused(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "views.csv").write_text("image\n1.png\n")
+    for number, (what, make) in enumerate(PLACES.items()):
+        file = tmp_path / f"file_{number}{COMMANDS[line]}"
+        make(file)
+        monkeypatch.setenv("PIXEL2CATCH_IMPORT", "")
+        try:
+            status = main([word.format(file, out=tmp_path / "out") for word in line.split()])
+        except SystemExit as error:
+            status = error.code
+        assert status == 2, what
+        assert "error" in capsys.readouterr().err.lower()
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["policy", "trajectory"])
+def test_a_file_does_not_choose_what_python_runs(name: str, tmp_path: Path):
+    """Its work cell is a name; a path of a Python file is none, even if the file is there."""
+    own = tmp_path / "own.py"
+    own.write_text("raise SystemExit('it ran')")
+    if name == "policy":
+        file = KINDS["policy"].write(tmp_path)
+        content = json.loads(file.read_text()) | {"workcell": str(own)}
+        file.write_text(json.dumps(content))
+        read = KINDS["policy"].read
+    else:
+        file, header = tmp_path / "path.npz", {"format_version": 1, "workcell": str(own)}
+        np.savez(file, header=np.array(json.dumps(header)), joints=np.array(ARM), times=0.0, positions=0.0)
+        read = Trajectory.load
+    with pytest.raises(Pixel2CatchError, match="unknown work cell"):
+        read(file)
+
+
+def test_an_array_takes_no_memory_that_its_file_does_not_have(tmp_path: Path):
+    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000000,)}\n"
+    npy = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + bytes(80)
+    with zipfile.ZipFile(tmp_path / "big.npz", "w") as archive:
+        archive.writestr("q.npy", npy)
+    with pytest.raises(InvalidValueError, match=r"shape \(1000000000000000,\), and 80 bytes of it"):
+        read_arrays(tmp_path / "big.npz", ["q"])
+
+
+def test_a_text_of_an_array_is_one(tmp_path: Path):
+    """NumPy takes any 32 bits for a character, of which Python makes strings that end it."""
+    names = np.array(ARM)
+    names.view(np.uint32)[0] = 0x7FFFFFFF
+    np.savez(tmp_path / "names.npz", joints=names)
+    with pytest.raises(InvalidValueError, match="code point not in range"):
+        read_arrays(tmp_path / "names.npz", ["joints"])
+
+
+def test_an_archive_is_not_unpacked_if_it_is_too_large(tmp_path: Path):
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("q.npy", bytes(200 * 2**20))
+    assert (tmp_path / "bomb.npz").stat().st_size < 2**20
+    tracemalloc.start()
+    try:
+        with pytest.raises(InvalidValueError, match="209,715,200 bytes when unpacked"):
+            read_arrays(tmp_path / "bomb.npz", ["q"])
+        assert tracemalloc.get_traced_memory()[1] < 2**22
+    finally:
+        tracemalloc.stop()
+
+
+def test_an_image_takes_no_memory_that_its_file_does_not_have():
+    """A part of it says that it has 2 GB."""
+    data = bytearray(cv2.imencode(".png", PIXELS)[1].tobytes())
+    place = data.find(b"IDAT") - 4
+    data[place : place + 4] = b"\x7f\xff\xff\xff"
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert messages.unpacked_image(bytes(data)) is None
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100 * 2**10
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp"])
+def test_an_image_is_not_unpacked_if_it_is_too_large(suffix: str, tmp_path: Path):
+    """Its header says 20,000 x 20,000."""
+    data = bytearray(cv2.imencode(suffix, PIXELS)[1].tobytes())
+    place, order = (16, ">II") if suffix == ".png" else (18, "<II")
+    data[place : place + 8] = struct.pack(order, 20_000, 20_000)
+    (tmp_path / f"bomb{suffix}").write_bytes(data)
+    with pytest.raises(PerceptionError, match="not a readable image of 33,554,432 pixels at most"):
+        read_image(tmp_path / f"bomb{suffix}")
+    message = messages.encode(
+        messages.COMPRESSED_IMAGE, messages.header(0.0), "png", np.frombuffer(data, np.uint8)
+    )
+    assert messages.uncompressed(messages.decode(message, messages.COMPRESSED_IMAGE)) is None
+
+
+@pytest.mark.parametrize(
+    "text", ["ffconcat version 1.0\nfile a.mp4\n", "#EXTM3U\n#EXTINF:1,\na.mp4\n#EXT-X-ENDLIST\n"]
+)
+def test_a_video_names_no_other_file(text: str, tmp_path: Path):
+    KINDS["mp4"].write(tmp_path).rename(tmp_path / "a.mp4")
+    (tmp_path / "list.mp4").write_text(text)
+    with pytest.raises(PerceptionError, match="cannot be read as a video"):
+        KINDS["mp4"].read(tmp_path / "list.mp4")
+
+
+def packed_bag(path: Path, size: int, mode: CompressionMode) -> Path:
+    """A bag with one message of so many zeros, compressed."""
+    bag = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag:
+        connection = bag.add_connection("/command", messages.FLOAT_ARRAY, typestore=STORE)
+        bag.write(connection, 0, bytes(size))
+    return next(path.glob("bag.mcap*"))
+
+
+def test_a_chunk_of_a_bag_is_not_unpacked_if_it_is_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    file = packed_bag(tmp_path / "bag", 2**21, CompressionMode.STORAGE)
+    monkeypatch.setattr(bags, "MOST_CHUNK", 2**20)
+    with (
+        pytest.raises(PerceptionError, match="its chunks are too large; 1,048,576 bytes each"),
+        bags.opened_bag(file),
+    ):
+        pass
+    monkeypatch.setattr(bags, "_require_chunks", lambda chunks: None)
+    with pytest.raises(PerceptionError, match="Chunk size mismatch"), bags.opened_bag(file) as reader:
+        list(reader.messages())
+
+
+def test_chunks_of_one_time_are_counted_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    file = packed_bag(tmp_path / "bag", 2**21, CompressionMode.STORAGE)
+    monkeypatch.setattr(bags, "MOST_AT_ONCE", 2**20)
+    with pytest.raises(PerceptionError, match="1,048,576 of one time"), bags.opened_bag(file):
+        pass
+
+
+def test_a_bag_is_not_unpacked_to_the_disk(tmp_path: Path):
+    packed_bag(tmp_path / "bag", 2**20, CompressionMode.FILE)
+    with (
+        pytest.raises(
+            PerceptionError, match="it is compressed as a whole; unpack it with 'ros2 bag convert'"
+        ),
+        bags.opened_bag(tmp_path / "bag"),
+    ):
+        pass
+
+
+def test_an_alias_bomb_is_refused(tmp_path: Path):
+    names = "abcdefghij"
+    bomb = "a: &a [x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}, *{a}]\n" for a, b in pairwise(names))
+    (tmp_path / "lab.yaml").write_text(bomb)
+    with pytest.raises(Pixel2CatchError, match=r"it has the alias '\*a'; write out what it stands for"):
+        Profile.load(tmp_path / "lab.yaml")
+
+
+def test_a_command_of_a_billion_places_is_refused(tmp_path: Path):
+    file = KINDS["profile"].write(tmp_path)
+    file.write_text(file.read_text().replace("command_size: 6", "command_size: 1000000000"))
+    with pytest.raises(Pixel2CatchError, match="a command has places 0 to 999999999, joints and held have"):
+        Profile.load(file)
+
+
+def test_networks_of_a_billion_neurons_take_no_memory(tmp_path: Path):
+    file = KINDS["policy"].write(tmp_path)
+    for hidden, words in (([10**9], "must be from 1 to 8192"), ([8192] * 16, "should have shape")):
+        file.write_text(json.dumps(json.loads(file.read_text()) | {"hidden": hidden}))
+        with pytest.raises(Pixel2CatchError, match=words):
+            KINDS["policy"].read(file)
+
+
+def test_weights_that_are_no_numbers_are_refused(tmp_path: Path):
+    from pixel2catch.policy import Policy
+
+    file = KINDS["policy"].write(tmp_path)
+    policy = Policy.load(tmp_path)
+    torch.nn.init.constant_(next(policy.parameters()), torch.nan)
+    policy.save(tmp_path)
+    with pytest.raises(Pixel2CatchError, match="has numbers that are not finite"):
+        load_policy(file.parent)
+
+
+def test_an_operation_that_is_not_ours_is_refused(tmp_path: Path):
+    import onnx
+
+    file = KINDS["onnx"].write(tmp_path)
+    model = onnx.load(file)
+    model.graph.node.append(onnx.helper.make_node("Loop", ["", ""], ["x"]))
+    onnx.save(model, file)
+    with pytest.raises(Pixel2CatchError, match=r"\['Loop'\] among them; a policy has Clip, Div"):
+        load_policy(file)
+
+
+def test_a_mesh_of_many_points_takes_little_memory(tmp_path: Path):
+    """All points against all would be 3 GB."""
+    from pixel2catch.scene import meshes
+
+    rng = np.random.default_rng(0)
+    points, faces = rng.random((20_000, 3)), rng.integers(1, 20_001, (10_000, 3))
+    text = io.StringIO()
+    np.savetxt(text, points, "v %.6f %.6f %.6f")
+    np.savetxt(text, faces, "f %d %d %d")
+    (tmp_path / "dust.obj").write_text(text.getvalue())
+    tracemalloc.start()
+    try:
+        meshes._read(tmp_path / "dust.obj")
+        assert tracemalloc.get_traced_memory()[1] < 200 * 2**20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("name", ["model.dae", "model.3mf"])
+def test_meshes_that_name_other_files_are_not_read(name: str, tmp_path: Path):
+    (tmp_path / name).write_text("<x/>")
+    with pytest.raises(InvalidValueError, match=r"it must end in \.stl, \.obj"):
+        mesh_object("x", tmp_path / name)
+
+
+def test_an_image_that_is_no_jpeg_does_not_end_a_recording(tmp_path: Path):
+    topic = compressed_topic(Topic(name="/image", type=messages.IMAGE))
+    wide = messages.image(np.zeros((1, 70_000, 3), dtype=np.uint8), 1.0)
+    with BagRecorder(tmp_path / "bag") as recorder:
+        recorder.record(topic, wide, 1.0, compress)
+        recorder.record(topic, messages.image(PIXELS, 2.0), 2.0, compress)
+    assert (recorder.num_written[topic.name], recorder.num_dropped[topic.name]) == (1, 1)
+
+
+def test_a_file_may_be_as_long_as_its_bound(tmp_path: Path):
+    file = tmp_path / "a.json"
+    file.write_text('{"a": 1}'.ljust(MOST_JSON))
+    assert read_json_object(file) == {"a": 1}
+    file.write_text('{"a": 1}'.ljust(MOST_JSON + 1))
+    with pytest.raises(InvalidValueError, match="has 2,097,153 bytes; it may have 2,097,152"):
+        read_json_object(file)
+    with pytest.raises(InvalidValueError, match="is no file, but a pipe or a device"):
+        read_bytes(Path("/dev/zero"), 10)
+
+
+def test_marks_and_line_ends_of_other_systems_are_read(tmp_path: Path):
+    for text in ('\ufeff{"a":\r\n1}', '{"a": 1}\r\n'):
+        (tmp_path / "a.json").write_bytes(text.encode())
+        assert read_json_object(tmp_path / "a.json") == {"a": 1}

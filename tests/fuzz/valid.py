@@ -1,0 +1,273 @@
+"""Valid files of every kind that is read, what reads them, and how they are changed."""
+
+import json
+import random
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import torch
+from mutation import changed_bytes, changed_csv, changed_json, changed_npz, changed_yaml
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.evaluation.comparison.plan import ComparisonFolder
+from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.files import as_json
+from pixel2catch.identification.importers import read_recording
+from pixel2catch.identification.joints import joints_of
+from pixel2catch.identification.recording import Recording, Trajectory
+from pixel2catch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
+from pixel2catch.learning.config import TrainCfg
+from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.methods import find_method
+from pixel2catch.perception.calibration.intrinsics import read_intrinsics
+from pixel2catch.perception.calibration.target import CharucoBoard, read_image
+from pixel2catch.perception.sources import SourceCfg, ticks_of
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.policy.onnx_policy import to_onnx
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.messages import STORE
+from pixel2catch.ros2.profile import PROFILES, Profile
+from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.meshes import _read as read_mesh
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+ARM = joints_of(UR5E_ALLEGRO, "ur5e")
+HOME = np.array([joint.home for joint in UR5E_ALLEGRO.joints[:6]])
+EPOCH = 1_790_000_000 * 10**9
+PIXELS = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+
+LENS = """image_width: 640
+image_height: 480
+distortion_model: plumb_bob
+camera_matrix: {rows: 3, cols: 3, data: [618.1, 0.0, 320.0, 0.0, 618.1, 240.0, 0.0, 0.0, 1.0]}
+distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.0, 0.0, 0.0]}
+projection_matrix: {rows: 3, cols: 4, data: [618.1, 0.0, 320.0, 0.0, 0.0, 618.1, 240.0, 0.0, 0.0, 0.0, 1, 0]}
+"""
+
+CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "".join(
+    f"f {face}\n" for face in ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of file, or of folder in which one file is changed."""
+
+    write: Callable[[Path], Path]  #: Writes a valid one into a folder; returns the file that is changed.
+    read: Callable[[Path], object]  #: Reads that file, however it was changed.
+    change: Callable[[bytes, random.Random], bytes] = changed_bytes
+
+
+class Learner:
+    """A learner with one tensor, for checkpoints of it."""
+
+    cfg = TrainCfg(device="cpu")
+
+    def state_dict(self) -> dict[str, object]:
+        return {"a": torch.zeros(3), "updates": 3}
+
+    def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
+        torch.zeros(3).copy_(state["a"])
+
+
+def _policy(folder: Path) -> Path:
+    torch.manual_seed(0)
+    Policy(contract_of(find_method("catch+fit")), hidden=(8,)).save(folder)
+    return folder / "policy.json"
+
+
+def _read_described(file: Path) -> None:
+    """A policy whose two files say the same, whatever it is."""
+    text, weights = file.read_bytes(), file.with_name("policy.safetensors")
+    whole = weights.read_bytes()
+    size = int.from_bytes(whole[:8], "little")
+    header = json.loads(whole[8 : 8 + size])
+    header["__metadata__"] = {"policy": text.decode("utf-8", "replace")}
+    described = json.dumps(header).encode()
+    weights.write_bytes(len(described).to_bytes(8, "little") + described + whole[8 + size :])
+    load_policy(file.parent)
+
+
+def _weights(folder: Path) -> Path:
+    return _policy(folder).with_name("policy.safetensors")
+
+
+def _onnx(folder: Path) -> Path:
+    torch.manual_seed(0)
+    file = folder / "policy.onnx"
+    file.write_bytes(to_onnx(Policy(contract_of(find_method("catch+fit")), hidden=(8,))))
+    return file
+
+
+def _profile(folder: Path) -> Path:
+    file = folder / "lab.yaml"
+    file.write_bytes((PROFILES / "ur5e_allegro_v4.yaml").read_bytes())
+    return file
+
+
+def _recording(folder: Path) -> Path:
+    times = np.arange(0.0, 1.0, 0.05)
+    q = HOME + 0.01 * np.sin(times)[:, None]
+    Recording(joints=ARM, t_cmd=times, q_cmd=q, t_meas=times, q=q, qd=q).save(folder / "motion.npz")
+    return folder / "motion.npz"
+
+
+def _trajectory(folder: Path) -> Path:
+    times = np.arange(0.0, 3.0, 0.05)
+    Trajectory(joints=ARM, times=times, positions=np.tile(HOME, (len(times), 1))).save(folder / "path.npz")
+    return folder / "path.npz"
+
+
+def _logs(folder: Path) -> Path:
+    rows = "\n".join(f"{0.1 * i}," + ",".join(map(str, HOME)) for i in range(20))
+    (folder / "commands.csv").write_text("t," + ",".join(f"q_{i}" for i in range(6)) + "\n" + rows + "\n")
+    names = ",".join(f"actual_q_{i}" for i in range(6))
+    (folder / "rtde.csv").write_text(f"timestamp,{names}\n{rows}\n")
+    return folder / "rtde.csv"
+
+
+def _bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+    path = folder / "bag"
+    with Writer(path, version=9, storage_plugin=storage) as bag:
+        topics = {
+            "/joint_states": messages.JOINT_STATE,
+            "/command": messages.FLOAT_ARRAY,
+            "/image": messages.IMAGE,
+            "/info": messages.CAMERA_INFO,
+        }
+        connections = {name: bag.add_connection(name, kind, typestore=STORE) for name, kind in topics.items()}
+        for i in range(10):
+            now = 1_790_000_000 + 0.1 * i
+            for name, data in {
+                "/joint_states": messages.joint_state(ARM, HOME + 0.001 * i, now),
+                "/command": messages.float_array(HOME),
+                "/image": messages.image(PIXELS[:12, :16], now),
+                "/info": messages.camera_info(RGB_CAMERA, now),
+            }.items():
+                bag.write(connections[name], EPOCH + i * 10**8, data)
+    return next(path.glob("bag.*"))
+
+
+def _sqlite(folder: Path) -> Path:
+    return _bag(folder, StoragePlugin.SQLITE3)
+
+
+def _read_bag(file: Path) -> None:
+    """As `identify`, `track` and `calibrate` do."""
+    from pixel2catch.errors import Pixel2CatchError
+
+    path, errors = file if file.suffix != ".yaml" else file.parent, []
+    for read in (
+        lambda: read_recording(path, "ur5e"),
+        lambda: [*ticks_of(SourceCfg(name=str(path), joints=ARM), [])],
+        lambda: read_intrinsics(path, CharucoBoard()),
+    ):
+        try:
+            read()
+        except Pixel2CatchError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
+
+
+def _image(suffix: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        cv2.imwrite(str(folder / f"image{suffix}"), PIXELS)
+        return folder / f"image{suffix}"
+
+    return write
+
+
+def _video(suffix: str, codec: str, pixels: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        with av.open(folder / f"video{suffix}", "w") as container:
+            stream = container.add_stream(codec, rate=30)
+            stream.width, stream.height, stream.pix_fmt = 64, 48, pixels  # type: ignore[attr-defined]
+            for _ in range(4):
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(PIXELS, format="rgb24")))  # type: ignore
+            container.mux(stream.encode())  # type: ignore[attr-defined]
+        return folder / f"video{suffix}"
+
+    return write
+
+
+def _text(name: str, content: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(content)
+        return folder / name
+
+    return write
+
+
+def _checkpoint(folder: Path) -> Path:
+    contract = contract_of(find_method("catch+fit"))
+    save_checkpoint(folder / "checkpoint.pt", Learner(), contract, Progress(transitions=5))  # type: ignore
+    return folder / "checkpoint.pt"
+
+
+def _read_checkpoint(file: Path) -> None:
+    load_checkpoint(file, Learner(), contract_of(find_method("catch+fit")))  # type: ignore[arg-type]
+
+
+def _dynamics(folder: Path) -> Path:
+    DynamicsFile().save(folder / "dynamics.json")
+    return folder / "dynamics.json"
+
+
+def _camera(folder: Path) -> Path:
+    CameraFile(camera=RGB_CAMERA, distortion=(0.1, 0.0, 0.0, 0.0), focal_std=0.01).save(
+        folder / "camera.json"
+    )
+    return folder / "camera.json"
+
+
+def _run(folder: Path) -> Path:
+    cfg = TrainCfg(device="cpu", num_envs=4, mini_batches=2)
+    content = {"train": cfg.to_dict(), "env": asdict(CatchEnvCfg()), "policy": {"method": cfg.method}}
+    (folder / "config.json").write_text(json.dumps(as_json(content)))
+    return folder / "config.json"
+
+
+PLAN = {"plan": {"methods": ["proposed"], "seeds": 1, "configuration": {"a": 1}}, "sessions": []}
+
+KINDS = {
+    "policy": Kind(write=_policy, read=_read_described, change=changed_json),
+    "weights": Kind(write=_weights, read=lambda file: load_policy(file.parent)),
+    "onnx": Kind(write=_onnx, read=load_policy),
+    "dynamics": Kind(write=_dynamics, read=DynamicsFile.load, change=changed_json),
+    "camera": Kind(write=_camera, read=CameraFile.load, change=changed_json),
+    "profile": Kind(write=_profile, read=Profile.load, change=changed_yaml),
+    "recording": Kind(write=_recording, read=lambda file: read_recording(file, "ur5e"), change=changed_npz),
+    "trajectory": Kind(write=_trajectory, read=Trajectory.load, change=changed_npz),
+    "logs": Kind(write=_logs, read=lambda file: read_recording(file.parent, "ur5e"), change=changed_csv),
+    "mcap": Kind(write=_bag, read=_read_bag),
+    "sqlite": Kind(write=_sqlite, read=_read_bag),
+    "metadata": Kind(write=lambda f: _bag(f).with_name("metadata.yaml"), read=_read_bag, change=changed_yaml),
+    "lens": Kind(
+        write=_text("ost.yaml", LENS), read=lambda f: read_intrinsics(f, CharucoBoard()), change=changed_yaml
+    ),
+    "png": Kind(write=_image(".png"), read=read_image),
+    "jpeg": Kind(write=_image(".jpg"), read=read_image),
+    "tiff": Kind(write=_image(".tiff"), read=read_image),
+    "mp4": Kind(
+        write=_video(".mp4", "libx264", "yuv420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]
+    ),
+    "avi": Kind(
+        write=_video(".avi", "mjpeg", "yuvj420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]
+    ),
+    "mesh": Kind(write=_text("cube.obj", CUBE), read=read_mesh),
+    "checkpoint": Kind(write=_checkpoint, read=_read_checkpoint),
+    "run": Kind(write=_run, read=lambda file: TrainCfg.of_run(file.parent), change=changed_json),
+    "study": Kind(
+        write=_text("study.json", json.dumps(PLAN)),
+        read=lambda file: ComparisonFolder(file.parent).plan(),
+        change=changed_json,
+    ),
+}
+"""All kinds of files that are read, by name."""
