@@ -60,9 +60,8 @@ def test_each_network_is_said_at_the_beginning(
     assert f"ROS_DOMAIN_ID {own_domain()}" in said
 
 
-OTHERS = [
-    pytest.param(name, marks=pytest.mark.slow) for name in INTERFACES if name != LOOPBACK
-]  # they send there
+OTHERS = [pytest.param(name, marks=pytest.mark.slow) for name in INTERFACES if name != LOOPBACK]
+"""Something is sent there, if only to find others."""
 
 
 @pytest.mark.parametrize("network", [*OTHERS[-1:], ANY])

@@ -129,38 +129,38 @@ class JointTrack:
 
     def continued(
         self, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
-    ) -> tuple["JointTrack", Flags]:
-        """What is known with new positions, and whether one went as none can."""
+    ) -> tuple["JointTrack", Bool[np.ndarray, "rows joints"]]:
+        """What is known with new positions, and which of them went as none can."""
         joints, position, stamp = limits.joints, inputs.joint_pos, inputs.joint_stamp
-        is_known = np.isfinite(self.stamp)
-        is_new = np.isfinite(position) & np.isfinite(stamp) & ~(stamp <= self.stamp)
-        elapsed = np.where(is_known & is_new, stamp - self.stamp, 0.0)
-        moved = np.where(is_known & is_new, position - self.position, 0.0)
+        is_measured = np.isfinite(position)
+        is_new = is_measured & np.isfinite(stamp) & ~(stamp <= self.stamp)
+        is_next = is_new & np.isfinite(self.stamp)
+        elapsed = np.where(is_next, stamp - self.stamp, 0.0)
+        moved = np.where(is_next, position - self.position, 0.0)
         is_jump = np.abs(moved) > joints.jump_speed * (elapsed + JITTER)
         share = np.minimum(elapsed / SMOOTHING, 1.0)
         speed = (1.0 - share) * self.speed + np.where(is_jump, 0.0, moved / np.maximum(elapsed, SMOOTHING))
-        command, expected, is_followed = (
-            commanded.position,
-            commanded.expected,
-            commanded.is_followed[:, None],
+        command, expected = commanded.position, commanded.expected
+        is_followed = commanded.is_followed[:, None]
+        nearest = np.minimum(np.minimum(command, expected), self.explained)
+        nearest = np.maximum(
+            nearest, np.minimum(position, np.maximum(np.maximum(command, expected), self.explained))
         )
-        lowest = np.minimum(np.minimum(command, expected), self.explained)
-        highest = np.maximum(np.maximum(command, expected), self.explained)
-        is_measured = np.isfinite(position)
-        explained = np.where(is_followed, position.clip(lowest, highest), position)
-        left = 1.0 - np.minimum(limits.dt / (SLACK_LAGS * joints.lag), 1.0)
-        anchor = np.where(is_followed & ~(is_new & (moved != 0.0)), self.anchor, command)
+        explained = np.where(is_followed, nearest, position)
+        anchor = np.where(is_followed & (moved == 0.0), self.anchor, command)
         is_still = np.abs(command - anchor) > FROZEN_ANGLE
         track = JointTrack(
             position=np.where(is_new, position, self.position),
             stamp=np.where(is_new, stamp, self.stamp),
             speed=speed,
             explained=np.where(is_measured, explained, self.explained),
-            slack=np.maximum(np.abs(command - expected), left * self.slack),
+            slack=np.maximum(
+                np.abs(command - expected), self.slack * (1.0 - limits.dt / (SLACK_LAGS * joints.lag))
+            ),
             anchor=anchor,
             still_time=np.where(is_still, self.still_time + limits.dt, 0.0),
         )
-        return track, np.logical_or.reduce(is_jump, axis=-1)
+        return track, is_jump
 
 
 def is_recent(
@@ -214,27 +214,28 @@ def faults_of_joints(
     An arm's joint is where its servo has it: near its command at rest, and as far behind as the lag explains
     in motion. A finger may be stopped by what it holds; it does not leave its command by itself.
     """
-    joints, position = limits.joints, inputs.joint_pos
-    before, (track, is_jump) = track, track.continued(inputs, commanded, limits)
+    joints, position, is_followed = limits.joints, inputs.joint_pos, commanded.is_followed
+    track, is_jump = track.continued(inputs, commanded, limits)
     is_arm, is_finger = np.isfinite(joints.tracking_error), np.isfinite(joints.escape)
-    is_beyond = (position < joints.least) | (position > joints.most)
-    is_escaped = np.abs(position - track.explained) > joints.escape
+    is_still = track.still_time > FROZEN_TIME
     most = np.minimum(joints.tracking_error, REST_ERROR + joints.lag_error * track.slack)
-    is_off = (np.abs(position - commanded.expected) > most) & is_arm
-    is_frozen = before.still_time >= FROZEN_TIME
-    any_of, all_of = np.logical_or.reduce, np.logical_and.reduce
-    is_frozen = any_of(is_frozen & is_arm, axis=-1) | (
-        all_of(is_frozen | ~is_finger, axis=-1) & bool(is_finger.any())
+    of_joints = np.array(
+        (
+            (position < joints.least) | (position > joints.most) | is_jump,
+            np.abs(position - track.explained) > joints.escape,
+            np.abs(track.speed) > joints.joint_speed,
+            (np.abs(position - commanded.expected) > most) & is_arm,
+            is_still & is_arm,
+        )
     )
-    is_followed = commanded.is_followed
+    is_impossible, is_escaped, is_fast, is_off, is_frozen = np.logical_or.reduce(of_joints, axis=-1)
+    is_hand_frozen = np.logical_and.reduce(is_still | ~is_finger, axis=-1) & is_finger.any()
     return track, bits(
         {
-            Fault.JOINTS_IMPLAUSIBLE: any_of(is_beyond, axis=-1)
-            | is_jump
-            | (any_of(is_escaped, axis=-1) & is_followed),
-            Fault.JOINT_SPEED: any_of(np.abs(track.speed) > joints.joint_speed, axis=-1) & is_followed,
-            Fault.TRACKING_ERROR: any_of(is_off, axis=-1) & is_followed,
-            Fault.JOINTS_FROZEN: is_frozen & is_followed,
+            Fault.JOINTS_IMPLAUSIBLE: is_impossible | (is_escaped & is_followed),
+            Fault.JOINT_SPEED: is_fast & is_followed,
+            Fault.TRACKING_ERROR: is_off & is_followed,
+            Fault.JOINTS_FROZEN: (is_frozen | is_hand_frozen) & is_followed,
         }
     )
 

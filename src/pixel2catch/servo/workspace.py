@@ -52,10 +52,15 @@ class WatchedArm:
         self, palm: Float64[np.ndarray, "rows 4 4"], ends: Float64[np.ndarray, "capsules rows 3 2"]
     ) -> Bool[np.ndarray, " rows"]:
         """Where no axis of a capsule of the arm enters the boxes of the hand, grown by its radius."""
-        points = ends.transpose(1, 2, 3, 0).reshape(len(palm), 3, -1)
+        num_capsules, num_rows, *_ = ends.shape
+        points = ends.transpose(1, 2, 3, 0).reshape(num_rows, 3, 2 * num_capsules)
         local = palm[:, :3, :3].transpose(0, 2, 1) @ (points - palm[:, :3, 3:])
-        start, end = local.reshape(len(palm), 3, 2, 1, -1).transpose(2, 1, 3, 4, 0)
-        enter, leave = crossed(start, end - start, *self._grown_boxes)
+        start, end = local.reshape(num_rows, 3, 2, 1, num_capsules).transpose(2, 1, 3, 4, 0)
+        lower, upper = self._grown_boxes
+        is_beside = (np.maximum(start, end) < lower) | (np.minimum(start, end) > upper)
+        if is_beside.any(axis=0).all():
+            return np.ones(num_rows, dtype=np.bool_)
+        enter, leave = crossed(start, end - start, lower, upper)
         return np.logical_and.reduce(enter > leave, axis=(0, 1))
 
     @cached_property
