@@ -48,8 +48,8 @@ class JointLimits:
         jerk: ours; an arm's acceleration may turn in 10 ms, for which commands come 4 ms later, a finger's
             in a tick: the slowest driver of a hand takes every fifth command.
         deceleration: ours; that of an arm is five times that with which UR's driver stops one that nobody
-            commands any more, and lets it rest after 0.13 s and 0.16 rad from full speed. It is more for joints
-            that would not rest in time.
+            commands any more, and lets it rest after 0.13 s and 0.16 rad from full speed. Joints that would
+            not rest in time have more.
         step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
         lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
         joint_speed, jump_speed: ours; what a joint may do, or can, and what an estimate may be wrong by.
