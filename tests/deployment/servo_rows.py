@@ -81,10 +81,13 @@ class Lab:
         self.told = distort(good) if distort else good
         self.state, output = self.core.tick(self.state, self.told)
         self.outputs.append(output)
-        follow = np.minimum(self.limits.dt / self.lag, 1.0)
-        command = np.where(np.isnan(output.command), self.joint_pos, output.command)
-        self.joint_pos += np.where(self.is_held_fast, 0.0, follow * (command - self.joint_pos))
+        self.follow(np.where(np.isnan(output.command), self.joint_pos, output.command))
         return output
+
+    def follow(self, command: np.ndarray) -> None:
+        """The joints go where they are commanded, with their lag."""
+        share = np.minimum(self.limits.dt / self.lag, 1.0)
+        self.joint_pos += np.where(self.is_held_fast, 0.0, share * (command - self.joint_pos))
 
     def run(self, seconds: float, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:
         """Ticks for a time."""

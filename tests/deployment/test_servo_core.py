@@ -250,7 +250,7 @@ def lab_of_lag(lag: float, share: float, is_identified: bool) -> Lab:
     """A running lab whose joints have a lag, of which the limits know or not."""
     dynamics = JointDynamics.nominal()
     if is_identified:
-        dynamics = dynamics.with_values(damping=lag * dynamics.stiffness)
+        dynamics = dynamics.with_values(stiffness=dynamics.damping / lag)
     joints = JointLimits.of(UR5E_ALLEGRO, share, dynamics, is_identified=is_identified)
     lab = Lab(limits=replace(LIMITS, joints=joints)).started()
     lab.lag = np.full(len(JOINTS), lag)

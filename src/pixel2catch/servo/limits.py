@@ -51,7 +51,8 @@ class JointLimits:
         jerk: ours; an arm's acceleration may turn in 10 ms, for which commands come 4 ms later, a finger's
             in a tick: the slowest driver of a hand takes every fifth command.
         deceleration: ours; that of an arm is five times that with which UR's driver stops one that nobody
-            commands any more, and lets it rest after 0.13 s and 0.16 rad from full speed.
+            commands any more, and lets it rest after 0.13 s and 0.16 rad from full speed. Joints that would
+            not rest in time have more.
         step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
         lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
         joint_speed, jump_speed: ours; what a joint may do, or can, and what an estimate may be wrong by.
@@ -127,7 +128,7 @@ class JointLimits:
             speed=own_speed / full_speed * each(10.0, 20.0) if is_identified else even_speed,
             acceleration=acceleration,
             jerk=np.minimum(each(60e3, 2e6), most["jerk"]),
-            deceleration=np.minimum(each(20.0, 100.0), acceleration),
+            deceleration=np.minimum(np.maximum(each(20.0, 100.0), even_speed / RETURN_TIME), acceleration),
             step=each(0.03, 0.04),
             lag=lag,
             lead=lead,
@@ -215,7 +216,7 @@ class ServoLimits:
                 f"braking takes up to {braking:.3f} s; raise acceleration and jerk or lower the speed until "
                 f"it takes {STOP_TIME - RETURN_TIME:.1f} s"
             )
-        if (slowest := float(np.max(self.joints.stop_time))) > RETURN_TIME:
+        if (slowest := float(np.max(self.joints.stop_time))) > RETURN_TIME + self.dt:
             raise InvalidValueError(
                 f"a stop takes a joint up to {slowest:.3f} s; raise the deceleration or lower the speed "
                 f"until it takes {RETURN_TIME:.1f} s"

@@ -1,0 +1,98 @@
+"""What the servo's limits make of a simulated arm, whose joints pull each other: its own speeds and stops."""
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from servo_rows import HOME, LIMITS, Lab, given
+
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.servo.limits import STOP_TIME, JointLimits
+from pixel2catch.servo.watchdogs import Fault
+from pixel2catch.twin.simulated_lab import SimulatedLab
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+PHYSICS_HZ = 510.0
+"""A tick of the servo is a step of the physics; it must be a multiple of the control rate."""
+
+FASTEST = 3.14  #: Speed limit of a UR5e's joints [rad/s]; its specification here has 2.79.
+SPUN_OUT = 5  #: Ticks in which what came before a stop still accelerates joints.
+SWING = np.array([0.5, 0.3, 0.3, 0.5, 0.5])
+"""From side to side of the start pose, as far as no joint comes to the end of its travel."""
+
+
+class PhysicalLab(Lab):
+    """A lab whose robot is simulated."""
+
+    def __init__(self, robot: SimulatedLab, joints: JointLimits) -> None:
+        super().__init__(limits=replace(LIMITS, joints=joints, dt=1.0 / PHYSICS_HZ))
+        self._robot = robot
+        self.joint_pos[0] = self.target[0] = robot.joints.position
+        self.speeds: list[np.ndarray] = []
+
+    def follow(self, command: np.ndarray) -> None:
+        self._robot.step(command[0])
+        self.joint_pos[0] = self._robot.joints.position
+        self.speeds.append(self._robot.joints.velocity[:5])
+
+
+@contextmanager
+def physical_lab(lag: float | None, share: float = 1.0, is_identified: bool = True) -> Iterator[PhysicalLab]:
+    """A running lab with the nominal lags of all joints, or another one, of which the limits know or not."""
+    nominal = dynamics = JointDynamics.nominal()
+    if lag is not None:
+        dynamics = nominal.with_values(stiffness=nominal.damping / lag)
+    task = replace(CatchEnvCfg(), dynamics=dynamics)
+    task = replace(task, scene=replace(task.scene, physics_hz=PHYSICS_HZ))
+    told = dynamics if is_identified else nominal
+    with closing(SimulatedLab(task, seed=0)) as robot:
+        joints = JointLimits.of(UR5E_ALLEGRO, share, told, is_identified=is_identified)
+        lab = PhysicalLab(robot, joints)
+        lab.started()
+        yield lab
+
+
+def check_swings(lab: PhysicalLab, share: float) -> None:
+    """From side to side at the largest speed that it has, and then stopped in the middle of it.
+
+    An arm with a short lag cannot follow as its lag says, for its torque, and may stop by itself for that.
+    """
+    for swing in range(4):
+        lab.target[0, :5] = HOME[:5] + (SWING if swing % 2 else -SWING)
+        lab.run(0.3 if swing < 3 else 0.15)
+    first = len(lab.speeds) + SPUN_OUT
+    lab.tick(given(is_stop_requested=np.array([True])))
+    lab.run(STOP_TIME)
+    assert np.abs(lab.speeds).max() < share * FASTEST
+    assert np.abs(lab.speeds[-1]).max() < 0.1
+    if lab.outputs[-1].stopped_by & Fault.STOP_REQUEST:
+        assert np.abs(lab.speeds).max() > 0.6 * share * FASTEST
+        stop = np.diff(lab.speeds[first:], axis=0) * PHYSICS_HZ
+        assert np.abs(stop).max() < 2.0 * lab.limits.joints.deceleration[0]
+    else:
+        assert lab.outputs[-1].stopped_by & Fault.TRACKING_ERROR
+
+
+def test_a_swing_and_a_stop_of_the_nominal_arm():
+    with physical_lab(None) as lab:
+        check_swings(lab, 1.0)
+        assert lab.outputs[-1].stopped_by == Fault.STOP_REQUEST
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [1.0, 0.25])
+@pytest.mark.parametrize("lag", [0.02, 0.06, 0.1, 0.14])
+def test_a_swing_and_a_stop_at_any_lag(lag: float, share: float):
+    with physical_lab(lag, share) as lab:
+        check_swings(lab, share)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [1.0, 0.25])
+@pytest.mark.parametrize("lag", [0.06, 0.1, 0.14])
+def test_a_swing_and_a_stop_of_an_arm_whose_lag_is_not_known(lag: float, share: float):
+    with physical_lab(lag, share, is_identified=False) as lab:
+        check_swings(lab, share)
