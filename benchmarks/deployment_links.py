@@ -30,7 +30,15 @@ from pixel2catch.workcells import find_workcell
 SHARD = 10
 """Throws that a process makes before it takes others."""
 
-WIDE = {"speed": 19.0, "step": 0.038, "acceleration": 1e4, "lead": 1e3, "tracking_error": 1e3}
+WIDE = {
+    "speed": 19.0,
+    "step": 0.038,
+    "acceleration": 1e4,
+    "jerk": 1e7,
+    "deceleration": 1e6,
+    "lead": 1e3,
+    "tracking_error": 1e3,
+}
 """Limits of all joints that hold nothing back of what the UR's driver takes."""
 
 

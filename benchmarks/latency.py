@@ -31,7 +31,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.messages import COMPRESSED_IMAGE, SUFFIX
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import RealClock, Topic, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
 from pixel2catch.servo.process import SERVO_PRIORITY, set_real_time
 
 STAMPED = (messages.IMAGE, messages.JOINT_STATE)
@@ -83,7 +83,7 @@ def play(entries: Played, node: Transport, clock: RealClock, passes: int) -> flo
 @contextmanager
 def deployment(args: argparse.Namespace, out: Path) -> Iterator[subprocess.Popen[bytes]]:
     """`deploy` as a process; what it prints goes to a file."""
-    command = [sys.executable, "-m", "pixel2catch", "deploy", "--loopback", "--dry-run", "--json"]
+    command = [sys.executable, "-m", "pixel2catch", "deploy", "--dry-run", "--json"]
     command += ["--clock", f"{args.clock:g}", *(["--record", str(args.record)] if args.record else [])]
     with open(out, "wb") as file, subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT) as process:
         try:
@@ -143,7 +143,7 @@ def main() -> None:
     ages = [moment - struct.unpack_from("<d", data, 4)[0] for moment, data in images]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "deploy.txt"
-        with make_transport("dds", "replayer", True, clock) as node:
+        with make_transport("dds", "replayer", LOOPBACK, clock) as node:
             with deployment(args, out) as process:
                 wait_for(node, profile, process)
                 set_real_time(SERVO_PRIORITY)  # as the drivers that it stands for

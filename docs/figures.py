@@ -23,7 +23,14 @@ from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.motion import Motion, MotionLimits, TargetInterpolator, towards, wished
+from pixel2catch.servo.motion import (
+    Motion,
+    MotionLimits,
+    TargetInterpolator,
+    averaged,
+    towards,
+    wished,
+)
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FOLDER = Path(__file__).parent / "figures"
@@ -197,15 +204,18 @@ def _commands(targets: ndarray, limits: MotionLimits) -> tuple[ndarray, ndarray,
     """Times [s], positions [rad] and speeds [rad/s] of the commands that follow targets."""
     start = np.array([[targets[0]]])
     course, motion = TargetInterpolator.resting(start), Motion(position=start, velocity=0.0 * start)
-    rows = []
+    recent, rows = np.tile(start, limits.weights.shape), [(0.0, targets[0])]
     for tick in range(round(len(targets) * CONTROL_DT / limits.dt)):
         now = np.array([tick * limits.dt])
         number = np.floor(now / CONTROL_DT + 1e-9)
         target = np.array([[targets[int(number[0])]]])
         course = course.turned(np.array([True]), target, now, number)
-        motion = towards(motion, wished(motion, course.at(now), limits), limits)
-        rows.append((now[0], motion.position[0, 0], motion.velocity[0, 0]))
-    return tuple(np.array(rows).T)  # type: ignore[return-value]
+        goal = course.at(now, limits.dt + limits.delay)
+        motion = towards(motion, wished(motion, goal, limits), limits)
+        recent = np.concatenate((recent[1:], motion.position[None]))
+        rows.append((now[0] + limits.dt, averaged(recent, limits)[0, 0]))
+    time, command = np.array(rows).T
+    return time, command, np.diff(command, prepend=command[0]) / limits.dt
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {

@@ -1,4 +1,6 @@
 import os
+from collections.abc import Iterator
+from itertools import count
 
 # One thread for each process of the tests, as several share the cores; tables as wide as without xdist.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -7,7 +9,7 @@ os.environ.pop("COLUMNS", None)
 import hypothesis
 import pytest
 import torch
-from jaxtyping import install_import_hook
+from jaxtyping import config, install_import_hook
 
 # Where tensors are handed over, shapes and types are checked at run time; the tower lets an int stand for a
 # float, as PEP 484 does. Not in what ticks 500 times a second: there the checks take longer than the work.
@@ -18,6 +20,10 @@ ROOMS = (
 install_import_hook(
     [f"pixel2catch.{room}" for room in ROOMS.split()],
     "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
+)
+
+CHECKED_STEPS = (
+    3  # Control steps of a test with checks, which take longer than the step; shapes stay as they are.
 )
 
 # Shared machines are too uneven for a deadline per example; the same examples in every run.
@@ -32,6 +38,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("gpu"):
             item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
+
+
+@pytest.fixture(autouse=True)
+def check_shapes_in_the_first_steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Check shapes up to the first control steps of a test."""
+    from pixel2catch.envs.catch_env import CatchEnv
+
+    step, taken = CatchEnv.step, count(1)
+
+    def counted(env: CatchEnv, actions: dict[str, torch.Tensor]) -> object:
+        if next(taken) > CHECKED_STEPS:
+            config.update("jaxtyping_disable", True)
+        return step(env, actions)
+
+    monkeypatch.setattr(CatchEnv, "step", counted)
+    yield
+    config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from domains import PATIENCE
 from pixel2catch.cli.main import main, parse
 from pixel2catch.own_files import VARIABLE, take_option
 
@@ -155,5 +156,7 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     notebook = nbformat.read(ROOT / "docs" / "catching.ipynb", as_version=4)
     said = [output.get("text") for cell in notebook.cells for output in cell.get("outputs", ())]
     assert any(text and "S.R." in text for text in said), "the notebook keeps its outputs"
-    client = nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}})
+    client = nbclient.NotebookClient(
+        notebook, timeout=int(PATIENCE), resources={"metadata": {"path": str(tmp_path)}}
+    )
     client.execute()  # raises where a cell does

@@ -3,7 +3,6 @@
 import dataclasses
 import hashlib
 import json
-import os
 import re
 import subprocess
 import sys
@@ -14,6 +13,7 @@ import pytest
 import torch
 import tyro
 
+import commands
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import COMMANDS, main
 from pixel2catch.cli.reproduce import METHODS
@@ -31,9 +31,7 @@ needs_no_cuda = pytest.mark.skipif(torch.cuda.is_available(), reason="this machi
 
 
 def pixel2catch(*args: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pixel2catch.cli.main", *map(str, args)]
-    environment = os.environ | {"COLUMNS": "100", "NO_COLOR": "1"}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=120)
+    return commands.pixel2catch(*args, COLUMNS="100", NO_COLOR="1")
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,12 @@
 
 import json
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from commands import pixel2catch
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.methods import MEMORIES, METHODS, find_method
 from pixel2catch.own_files import VARIABLE, take_option
@@ -72,46 +71,44 @@ def test_the_option_is_taken_wherever_it_stands(monkeypatch: pytest.MonkeyPatch,
     assert os.environ[VARIABLE] == os.pathsep.join(str(tmp_path / f"{name}.py") for name in ("a", "b", "c"))
 
 
-def pixel2catch(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pixel2catch.cli.main", *args]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the file and a training of each of its methods."""
     folder = tmp_path_factory.mktemp("own")
     (folder / "my_methods.py").write_text(FILE)
     for name in ("size_alone", "with_height"):
-        done = pixel2catch(folder, "train", f"my_methods.py:{name}", *TRAINING, "--out", name)
+        done = pixel2catch("train", f"my_methods.py:{name}", *TRAINING, "--out", name, folder=folder)
         assert done.returncode == 0, done.stderr
     return folder
 
 
 def test_a_run_of_an_own_method_is_evaluated_with_and_without_its_file(runs: Path):
     command = ("evaluate", "size_alone", *THROWS, "--json")
-    results = [pixel2catch(runs, *command), pixel2catch(runs, *command, "--import", "my_methods.py")]
+    results = [
+        pixel2catch(*command, folder=runs),
+        pixel2catch(*command, "--import", "my_methods.py", folder=runs),
+    ]
     first, second = (json.loads(result.stdout) | {"seconds": 0} for result in results)
     assert first == second
     assert first["method"] == "size_alone"
 
 
 def test_a_term_of_ones_own_needs_its_file(runs: Path):
-    refused = pixel2catch(runs, "evaluate", "with_height", *THROWS)
+    refused = pixel2catch("evaluate", "with_height", *THROWS, folder=runs)
     assert refused.returncode == 2
     assert "observes 'palm_height'" in refused.stderr
     assert "--import FILE.py" in refused.stderr
-    absent = pixel2catch(runs, "--import", "absent.py", "evaluate", "with_height")
+    absent = pixel2catch("--import", "absent.py", "evaluate", "with_height", folder=runs)
     assert (absent.returncode, "cannot import" in absent.stderr) == (2, True)
 
 
 def test_with_its_file_a_term_of_ones_own_is_evaluated_and_filmed(runs: Path):
     own = ("with_height", "--import", "my_methods.py")
-    evaluated = pixel2catch(runs, "evaluate", *own, *THROWS, "--json")
+    evaluated = pixel2catch("evaluate", *own, *THROWS, "--json", folder=runs)
     assert evaluated.returncode == 0, evaluated.stderr
     assert json.loads(evaluated.stdout)["method"] == "with_height"
     video = ("--throws", "1", "--objects", "cube_s", "--view", "rgb", "--out", "own.mp4")
-    filmed = pixel2catch(runs, "play", *own, *video)
+    filmed = pixel2catch("play", *own, *video, folder=runs)
     assert filmed.returncode == 0, filmed.stderr
     assert (runs / "own.mp4").stat().st_size > 0
 
@@ -120,7 +117,7 @@ def test_child_processes_know_the_file(runs: Path):
     """Of methods, of an object, and of a disturbance, which is sent to them."""
     thrown = (*THROWS[:-1], "my_methods.py:brick")
     options = ("--axes", "my_methods.py:heavy", "--jobs", "2", "--out", "stress", "--json")
-    result = pixel2catch(runs, "stress", "size_alone", "with_height", *thrown, *options)
+    result = pixel2catch("stress", "size_alone", "with_height", *thrown, *options, folder=runs)
     assert result.returncode == 0, result.stderr
     table = json.loads(result.stdout)
     policies = table["policies"]
@@ -144,10 +141,12 @@ WORKCELLS = (replace(UR5E_ALLEGRO, name="nearer", robots=(replace(robot, pos=(0.
 
 def test_a_work_cell_of_ones_own_is_trained_and_evaluated(tmp_path: Path):
     (tmp_path / "my_cell.py").write_text(CELL)
-    done = pixel2catch(tmp_path, "train", "proposed", "--workcell", "my_cell.py", *TRAINING, "--out", "run")
+    done = pixel2catch(
+        "train", "proposed", "--workcell", "my_cell.py", *TRAINING, "--out", "run", folder=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     command = ("evaluate", "run", *THROWS, "--json")
-    lost, found = (pixel2catch(tmp_path, *command, *more) for more in ((), ("--import", "my_cell.py")))
+    lost, found = (pixel2catch(*command, *more, folder=tmp_path) for more in ((), ("--import", "my_cell.py")))
     assert lost.returncode == 2
     assert "unknown work cell 'nearer'" in lost.stderr
     assert "--import FILE.py" in lost.stderr

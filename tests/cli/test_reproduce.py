@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from domains import PATIENCE
 from pixel2catch.cli.main import main
 from pixel2catch.cli.reproduce import METHODS as STUDY_METHODS
 from pixel2catch.methods import METHODS
@@ -51,13 +52,13 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     out = tmp_path_factory.mktemp("study") / "with a, comma"
     command = [sys.executable, "-m", "pixel2catch.cli.main", "reproduce", *TINY, "--out", str(out)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 100.0
+    deadline = time.monotonic() + PATIENCE
     while not (out / "runs" / RUN / "checkpoint.pt").exists():
         assert time.monotonic() < deadline
         assert process.poll() is None
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=PATIENCE)
     summary = read(out / "runs" / RUN / "summary.json")
     return Study(
         folder=out,
@@ -182,7 +183,7 @@ def test_two_methods_with_two_seeds_side_by_side(tmp_path: Path):
     methods = ("--methods", "only_wh", "proposed", "--seeds", "2", "--jobs-per-device", "2")
     command = [sys.executable, "-m", "pixel2catch.cli.main", "reproduce", *SMALL, *methods]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    subprocess.run([*command, "--out", str(tmp_path)], env=environment, check=True, timeout=500)
+    subprocess.run([*command, "--out", str(tmp_path)], env=environment, check=True, timeout=PATIENCE)
     rows = read(tmp_path / "report" / "table.json")["results"]
     assert [(row["method"], row["objects"]) for row in rows] == [
         (method, group) for method in ("only_wh", "proposed") for group in ("seen", "unseen")

@@ -51,7 +51,9 @@ def record(folder: Path, images: str, *, runs: bool = True) -> Path:
                 row = status(now + late, int(mode), value).row
                 recorder.record(SERVO, messages.float_array(row), bag + late)
             targets = np.full(NUM_JOINTS, 100.0 + step)
-            order = PolicyCommand(target_stamp=now + 0.002, image_stamp=now, joint_pos_target=targets)
+            order = PolicyCommand(
+                target_stamp=now + 0.002, image_stamp=now, box_stamp=now, joint_pos_target=targets
+            )
             recorder.record(ORDERS, messages.float_array(order.row), bag + 0.003)
             box = None if step == 4 else [10.0, 20.0, 30.0 + step, 40.0]
             recorder.record(PROFILE.operator.status, messages.text(json.dumps({"box": box})), bag + 0.003)

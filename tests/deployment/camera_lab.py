@@ -6,12 +6,12 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from loop_lab import BOX, picture
+from loop_lab import BOX, moved, picture
 from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
 
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, Publisher, RealClock, Transport, make_transport
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.process import set_niceness
@@ -40,7 +40,10 @@ class CameraLab(WireLab):
         self._images = transport.publisher(profile.camera.image)
         self._prompts = transport.publisher(profile.operator.prompt)
         self._stage, self._num_steps = transport, 0
-        self.age, self.pixels = AGE, picture()
+        self.age, self.jump, self._stamp = AGE, 0.0, 0.0
+        self.is_object_there = True
+        self.pixels: np.ndarray | None = None
+        self._others: list[Publisher] = []
         self.faults: dict[str, Callable[[], Any]] = {
             "none": self.mend,
             "arm": self.ask_to_arm,
@@ -52,6 +55,11 @@ class CameraLab(WireLab):
             "joints shuffled": lambda: setattr(self, "change", shuffled),
             "images late": lambda: setattr(self, "age", 0.15),
             "wrong image size": lambda: setattr(self, "pixels", np.zeros((240, 320, 3), dtype=np.uint8)),
+            "image frozen": lambda: setattr(self, "pixels", self._picture()),
+            "object gone": lambda: setattr(self, "is_object_there", False),
+            "stamps go back": self._go_back,
+            "another camera": lambda: self._others.append(transport.publisher(profile.camera.image)),
+            "box jumps": lambda: setattr(self, "jump", 180.0),
             "protective stop": lambda: self.say(profile.status.safety_mode, messages.safety_mode(3)),
             "slider": lambda: setattr(self, "speed", 50.0),
             "switch let go": lambda: setattr(self, "is_held", False),
@@ -60,22 +68,37 @@ class CameraLab(WireLab):
     def mend(self) -> None:
         """All is well again."""
         self.silent, self.change, self.age = set(), lambda reading: reading, AGE
-        self.pixels, self.speed, self.is_held = picture(), 100.0, True
+        self.is_object_there, self.pixels, self.jump, self.speed, self.is_held = True, None, 0.0, 100.0, True
         self._say_status()
 
     def step(self) -> None:
         """See `WireLab.step`."""
         super().step()
         if self._num_steps % IMAGE_TICKS == 0 and "camera" not in self.silent:
-            self._images.publish(messages.image(self.pixels, self.clock.stamp() - self.age))
+            self._show()
         self._num_steps += 1
+
+    def _go_back(self) -> None:
+        """Send an image that is older than the last, once."""
+        self._images.publish(messages.image(self._picture(), self._stamp - 0.05))
+
+    def _show(self) -> None:
+        """Send an image, with a stamp after the last one's."""
+        self._stamp = max(self._stamp + 1e-3, self.clock.stamp() - self.age)
+        pixels = self._picture() if self.pixels is None else self.pixels
+        self._images.publish(messages.image(pixels, self._stamp))
+
+    def _picture(self) -> np.ndarray:
+        """What there is to see; a box that jumps is elsewhere in every second picture."""
+        is_away = self._num_steps // IMAGE_TICKS % 2
+        return picture(moved(self.jump * is_away) if self.is_object_there else None)
 
 
 def laboratory(words: Connection, rate: float) -> None:
     """Be the laboratory until the other end of the pipe is closed; answer each word."""
     set_niceness(-10)
     clock = RealClock(rate)
-    with make_transport("dds", "laboratory", True, clock) as transport:
+    with make_transport("dds", "laboratory", LOOPBACK, clock) as transport:
         lab, due = CameraLab(transport, Profile.load("ur5e_allegro_v4"), clock), clock.now()
         try:
             while True:

@@ -26,6 +26,19 @@ class _Robots:
     follow: np.ndarray
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Lies:
+    """What encoders say in place of the truth: where they are frozen what they said last, else a law."""
+
+    scale: np.ndarray
+    offset: np.ndarray
+    is_frozen: np.ndarray
+    until: np.ndarray
+
+    def told(self, truth: np.ndarray, before: np.ndarray) -> np.ndarray:
+        return np.where(self.is_frozen, before, self.scale * truth + self.offset)
+
+
 class Chaos:
     """`num_rows` labs; `inputs` for a tick, then `follow` what the servo said."""
 
@@ -37,6 +50,8 @@ class Chaos:
         follow = np.minimum(limits.dt / limits.joints.lag, 1.0) * self.random.uniform(0.7, 1.4, (num_rows, 1))
         self.robots = _Robots(joint_pos=start, follow=follow)
         self.target, self.pressed = start.copy(), self.time.copy()
+        self.told, honest = start.copy(), np.zeros(start.shape)
+        self.lies = _Lies(scale=honest + 1.0, offset=honest, is_frozen=honest > 0.0, until=self.time)
         self.sent = {name: self.time.copy() for name in SENDERS}
         self.silent_until = {name: self.time - 1.0 for name in SENDERS}
 
@@ -47,22 +62,31 @@ class Chaos:
         self._send()
         self.pressed = np.where(self.random.random(self.rows) < 0.02, self.time, self.pressed)
         now = self._wrong(self.time, WRONG_STAMPS)
+        self._lie()
         joint_stamp = np.tile(self.sent["joint_stamp"][:, None], len(JOINTS))
         return ServoInputs(
             now=np.where(self._happens(), now - self.random.exponential(0.1, self.rows), now),
-            joint_pos=self._wrong(self.robots.joint_pos, STRANGE),
+            joint_pos=self._wrong(self.told, STRANGE),
             joint_stamp=self._wrong(joint_stamp, WRONG_STAMPS),
             joint_pos_target=self._wrong(self.target, STRANGE),
             target_stamp=self._wrong(self.sent["target_stamp"], WRONG_STAMPS),
             image_stamp=self._wrong(self.sent["image_stamp"], WRONG_STAMPS),
+            box_stamp=self._wrong(self.sent["image_stamp"], WRONG_STAMPS),
+            is_perception_sound=~self._happens(),
             dead_man_stamp=self._wrong(self.sent["dead_man_stamp"], WRONG_STAMPS),
             pressed_stamp=self.pressed,
             arm_stamp=self._requests(),
             is_stop_requested=self._happens(),
             is_safe=~self._happens(),
-            speed_scaling=np.where(self._happens(), self.random.choice([0.0, 0.9, np.nan], self.rows), 1.0),
+            speed_scaling=np.where(
+                self._happens(), self.random.choice([0.0, 0.9, 1.1, np.inf, np.nan], self.rows), 1.0
+            ),
+            is_status_known=~self._happens(),
+            has_controller=~self._happens(),
             has_other_publisher=self._happens(),
             has_other_operator=self._happens(),
+            has_subscriber=~self._happens(),
+            has_other_subscriber=self._happens(),
         )
 
     def follow(self, command: np.ndarray) -> None:
@@ -77,6 +101,24 @@ class Chaos:
         stuck = self._happens() & (self.random.random(self.rows) < 0.2)
         follow = np.where(stuck[:, None], 0.0, self.robots.follow)
         self.robots = replace(self.robots, joint_pos=joint_pos, follow=follow)
+
+    def _lie(self) -> None:
+        """Encoders of one joint or of all lie for a while: they jump away, run fast or slow, or freeze."""
+        lies, shape = self.lies, self.told.shape
+        begins = (self._happens() & (self.time > lies.until))[:, None]
+        is_over = (self.time > lies.until)[:, None] & ~begins
+        kind = np.where(begins & self._columns(shape), self.random.integers(1, 4, (self.rows, 1)), 0)
+        offset, scale = self.random.normal(0.0, 0.1, shape), self.random.uniform(0.0, 2.0, shape)
+        about = (1.0 - scale) * self.robots.joint_pos
+        self.lies = _Lies(
+            scale=np.where(kind == 2, scale, np.where(is_over, 1.0, lies.scale)),
+            offset=np.where(
+                kind == 1, offset, np.where(kind == 2, about, np.where(is_over, 0.0, lies.offset))
+            ),
+            is_frozen=(kind == 3) | (lies.is_frozen & ~is_over),
+            until=np.where(begins[:, 0], self.time + self.random.exponential(0.2, self.rows), lies.until),
+        )
+        self.told = self.lies.told(self.robots.joint_pos, self.told)
 
     def _pose(self, spread: float) -> np.ndarray:
         """Joints about the start pose; a wide spread may be beyond their limits."""
@@ -123,6 +165,9 @@ class Chaos:
         if values.ndim == 1:
             return np.where(is_wrong, self.random.choice(strange, self.rows), values)
         picked = self.random.choice(strange, (self.rows, 1))
-        joint = self.random.integers(-1, values.shape[1], (self.rows, 1))
-        columns = (np.arange(values.shape[1]) == joint) | (joint < 0)
-        return np.where(is_wrong[:, None] & columns, picked, values)
+        return np.where(is_wrong[:, None] & self._columns(values.shape), picked, values)
+
+    def _columns(self, shape: tuple[int, ...]) -> np.ndarray:
+        """All joints of a row, or one of them."""
+        joint = self.random.integers(-1, shape[1], (self.rows, 1))
+        return (np.arange(shape[1]) == joint) | (joint < 0)

@@ -28,6 +28,7 @@ class Laws:
         self.command: np.ndarray | None = None
         self.is_silent = np.ones(num_rows, dtype=np.bool_)
         self.change: np.ndarray | None = None
+        self.bend: np.ndarray | None = None
         self.last_tick = np.full(num_rows, np.nan)
         self.newest_request = np.full(num_rows, -np.inf)
         self.used_press = np.full(num_rows, -np.inf)
@@ -76,7 +77,11 @@ class Laws:
             & (now - inputs.dead_man_stamp <= limits.operator_age)
             & ~inputs.is_stop_requested
             & inputs.is_safe
-            & (inputs.speed_scaling >= 1.0)
+            & (inputs.speed_scaling == 1.0)
+            & inputs.is_status_known
+            & inputs.has_controller
+            & inputs.has_subscriber
+            & ~inputs.has_other_subscriber
             & ~inputs.has_other_publisher
             & ~inputs.has_other_operator
             & (inputs.joint_pos > limits.joints.least).all(axis=-1)
@@ -86,6 +91,7 @@ class Laws:
         sees = (now - inputs.image_stamp <= limits.image_age) & (
             now - inputs.target_stamp <= limits.target_age
         )
+        sees &= (now - inputs.box_stamp <= limits.box_age) & inputs.is_perception_sound
         makes_sense = np.isfinite(inputs.joint_pos_target).all(axis=-1)
         assert (sees & makes_sense)[np.isin(output.mode, DRIVEN)].all()
 
@@ -100,14 +106,16 @@ class Laws:
         was_silent = self.is_silent
         first = is_sent & was_silent
         assert (np.abs(command - inputs.joint_pos) <= joints.start_error + ROUNDING)[first].all()
-        if self.command is None or self.change is None:
+        if self.command is None or self.change is None or self.bend is None:
             return
         change = np.where(was_silent[:, None], 0.0, command - self.command)
         largest = np.minimum(joints.speed * limits.dt, joints.step)
         assert (np.abs(change) <= largest + ROUNDING)[is_sent].all()
         before = np.where(was_silent[:, None], 0.0, self.change)
-        change_of_change = np.abs(change - before)
-        assert (change_of_change <= joints.acceleration * limits.dt**2 + ROUNDING)[is_sent].all()
+        bend = change - before
+        assert (np.abs(bend) <= joints.acceleration * limits.dt**2 + ROUNDING)[is_sent].all()
+        kink = np.abs(bend - np.where(was_silent[:, None], 0.0, self.bend))
+        assert (kink <= joints.jerk * limits.dt**3 + ROUNDING)[is_sent].all()
         is_over = (output.mode == Mode.STOPPED) & is_sent & (self.stopped_ticks * limits.dt >= STOP_TIME)
         assert not np.abs(change[is_over]).any(), "a stop that still moves"
 
@@ -121,7 +129,9 @@ class Laws:
         previous = output.command if self.command is None else self.command
         is_new = np.logical_or.reduce(np.isnan(previous) | np.isnan(output.command), axis=-1)
         self.is_silent = np.logical_or.reduce(np.isnan(output.command), axis=-1)
-        self.change = np.where(is_new[:, None], 0.0, output.command - previous)
+        change = np.where(is_new[:, None], 0.0, output.command - previous)
+        self.bend = np.where(is_new[:, None], 0.0, change - (0.0 if self.change is None else self.change))
+        self.change = change
         self.command = output.command
         is_still = output.mode == Mode.STOPPED
         self.stopped_ticks = np.where(is_still & ~begun, self.stopped_ticks + 1, 0)

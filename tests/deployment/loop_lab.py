@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -16,32 +18,49 @@ from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import PixelFeatureExtractor
 from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.segmenter import Segmenter
+from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, Transport
+from pixel2catch.ros2.transport import Clock, Publisher, Transport
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.link import ServoEnd, ServoStatus, link
 from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])
 PROFILE = Profile.load("ur5e_allegro_v4")
-BOX = (300.0, 200.0, 330.0, 230.0)
+Box = tuple[float, float, float, float]
+
+BOX: Box = (300.0, 200.0, 330.0, 230.0)
 ASKING = 1e-4
 """Time that passes while somebody asks for it [s]."""
 
 RED = ColorRange(hue=(340.0, 20.0))
+NOISE = cycle(range(100, 140))
 
 
-def picture(box: tuple[float, float, float, float] | None = BOX) -> np.ndarray:
-    """Grey, with a red rectangle."""
+def picture(box: Box | None = BOX) -> np.ndarray:
+    """Grey, with a red rectangle; the first pixel is never that of the picture before."""
     image = np.full((480, 640, 3), 120, dtype=np.uint8)
+    image[0, 0, 0] = next(NOISE)
     if box:
         xmin, ymin, xmax, ymax = map(int, box)
         image[ymin:ymax, xmin:xmax] = (200, 30, 20)
     return image
+
+
+class EverythingRed(Segmenter):
+    """Takes whatever is red for the object, wherever it is."""
+
+    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+        return self.track(image, ignored)
+
+    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+        return Segmentation(mask=RED.mask(image), score=1.0)
+
+    def reset(self) -> None:
+        pass
 
 
 def remembering(method: str = "shared_reward+boxes") -> Controller:
@@ -105,12 +124,18 @@ class Surroundings:
     servo: ServoEnd
     lab: Transport
     clock: Clock
+    broker: Broker
 
     def show(self, image: np.ndarray, age: float = 0.0) -> float:
         """The camera sends an image of this age; when it was taken, `Clock.now`."""
         taken = self.clock.now() - age
-        self.lab.publisher(PROFILE.camera.image).publish(messages.image(image, self.clock.stamp() - age))
+        self.camera.publish(messages.image(image, self.clock.stamp() - age))
         return taken
+
+    @cached_property
+    def camera(self) -> Publisher:
+        """The only one."""
+        return self.lab.publisher(PROFILE.camera.image)
 
 
 @contextmanager
@@ -123,4 +148,10 @@ def surroundings() -> Iterator[Surroundings]:
         stack.callback(end.close)
         stack.callback(servo.close)
         connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, recording=None)
-        yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock)
+        yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock, broker=broker)
+
+
+def moved(by: float) -> Box:
+    """The box, so far to the right and down [px]."""
+    xmin, ymin, xmax, ymax = BOX
+    return xmin + by, ymin + by, xmax + by, ymax + by

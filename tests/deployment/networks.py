@@ -4,7 +4,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.ros2.transport import RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 
 MakeNode = Callable[[str], Transport]
 """Makes a node with a name."""
@@ -16,4 +16,4 @@ def memory_nodes(stack: ExitStack) -> MakeNode:
 
 
 def dds_nodes(stack: ExitStack) -> MakeNode:
-    return lambda name: stack.enter_context(make_transport("dds", name, loopback=True, clock=RealClock()))
+    return lambda name: stack.enter_context(make_transport("dds", name, LOOPBACK, RealClock()))

@@ -22,6 +22,12 @@ def given(**change: np.ndarray) -> Callable[[ServoInputs], ServoInputs]:
     return lambda good: replace(good, **change)
 
 
+def noisy(good: ServoInputs) -> ServoInputs:
+    """As encoders are."""
+    noise = 1e-5 * np.random.default_rng(int(1e4 * good.now[0])).standard_normal(good.joint_pos.shape)
+    return replace(good, joint_pos=good.joint_pos + noise)
+
+
 class Lab:
     """A core, and inputs in which all is well but for what a test changes.
 
@@ -30,7 +36,7 @@ class Lab:
 
     def __init__(self, num_rows: int = 1, limits: ServoLimits = LIMITS) -> None:
         self.core, self.limits = ServoCore(limits), limits
-        self.state = ServoState.idle(num_rows, len(JOINTS))
+        self.state = ServoState.idle(num_rows, limits)
         self.rows = num_rows
         self.time = 100.0
         self.target = np.tile(HOME, (num_rows, 1))
@@ -52,6 +58,8 @@ class Lab:
             joint_pos_target=self.target.copy(),
             target_stamp=np.full(self.rows, self._target_stamp),
             image_stamp=now - 0.03,
+            box_stamp=now - 0.03,
+            is_perception_sound=np.ones(self.rows, dtype=bool),
             dead_man_stamp=now,
             pressed_stamp=np.full(self.rows, self.pressed),
             arm_stamp=np.full(self.rows, -np.inf),
@@ -59,7 +67,11 @@ class Lab:
             is_safe=np.ones(self.rows, dtype=bool),
             speed_scaling=np.ones(self.rows),
             has_other_publisher=np.zeros(self.rows, dtype=bool),
+            is_status_known=np.ones(self.rows, dtype=bool),
+            has_controller=np.ones(self.rows, dtype=bool),
             has_other_operator=np.zeros(self.rows, dtype=bool),
+            has_subscriber=np.ones(self.rows, dtype=bool),
+            has_other_subscriber=np.zeros(self.rows, dtype=bool),
         )
 
     def tick(self, distort: Callable[[ServoInputs], ServoInputs] | None = None) -> Output:

@@ -49,7 +49,8 @@ class Stage:
         setup = ServoSetup(profile=profile, limits=LIMITS, is_dry_run=is_dry_run)
         self.node = self.broker.node(self.clock)
         self.servo = Servo(end, self.node, setup, self.clock)
-        self.lab = WireLab(self.broker.node(self.clock), loop, profile, self.clock)
+        self.laboratory = self.broker.node(self.clock)
+        self.lab = WireLab(self.laboratory, loop, profile, self.clock)
 
     def play(self, script: Iterator[None]) -> None:
         """Run until the script is over and the robot stands."""

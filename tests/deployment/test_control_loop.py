@@ -73,7 +73,7 @@ def test_from_the_prompt_on_every_image_gives_orders_and_a_status():
     with surroundings() as around:
         led = LedLoop(around)
         led.say(Mode.ARMED)
-        around.show(picture())
+        around.show(picture(), age=0.02)
         assert led.step()["verdict"] == "no prompt"
         assert around.servo.receive() == []
         led.point(json.dumps({"box": BOX}))
@@ -202,7 +202,7 @@ def test_a_camera_without_stamps_is_told_of_once():
         messages_said, before = list[str](), 0.0
         for _ in range(4):
             image, before = messages.image(picture(), 0.0), around.clock.now()
-            around.lab.publisher(PROFILE.camera.image).publish(image)
+            around.camera.publish(image)
             messages_said.append(led.step()["message"])
         assert [bool(said) for said in messages_said].count(True) == 1
         assert "have no stamps" in "".join(messages_said)

@@ -22,8 +22,8 @@ from rosbags.typesys import Stores, get_typestore
 from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.dds import LOOPBACK, MESSAGE, dds_type
-from pixel2catch.ros2.transport import RealClock, Topic, make_transport
+from pixel2catch.ros2.dds import MESSAGE, THIS_MACHINE, dds_type
+from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock, Topic, make_transport
 
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
 MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)
@@ -115,19 +115,19 @@ def test_a_domain_that_does_not_exist_is_refused(make, monkeypatch, text):
 
 def test_an_unknown_transport_is_refused():
     with pytest.raises(UnknownNameError, match="Did you mean 'dds'"):
-        make_transport("dss", "node", loopback=True, clock=RealClock())
+        make_transport("dss", "node", LOOPBACK, RealClock())
 
 
 def test_where_ros_2_is_not_sourced_its_transport_says_what_to_do():
     if find_spec("rclpy"):
         pytest.skip("ROS 2 is sourced")
     with pytest.raises(DeploymentError, match=r"source ROS 2 .* or take the transport dds"):
-        make_transport("ros", "node", loopback=True, clock=RealClock())
+        make_transport("ros", "node", LOOPBACK, RealClock())
 
 
 def echo() -> None:
     """The other process: turn every joint state's positions over, until it gets one without joints."""
-    with make_transport("dds", "echo", loopback=True, clock=RealClock()) as node:
+    with make_transport("dds", "echo", LOOPBACK, RealClock()) as node:
         states, answers = node.subscription(STATES, depth=10), node.publisher(ECHO)
         node.publisher(MODE).publish(messages.safety_mode(1))
         while node.wait(PATIENCE):
@@ -167,7 +167,7 @@ def test_two_processes_talk_over_the_loopback_interface(make):
 
 def shout(is_sent) -> None:
     """Another process, with the configuration of CYCLONEDDS_URI: send a latched message and stay."""
-    with make_transport("dds", "driver", loopback=False, clock=RealClock()) as node:
+    with make_transport("dds", "driver", ANY, RealClock()) as node:
         node.publisher(MODE).publish(messages.safety_mode(1))
         is_sent.set()
         time.sleep(4.0 * PATIENCE)
@@ -177,8 +177,10 @@ def shout(is_sent) -> None:
 def test_a_rehearsal_does_not_hear_a_robots_driver_on_this_machine(make, monkeypatch, is_of_the_rehearsal):
     """The driver's node is reachable, but has no tag."""
     tag = "<Tag>pixel2catch</Tag>"
-    assert tag in LOOPBACK
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK if is_of_the_rehearsal else LOOPBACK.replace(tag, ""))
+    assert tag in THIS_MACHINE
+    monkeypatch.setenv(
+        "CYCLONEDDS_URI", THIS_MACHINE if is_of_the_rehearsal else THIS_MACHINE.replace(tag, "")
+    )
     node = make("node")
     node.subscription(MODE)
     context = multiprocessing.get_context("spawn")

@@ -19,7 +19,7 @@ from camera_lab import laboratory
 from domains import PATIENCE, own_domain
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
 
 RATE = 0.05
@@ -35,7 +35,7 @@ class Watcher:
     def __init__(self, node: Transport, clock: RealClock, stack: ExitStack, folder: Path) -> None:
         self.clock, self._stack = clock, stack
         self._statuses = node.subscription(PROFILE.operator.status, 50)
-        self._commands = node.subscription(ARM, 2000)
+        self._commands = node.subscription(ARM, 2000, only_watches=True)
         self.statuses: list[dict[str, Any]] = []
         self.commands: list[tuple[float, np.ndarray]] = []
         self.log = folder / "deploy.txt"
@@ -44,7 +44,7 @@ class Watcher:
 
     def _start_deploy(self) -> subprocess.Popen[bytes]:
         """Deploy, with eyes for red."""
-        command = [sys.executable, "-m", "pixel2catch", "deploy", "--loopback", "--clock", str(RATE)]
+        command = [sys.executable, "-m", "pixel2catch", "deploy", "--clock", str(RATE)]
         command += ["--segmenter", "color", "--color", "340", "20", "--record", str(self.log.parent / "tape")]
         file = self._stack.enter_context(self.log.open("wb"))
         process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT)
@@ -84,8 +84,8 @@ class Watcher:
     def status(self) -> dict[str, Any]:
         return self.statuses[-1] if self.statuses else {"mode": "", "found": ["nothing yet"]}
 
-    def run(self) -> None:
-        """All is well, the operator presses the switch and arms, and the robot is commanded.
+    def run(self, modes: tuple[str, ...] = ("armed", "ramp", "run")) -> None:
+        """All is well, the operator presses the switch and arms, and the robot is in one of the modes.
 
         On a machine that is busy with tests the laboratory may itself be late: then it is armed anew.
         """
@@ -95,13 +95,13 @@ class Watcher:
         self.until(lambda: self.status["mode"] in ("idle", "stopped"))
         asked = [-1.0]
 
-        def is_commanded() -> bool:
+        def is_in_mode() -> bool:
             if self.status["mode"] in ("idle", "stopped") and self.clock.now() > asked[-1] + 2.0 * STOP_TIME:
                 self.say("arm")
                 asked.append(self.clock.now())
-            return self.status["mode"] in ("armed", "ramp", "run")
+            return self.status["mode"] in modes
 
-        self.until(is_commanded)
+        self.until(is_in_mode)
 
 
 @pytest.fixture
@@ -109,7 +109,7 @@ def watcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watcher
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
     with ExitStack() as stack:
         clock = RealClock(RATE)
-        node = stack.enter_context(make_transport("dds", "watcher", True, clock))
+        node = stack.enter_context(make_transport("dds", "watcher", LOOPBACK, clock))
         yield Watcher(node, clock, stack, tmp_path)
 
 
@@ -124,6 +124,26 @@ def test_it_stops_without_a_laboratory_goes_on_with_a_new_one_and_ends_without_i
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
         os.kill(int(child), signal.SIGKILL)
     assert watcher.deploy.wait(PATIENCE) == 2
-    assert "press its stop" in watcher.log.read_text(errors="replace")
+    said = watcher.log.read_text(errors="replace")
+    assert "press its stop" in said
+    assert "arm: joints up to 2.79 rad/s; commands up to 10 rad/s, 300 rad/s²" in said
     assert np.isfinite([command for _, command in watcher.commands]).all()
     assert (watcher.log.parent / "tape" / "tape.mcap").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_a_frozen_image_a_second_camera_and_a_lost_object_stop_it(watcher: Watcher):
+    """It is said in words. A machine that is busy may stop it before: then once more."""
+    for fault, words in (
+        ("image frozen", "perception unsound"),
+        ("object gone", "object lost"),
+        ("another camera", "perception unsound"),
+    ):
+        while words not in watcher.status.get("stopped_by", ()):
+            watcher.run(("armed",))
+            watcher.say("point")
+            watcher.until(lambda: watcher.status["mode"] in ("ramp", "run", "stopped"))
+            watcher.say(fault)
+            watcher.until(lambda: watcher.status["mode"] == "stopped")
+            print(fault, watcher.status["stopped_by"])
+        watcher.say("switch let go")

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 from camera_lab import CameraLab
-from loop_lab import PROFILE, RED
+from loop_lab import PROFILE, EverythingRed
 from servo_rows import LIMITS
 
-from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
+from pixel2catch.deployment.image_subscriber import NUM_EQUAL
+from pixel2catch.deployment.policy_pipeline import FADE_STEPS, Controller, make_pipeline
 from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
-from pixel2catch.scene.constants import RGB_CAMERA
-from pixel2catch.servo.limits import STOP_TIME
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.servo.limits import LOSS_TIME, STOP_TIME
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 
@@ -35,14 +35,14 @@ class Watcher:
         self.start_laboratory()
         node = self.broker.node(self.clock)
         self._statuses = node.subscription(PROFILE.operator.status, 50)
-        self._commands = node.subscription(ARM, 50)
+        self._commands = node.subscription(ARM, 50, only_watches=True)
         self.statuses: list[dict[str, Any]] = []
         self.commands: list[tuple[float, np.ndarray]] = []
         policy, _ = load_policy(None)
         prompter = Prompter()
         pipeline = make_pipeline(
             Controller(policy, find_workcell(PROFILE.workcell)),
-            ColorThreshold(RED),
+            EverythingRed(),
             prompter,
             RGB_CAMERA,
             None,
@@ -139,7 +139,11 @@ def watcher() -> Iterator[Watcher]:
         ("NaN joint", {"joints not finite"}),
         ("joint missing", {"joints stale"}),
         ("images late", {"image stale"}),
-        ("wrong image size", {"image stale"}),
+        ("wrong image size", {"perception unsound"}),
+        ("image frozen", {"perception unsound"}),
+        ("another camera", {"perception unsound"}),
+        ("stamps go back", {"perception unsound"}),
+        ("box jumps", {"perception unsound"}),
         ("protective stop", {"safety mode"}),
         ("slider", {"speed scaling"}),
         ("switch let go", {"dead man"}),
@@ -185,7 +189,7 @@ def test_a_killed_laboratory_stops_everything_and_a_new_one_can_be_armed(watcher
     watcher.run()
     watcher.kill_laboratory()
     watcher.until(lambda: watcher.status["mode"] == "stopped")
-    assert {"joints stale", "image stale"} & set(watcher.status["stopped_by"])
+    assert {"joints stale", "image stale", "no subscriber"} & set(watcher.status["stopped_by"])
     watcher.start_laboratory()
     watcher.run()
 
@@ -199,3 +203,56 @@ def test_somebody_else_who_commands_the_robot_stops_it(watcher: Watcher):
     num_commands = len(watcher.commands)
     watcher.wait(STOP_TIME)
     assert len(watcher.commands) == num_commands  # it does not fight
+
+
+def speed(watcher: Watcher, seconds: float) -> float:
+    """How fast an arm's commands are for some time [rad/s]."""
+    num = len(watcher.commands)
+    watcher.wait(seconds)
+    moved = np.abs(np.diff([command for _, command in watcher.commands[num:]], axis=0)).max(axis=1)
+    return float(moved.mean()) / LIMITS.dt
+
+
+def test_a_frozen_image_stops_the_robot_within_a_few_images_and_says_why(watcher: Watcher):
+    watcher.run()
+    watcher.say("image frozen")
+    begin = watcher.clock.time
+    watcher.until(lambda: watcher.status["mode"] == "stopped")
+    assert watcher.clock.time - begin < (NUM_EQUAL + 2) * CONTROL_DT
+    assert "is frozen" in watcher.status["message"]
+
+
+def test_without_an_object_the_robot_waits_armed_for_as_long_as_the_switch_is_held(watcher: Watcher):
+    watcher.say("object gone")
+    watcher.wait(0.3)
+    watcher.say("arm")
+    watcher.until(lambda: watcher.status["mode"] == "armed")
+    watcher.wait(LOSS_TIME + 0.2)
+    assert (watcher.status["mode"], watcher.status["object"]) == ("armed", "never seen")
+
+
+def test_an_object_that_is_hidden_for_a_while_is_waited_for_at_rest(watcher: Watcher):
+    """Seen again, the policy goes on; nobody has to arm."""
+    watcher.run()
+    assert watcher.status["object"] == "seen"
+    watcher.say("object gone")
+    watcher.until(lambda: watcher.status["object"] == "searching")
+    watcher.wait((FADE_STEPS + 3) * CONTROL_DT)
+    assert speed(watcher, 0.3) < 1e-6
+    watcher.say("none")
+    watcher.until(lambda: watcher.status["object"] == "seen")
+    assert speed(watcher, 0.3) > 1e-3
+    assert watcher.status["mode"] == "run"
+
+
+def test_an_object_that_is_gone_for_long_is_lost_and_whoever_goes_there_is_no_object(watcher: Watcher):
+    watcher.run()
+    watcher.say("object gone")
+    begin = watcher.clock.time
+    watcher.until(lambda: watcher.status["mode"] == "stopped", 2.0 * LOSS_TIME)
+    assert watcher.clock.time - begin == pytest.approx(LOSS_TIME, abs=0.2)
+    assert (watcher.status["stopped_by"], watcher.status["object"]) == (["object lost"], "lost")
+    watcher.say("none")
+    watcher.until(lambda: watcher.status["object"] == "seen")
+    watcher.wait(0.2)
+    assert watcher.status["mode"] == "stopped"

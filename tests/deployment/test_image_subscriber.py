@@ -1,14 +1,16 @@
 """Images from the network: the newest counts, a bad one does not, and each knows where the robot was."""
 
 from dataclasses import replace
+from timeit import repeat
 
 import numpy as np
 import pytest
 from loop_lab import HOME, PROFILE, Surroundings, picture, surroundings
 
-from pixel2catch.deployment.image_subscriber import ImageSubscriber
+from pixel2catch.deployment.image_subscriber import DISTRUST_TIME, NUM_EQUAL, ImageSubscriber, are_equal
 from pixel2catch.mdp.sensing import ASSUMED_AGE
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.transport import Topic
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
 
@@ -41,7 +43,7 @@ def test_the_stamp_is_of_the_exposure_on_the_monotonic_clock():
 
 def age_of_next(images: ImageSubscriber, around: Surroundings, stamp: float) -> float:
     """Age of an image with this stamp in its header, in control steps."""
-    around.lab.publisher(PROFILE.camera.image).publish(messages.image(picture(), stamp))
+    around.camera.publish(messages.image(picture(), stamp))
     frame = images.newest()
     assert frame is not None
     assert images.stamp == frame.stamp
@@ -79,6 +81,7 @@ def test_an_image_that_is_late_is_not_taken_for_one_without_a_stamp():
     with surroundings() as around:
         images = images_in(around, assumes_age=True)
         age_of_next(images, around, around.clock.stamp() - 0.02)
+        around.clock.sleep_until(around.clock.now() + 3.0)
         assert age_of_next(images, around, around.clock.stamp() - 2.0) > 59.0
         assert images.take_notice() == ""
 
@@ -105,15 +108,14 @@ def test_joints_are_those_at_the_time_of_the_image():
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (messages.image(np.zeros((240, 320, 3), dtype=np.uint8), 1.0), "sends 320 x 240 rgb8"),
         (messages.image(picture(), 1.0)[:1000], "disagree about the type"),
         (b"", "disagree about the type"),
     ],
 )
-def test_a_bad_image_is_none_and_says_why(data: bytes, words: str):
+def test_an_image_that_cannot_be_read_is_passed_over_and_says_why(data: bytes, words: str):
     with surroundings() as around:
         images = images_in(around)
-        around.lab.publisher(PROFILE.camera.image).publish(data)
+        around.camera.publish(data)
         assert images.newest() is None
         assert words in images.message
         around.show(picture())
@@ -128,14 +130,107 @@ def test_another_lens_than_the_calibrated_one_is_refused():
         lens = around.lab.publisher(info)
         lens.publish(messages.camera_info(RGB_CAMERA, 0.0))
         images.newest()
+        assert images.problem == ""
         for wrong in (1.05 * RGB_CAMERA.fx, np.inf, np.nan):
             lens.publish(messages.camera_info(replace(RGB_CAMERA, fx=wrong), 0.0))
             around.show(picture())
             assert images.newest() is None
-            assert "calibrate" in images.message
+            assert "calibrate" in images.problem
         lens.publish(b"garbage")
         around.show(picture())
         assert images.newest() is None
         lens.publish(messages.camera_info(RGB_CAMERA, 0.0))
         around.show(picture())
         assert images.newest() is not None
+
+
+def test_a_frozen_image_is_found_though_its_stamps_are_fresh_and_a_repeated_one_is_passed_over():
+    with surroundings() as around:
+        images, frozen, found = images_in(around), picture(), list[tuple[bool, bool]]()
+        for _ in range(NUM_EQUAL + 2):
+            taken = around.show(frozen)
+            found.append((images.newest() is not None, bool(images.problem)))
+            assert images.problem or images.stamp == pytest.approx(taken, abs=0.01)
+        assert found == [(True, False)] + [(False, False)] * (NUM_EQUAL - 2) + [(False, True)] * 3
+        assert "frozen" in images.problem
+        around.show(picture())
+        assert images.newest() is not None
+        assert images.problem == ""
+
+
+def test_two_equal_images_in_a_row_are_no_fault_however_often():
+    with surroundings() as around:
+        images = images_in(around)
+        for _ in range(5):
+            twice = picture()
+            for is_new in (True, False):
+                around.show(twice)
+                assert (images.newest() is not None) is is_new
+                assert images.problem == ""
+
+
+def test_the_same_message_again_says_nothing_of_the_camera():
+    with surroundings() as around:
+        images, data = images_in(around), messages.image(picture(), around.clock.stamp())
+        for _ in range(2 * NUM_EQUAL):
+            around.camera.publish(data)
+            images.newest()
+        assert images.problem == ""
+
+
+@pytest.mark.parametrize("topic", [PROFILE.camera.image, PROFILE.camera.info])
+def test_two_cameras_are_not_trusted(topic: Topic):
+    """They may show the same; it is enough that there are two."""
+    with surroundings() as around:
+        images = images_in(around)
+        own = around.camera if topic == PROFILE.camera.image else around.lab.publisher(topic)
+        around.show(picture())
+        assert images.newest() is not None
+        other = around.broker.node(around.clock)
+        with other:
+            other.publisher(topic)
+            around.clock.sleep_until(around.clock.now() + 0.21)
+            around.show(picture())
+            assert images.newest() is None
+            assert f"several publish {topic.name}" in images.problem
+        around.clock.sleep_until(around.clock.now() + 0.21)
+        around.show(picture())
+        assert images.newest() is not None
+        assert images.problem == ""
+        assert own
+
+
+def test_images_of_two_cameras_by_turns_are_not_trusted():
+    """Nor is a recording that begins anew: an image is older than the one before it."""
+    with surroundings() as around:
+        images = images_in(around)
+        for age in (0.02, 0.06, 0.02):
+            around.show(picture(), age=age)
+        assert images.newest() is None
+        assert "older than the one before" in images.problem
+        around.clock.sleep_until(around.clock.now() + DISTRUST_TIME)
+        assert images.problem == ""
+        around.show(picture())
+        assert images.newest() is not None
+
+
+def test_images_of_another_size_are_not_trusted():
+    with surroundings() as around:
+        images = images_in(around)
+        for pixels, words in (
+            (picture(), ""),
+            (np.zeros((240, 320, 3), dtype=np.uint8), "sends 320 x 240 rgb8"),
+        ):
+            around.show(pixels)
+            assert (images.newest() is None) is bool(words)
+            assert words in images.problem
+        around.show(picture())
+        assert images.newest() is not None
+        assert images.problem == ""
+
+
+def test_a_look_for_frozen_images_costs_next_to_nothing():
+    """Images of a camera differ in the first pixels that are compared; the best of many is the machine's."""
+    images = [picture() for _ in range(2)]
+    before, now = (messages.read_image(messages.image(each, 1.0)).pixels for each in images)
+    assert min(repeat(lambda: are_equal(before, now), number=1, repeat=50)) < 1e-3

@@ -9,6 +9,7 @@ import pytest
 from paper_robot import JOINTS
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.ros2.profile import DriverJoint, MotionBudget, Profile, RobotPart
 from pixel2catch.servo.limits import JointLimits, ServoLimits
 from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -72,3 +73,57 @@ def test_limits_that_are_none_are_refused():
 def test_without_identified_dynamics_commands_are_as_slow_as_joints_may_be():
     joints = JointLimits.of(UR5E_ALLEGRO, 0.5, is_identified=False)
     np.testing.assert_allclose(joints.speed, [0.5 * 0.9 * joint.velocity_limit for joint in JOINTS])
+
+
+def part(name: str, joints: list[str], **limits: float) -> RobotPart:
+    return replace(
+        next(part for part in Profile.load("ur5e_allegro_v4").robots if part.name == name),
+        joints={joint: DriverJoint(name_in_state=joint, index_in_command=0) for joint in joints},
+        limits=MotionBudget(**limits),
+    )
+
+
+def test_a_budget_lowers_the_limits_of_its_part_and_of_no_other():
+    """2 of 2.79253 rad/s: commands and lead in that proportion, and a share of the speed on top of it."""
+    own, joints = JointLimits.of(UR5E_ALLEGRO), [joint.name for joint in JOINTS[:6]]
+    budget = part("arm", joints, speed=2.0, acceleration=150.0, jerk=2e4)
+    lower = JointLimits.of(UR5E_ALLEGRO, 0.5, parts=(budget,))
+    np.testing.assert_allclose(lower.lead[:6], own.lead[:6] * 0.5 * 2.0 / 2.79253)
+    np.testing.assert_allclose(lower.speed[:6], 0.5 * 2.0 / 2.79253 * 10.0)
+    np.testing.assert_allclose(lower.joint_speed[:6], 1.0 + 0.15 * 2.79253)
+    assert (lower.acceleration[:6] == 150.0).all()
+    assert (lower.jerk[:6] == 2e4).all()
+    assert (lower.deceleration[:6] == 20.0).all()
+    for name in ("acceleration", "jerk", "deceleration"):
+        np.testing.assert_array_equal(getattr(lower, name)[6:], getattr(own, name)[6:])
+    np.testing.assert_allclose(lower.speed[6:], 10.0)
+    words = ServoLimits.of(UR5E_ALLEGRO, lower).in_words(np.arange(6))
+    assert words == (
+        "joints up to 1 rad/s; commands up to 3.58 rad/s, 150 rad/s², 20000 rad/s³; a stop takes 0.05 s"
+    )
+
+
+def test_a_budget_above_the_servos_own_limits_changes_nothing():
+    budget = part("hand", ["thumb_joint_0"], speed=100.0, acceleration=1e9, jerk=1e12)
+    for name, value in vars(JointLimits.of(UR5E_ALLEGRO, parts=(budget,))).items():
+        np.testing.assert_array_equal(value, getattr(JointLimits.of(UR5E_ALLEGRO), name), name)
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"acceleration": 30.0}, r"braking takes up to 0\.3\d* s; raise acceleration and jerk or lower the"),
+        ({"jerk": 3e3}, r"braking takes up to 0\.2\d* s; raise acceleration and jerk or lower the speed"),
+        ({"acceleration": 10.0, "speed": 2.5}, r"braking takes up to"),
+    ],
+)
+def test_a_budget_with_which_no_stop_ends_in_time_is_refused(limits: dict[str, float], words: str):
+    joints = [joint.name for joint in JOINTS[:6]]
+    with pytest.raises(InvalidValueError, match=words):
+        ServoLimits.of(UR5E_ALLEGRO, JointLimits.of(UR5E_ALLEGRO, parts=(part("arm", joints, **limits),)))
+
+
+def test_a_stop_that_takes_a_joint_too_long_is_refused():
+    joints = JointLimits.of(UR5E_ALLEGRO)
+    with pytest.raises(InvalidValueError, match=r"a stop takes a joint up to 0\.251 s; raise the decel"):
+        ServoLimits.of(UR5E_ALLEGRO, replace(joints, deceleration=0.5 * joints.deceleration))

@@ -62,6 +62,16 @@ def test_a_joint_state_is_the_bytes_that_ros_2_sends():
     assert messages.joint_state(["a"], [0.5], 3.25) == LITTLE + stamp + frame + names + position + nothing
 
 
+def test_controllers_that_are_active_are_known_by_their_state():
+    """A header of the year 1970, two controllers with number, name and label each, and no hardware."""
+    data = messages.activity({"up": messages.ACTIVE, "down": 2}, 0.0)
+    empty = b"\0\0\0\0\0\0\0\0\1\0\0\0\0\0\0\0"
+    up = b"\3\0\0\0up\0\3\1\0\0\0\0\0\0\0"
+    down = b"\5\0\0\0down\0\2\0\0\1\0\0\0\0\0\0\0"
+    assert data == LITTLE + empty + b"\2\0\0\0" + up + down + b"\0\0\0\0"
+    assert messages.read_active_controllers(data) == {"up"}
+
+
 def test_what_is_read_is_what_was_written():
     reading = messages.read_joint_state(EXAMPLES["joint_state"])
     assert (reading.names, reading.position.tolist(), reading.stamp) == (("a", "bc"), [0.5, -1.0], 3.25)

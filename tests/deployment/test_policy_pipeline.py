@@ -5,9 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from loop_lab import BOX, HOME, PROFILE, new_pipeline, picture, remembering
+from loop_lab import BOX, HOME, PROFILE, Box, EverythingRed, moved, new_pipeline, picture, remembering
 
-from pixel2catch.deployment.policy_pipeline import BOX_AGE, LONGEST_LOOK, Controller, PolicyPipeline
+from pixel2catch.deployment.policy_pipeline import (
+    BOX_AGE,
+    FADE_STEPS,
+    LONGEST_LOOK,
+    Controller,
+    PolicyPipeline,
+)
+from pixel2catch.deployment.sight import LONGEST_GAP, NUM_JUMPS
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
@@ -15,15 +22,12 @@ from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.servo.limits import LOSS_TIME
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.workcells import find_workcell
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 PROMPT = BoxPrompt(box=BOX)
-
-
-def moved(by: float) -> tuple[float, float, float, float]:
-    xmin, ymin, xmax, ymax = BOX
-    return xmin + by, ymin + by, xmax + by, ymax + by
 
 
 def frame(stamp: float, by: float = 0.0) -> CameraFrame:
@@ -146,9 +150,102 @@ def test_a_perception_that_hangs_is_said_and_gives_no_orders():
     pipeline = new_pipeline(controller=remembering())
     pipeline.point(PROMPT)
     see(pipeline, frame(1.0), 1.02)
-    for step in range(1, 40):
+    for step in range(1, 30):
         stamp = 1.0 + step * CONTROL_DT
         see(pipeline, CameraFrame(image=picture(None), stamp=stamp), stamp)
         assert pipeline.decide(HOME, stamp)
     with pytest.raises(DeploymentError, match=r"looked at is 0\.4 s old"):
-        pipeline.decide(HOME, 1.0 + 39 * CONTROL_DT + LONGEST_LOOK + 0.01)
+        pipeline.decide(HOME, 1.0 + 29 * CONTROL_DT + LONGEST_LOOK + 0.01)
+
+
+ARM = slice(0, 6)
+
+
+def run(pipeline: PolicyPipeline, steps: range, box: Box | None) -> np.ndarray:
+    """Targets of control steps in which the joints are where they were to be; each image is 20 ms old."""
+    targets, joint_pos = list[np.ndarray](), HOME
+    for step in steps:
+        stamp = step * CONTROL_DT
+        command = think(
+            pipeline, CameraFrame(image=picture(box), stamp=stamp), joint_pos + 0.01 * step, stamp + 0.02
+        )
+        assert command is not None
+        assert command.box_stamp == pipeline.sight.box_stamp
+        targets.append(command.joint_pos_target)
+    return np.array(targets)
+
+
+@pytest.mark.parametrize("is_told", [False, True])
+def test_while_nothing_is_seen_the_arm_comes_to_rest_and_the_hand_holds(is_told: bool):
+    """The policy goes on for the gaps of its training; at rest no target changes, whatever the joints do."""
+    pipeline = new_pipeline(controller=remembering() if is_told else None)
+    pipeline.point(PROMPT)
+    run(pipeline, range(4), BOX)
+    last, num = 3, round(LONGEST_GAP / CONTROL_DT)
+    blind = run(pipeline, range(last + 1, last + 40), None)
+    going_on, held = blind[: num - 1], blind[num - 1 :]
+    assert (np.abs(np.diff(going_on[:, ARM], axis=0)).max(axis=1) > 0.0).all()
+    assert not np.diff(held[:, 6:], axis=0).any()
+    assert np.diff(held[:FADE_STEPS, ARM], axis=0).any()
+    assert not np.diff(held[FADE_STEPS - 1 :], axis=0).any()
+    rest = HOME + 0.01 * (last + num + FADE_STEPS - 1)
+    assert held[-1, ARM] == pytest.approx(rest[ARM])
+
+
+def test_seen_again_the_policy_goes_on_as_from_the_pose_that_was_held():
+    used, fresh = (remembering("shared_reward+age") for _ in range(2))
+    pipeline = new_pipeline(controller=used)
+    pipeline.point(PROMPT)
+    run(pipeline, range(4), BOX)
+    held = run(pipeline, range(4, 40), None)[-1]
+    again = think(pipeline, frame(2.0), HOME, 2.02)
+    fresh.reset(torch.tensor(held[None], dtype=torch.float32))
+    boxes = BoxHistory.begun(torch.tensor([BOX]), torch.tensor([0.02 / CONTROL_DT]), 1)
+    expected = fresh.step(torch.tensor(HOME[None], dtype=torch.float32), boxes)[0].numpy()
+    assert again is not None
+    assert again.joint_pos_target == pytest.approx(expected, abs=1e-6)
+    assert again.box_stamp == 2.0
+
+
+def test_the_words_for_what_is_known_of_the_object():
+    pipeline = new_pipeline()
+    assert pipeline.sight.at(9.0) == "never seen"
+    pipeline.point(PROMPT)
+    see(pipeline, frame(1.0), 1.02)
+    ages = (0.02, LONGEST_GAP - 0.001, LONGEST_GAP + 0.001, LOSS_TIME - 0.001, LOSS_TIME + 0.001)
+    words = [str(pipeline.sight.at(1.0 + age)) for age in ages]
+    assert words == ["seen", "seen", "searching", "searching", "lost"]
+    pipeline.forget()
+    assert pipeline.sight.at(1.1) == "never seen"
+
+
+@pytest.mark.parametrize("is_told", [False, True])
+def test_a_box_that_jumps_never_reaches_the_policy_as_motion(is_told: bool):
+    """Another thing, 250 px off, is refused until it can be the same; then it is one that stands still."""
+    policy, _ = load_policy(Path("proposed"))
+    controller = remembering() if is_told else Controller(policy, UR5E_ALLEGRO)
+    pipeline = new_pipeline(EverythingRed(), controller)
+    pipeline.point(PROMPT)
+    verdicts, boxes = list[str](), list[torch.Tensor]()
+    for step in range(8):
+        stamp = step * CONTROL_DT
+        seen = see(pipeline, frame(stamp, 0.0 if step < 3 else 180.0), stamp + 0.02)
+        assert pipeline.decide(HOME, stamp + 0.02)
+        verdicts.append(str(seen.verdict))
+        boxes.append(seen_boxes(controller).box[0])
+    assert verdicts == ["seen"] * 3 + ["jump"] * 2 + ["seen"] * 3
+    for known in boxes:
+        assert not (known[1:] - known[:-1]).any()
+    assert boxes[4][0].tolist() == list(BOX)
+    assert boxes[5][0].tolist() == list(moved(180.0))
+    assert pipeline.sight.problem == ""
+
+
+def test_a_box_that_jumps_again_and_again_is_no_objects():
+    pipeline = new_pipeline(EverythingRed())
+    pipeline.point(PROMPT)
+    for step in range(2 * NUM_JUMPS):
+        see(pipeline, frame(step * CONTROL_DT, 150.0 * (step % 2)), step * CONTROL_DT)
+    assert "no thrown one can be" in pipeline.sight.problem
+    pipeline.forget()
+    assert pipeline.sight.problem == ""

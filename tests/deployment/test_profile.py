@@ -145,7 +145,7 @@ def test_a_robot_without_the_policys_joints_is_refused_with_their_names(tmp_path
     def change(content):
         hand = content["robots"][1]
         del hand["joints"]["thumb_joint_3"]
-        hand["held"][3] = 0.0
+        hand["held"][3] = {"angle": 0.0}
 
     with pytest.raises(
         DeploymentError, match="'ur5e_allegro_v4' has no thumb_joint_3, which the policy moves"
@@ -176,8 +176,19 @@ MISTAKES = [
     ),
     ("robots.0.command_size", 7, "places 0 to 6, joints and held have [0, 1, 2, 3, 4, 5]: give each place"),
     ("robots.1.held.4", GONE, "a command has places 0 to 15, joints and held have [0, 1, 2, 3, 5,"),
-    ("robots.1.held.4", float("nan"), "the held angles must be numbers"),
-    ("robots.1.rate_hz", 0, "robots[1]: rate_hz must be positive"),
+    ("robots.0.limits", {"velocity": 2}, "robots[0]: limits: unknown key 'velocity'"),
+    ("robots.0.limits", {"speed": 0}, "robots[0]: limits: speed is 0; it must be more than 0"),
+    ("robots.0.limits", {"jerk": float("nan")}, "robots[0]: limits: jerk is nan; it must be more than 0"),
+    ("robots.0.limits", {"speed": "2"}, "limits: speed: '2' is not of type float"),
+    (
+        "robots.1.held.4.angle",
+        float("nan"),
+        "robots[1]: held.4: angle is nan rad; it must be from -6.283 to",
+    ),
+    ("robots.1.held.4.angle", 1e6, "robots[1]: held.4: angle is 1e+06 rad; it must be from -6.283 to 6.283"),
+    ("robots.1.held.4", 0.0, "held.4: 0.0 has no keys"),
+    ("robots.1.held.4.name_in_state", "ah_joint11", "the joint state's name ah_joint11 is given twice"),
+    ("robots.1.rate_hz", 0, "robots[1]: rate_hz is 0; it must be positive"),
     (
         "robots.0.command_topic.type",
         messages.NUMBER,

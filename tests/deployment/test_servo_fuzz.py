@@ -19,7 +19,7 @@ from pixel2catch.servo.watchdogs import Fault
 
 def watched(num_rows: int, num_ticks: int, seed: int) -> Laws:
     """What was seen in `num_rows * num_ticks` ticks of chaos."""
-    core, state = ServoCore(LIMITS), ServoState.idle(num_rows, len(JOINTS))
+    core, state = ServoCore(LIMITS), ServoState.idle(num_rows, LIMITS)
     chaos, laws = Chaos(num_rows, LIMITS, seed), Laws(num_rows, LIMITS)
     for _ in range(num_ticks):
         inputs = chaos.inputs()

@@ -18,7 +18,12 @@ NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))
 
 def policy_command(stamp: float = 1.0) -> PolicyCommand:
     return PolicyCommand(
-        joint_pos_target=NUMBERS, target_stamp=stamp, image_stamp=0.5, is_stop_requested=True
+        joint_pos_target=NUMBERS,
+        target_stamp=stamp,
+        image_stamp=0.5,
+        box_stamp=0.4,
+        is_perception_sound=False,
+        is_stop_requested=True,
     )
 
 

@@ -14,7 +14,7 @@ from wire_lab import WireLab
 
 from domains import PATIENCE, own_domain
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport, make_transport
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.process import RunningServo, ServoSetup, start_servo
@@ -84,7 +84,7 @@ def theatre(monkeypatch: pytest.MonkeyPatch) -> Iterator[Theatre]:
 
 
 def join(name: str, clock: RealClock) -> Transport:
-    return make_transport("dds", name, loopback=True, clock=clock)
+    return make_transport("dds", name, LOOPBACK, clock)
 
 
 def leave(theatre: Theatre) -> None:

@@ -178,13 +178,14 @@ def test_without_the_device_the_switch_is_let_go(device: Device, switches: Switc
 
 def test_the_command_speaks_over_dds_until_its_end(device: Device, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
-    command = [sys.executable, "-m", "pixel2catch", "operate", str(device.path), "--loopback"]
+    command = [sys.executable, "-m", "pixel2catch", "operate", str(device.path)]
     with ExitStack() as stack:
         node = dds_nodes(stack)("laboratory")
         queue = node.subscription(PROFILE.operator.dead_man, depth=1000)
         process = stack.enter_context(subprocess.Popen(command, stderr=subprocess.PIPE))
         stack.callback(process.kill)
         assert process.stderr is not None
+        assert b"network: lo, the digital twin on this machine" in process.stderr.readline()
         assert b"listening" in process.stderr.readline()
         device.press(HOLD)
         said = until(queue, 3)

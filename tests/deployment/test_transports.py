@@ -110,6 +110,23 @@ def test_other_publishers_are_counted_and_own_ones_are_not(make: MakeNode):
         publishers[-1].publish(messages.number(0.0))
 
 
+def test_subscribers_are_counted_but_for_those_that_only_watch(make: MakeNode):
+    mine, other, third = make("mine"), make("other"), make("third")
+    publisher = mine.publisher(NUMBER)
+    assert publisher.num_subscribers() == 0
+    watching = other.subscription(NUMBER, only_watches=True)
+    other.num_other_publishers(NUMBER)
+    for node in (other, third):
+        node.subscription(NUMBER)
+    third.subscription(Topic(name=NUMBER.name, type=messages.TEXT))
+    third.subscription(Topic(name=NUMBER.name, type=NUMBER.type, is_latched=True))  # it does not hear us
+    assert publisher.num_subscribers() == 2
+    publisher.publish(messages.number(1.0))
+    assert messages.read_number(wait_for(other, watching)) == 1.0
+    third.close()
+    assert publisher.num_subscribers() == 1
+
+
 def test_a_publisher_that_leaves_is_no_message(make: MakeNode):
     sender, receiver = make("sender"), make("receiver")
     subscription = receiver.subscription(NUMBER, depth=5)

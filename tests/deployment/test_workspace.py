@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from paper_robot import ARM_JOINTS, JOINTS
 from pixel2catch.robots.allegro import PALM
-from pixel2catch.robots.geometry import WorkcellGeometry, first_chain
+from pixel2catch.robots.geometry import TABLE_CLEARANCE, WorkcellGeometry, first_chain
 from pixel2catch.robots.workcell import TableSpec
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.servo.workspace import Workspace
+from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FINGERS = tuple(finger.name for finger in PALM.fingers)
@@ -80,6 +81,66 @@ def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(workcell: str):
             half = half_extents(model, data, geom, axes)
             assert (middle - half >= np.array(PALM.lower)).all()
             assert (middle + half <= np.array(PALM.upper)).all()
+
+
+HANDS = ("ur5e_allegro", "ur5e_allegro_right")
+
+
+def geoms_of(model: mujoco.MjModel, *bodies: str, with_children: bool = True) -> list[int]:
+    """What collides of bodies, and of those that they carry."""
+    found = {model.body(name).id for name in bodies}
+    for child in range(min(found), model.nbody if with_children else 0):
+        found |= {child} if model.body_parentid[child] in found else set()
+    return [g for g in range(model.ngeom) if model.geom_bodyid[g] in found and model.geom_group[g] == 3]
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_the_closer_box_holds_the_hand_alone(name: str):
+    model, data = model_of(name)
+    workcell = find_workcell(name)
+    palm = workcell.palms[0].spec
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
+    assert palm.hand
+    random = np.random.default_rng(6)
+    for number in range(300):
+        pose = random.uniform(lower, upper)
+        put(model, data, np.where(random.random(len(pose)) < 0.5, lower, upper) if number % 2 else pose)
+        axes, origin = data.body(palm.body).xmat.reshape(3, 3), data.body(palm.body).xpos
+        for geom in geoms_of(model, palm.body):
+            middle = axes.T @ (data.geom_xpos[geom] - origin)
+            half = half_extents(model, data, geom, axes)
+            assert (middle - half >= np.array(palm.hand[0])).all()
+            assert (middle + half <= np.array(palm.hand[1])).all()
+
+
+ANYWHERE = {"lower": (-9.0, -9.0, -9.0), "upper": (9.0, 9.0, 9.0), "clearance": -9.0}
+"""A workspace without walls and table."""
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_no_pose_inside_has_the_hand_at_its_own_arm(name: str):
+    """By MuJoCo's own distances, in poses anywhere; of those about the start pose nearly all are inside."""
+    model, data = model_of(name)
+    workcell = find_workcell(name)
+    joints = workcell.joints
+    lower, upper, home = np.array([(joint.lower, joint.upper, joint.home) for joint in joints]).T
+    random = np.random.default_rng(7)
+    poses = random.uniform(lower, upper, (1200, len(joints)))
+    about = home[:6] + random.uniform(-0.5, 0.5, (1200, 6))
+    poses[600:, :6] = about[600:].clip(lower[:6], upper[:6])
+    is_inside = Workspace(workcell=workcell, **ANYWHERE).contains(poses[:, :6])
+    is_free = np.array([own_distance(model, data, pose) > 0.0 for pose in poses])
+    assert not (is_inside & ~is_free).any()
+    assert (~is_free[:600]).sum() > 20
+    assert is_inside[600:][is_free[600:]].mean() > 0.97
+
+
+def own_distance(model: mujoco.MjModel, data: mujoco.MjData, pose: np.ndarray) -> float:
+    """Distance between hand or last link, and forearm or upper arm [m]."""
+    put(model, data, pose)
+    hand = geoms_of(model, "wrist_3_link")
+    arm = geoms_of(model, "upper_arm_link", "forearm_link", with_children=False)
+    return min(mujoco.mj_geomDistance(model, data, one, other, 1.0, None) for one in hand for other in arm)
 
 
 def test_no_pose_inside_touches_the_table():
@@ -168,8 +229,9 @@ def test_what_costs_in_training_is_what_the_servo_holds_back():
     arm_pos = HOME + random.uniform(-1.6, 1.6, (4000, 6))
     joint_pos = torch.from_numpy(np.pad(arm_pos, ((0, 0), (0, 13)))).float()
     depth = WorkcellGeometry(UR5E_ALLEGRO).depth_in_table(joint_pos)[:, 0].numpy()
-    is_clear = Workspace(workcell=UR5E_ALLEGRO, lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, 9.0)).contains(
-        arm_pos
-    )
+    workspace = Workspace(workcell=UR5E_ALLEGRO, **ANYWHERE)
+    is_clear = replace(workspace, clearance=TABLE_CLEARANCE).contains(arm_pos)
+    is_low = ~is_clear & workspace.contains(arm_pos)  # not for the hand at its own arm
     assert not (depth[is_clear] > 0.0).any()
-    assert (depth[~is_clear] > 0.0).mean() > 0.9
+    assert is_low.sum() > 500
+    assert (depth[is_low] > 0.0).mean() > 0.9

@@ -30,12 +30,14 @@ class WireLab:
         self.servo_statuses: list[ServoStatus] = []
         self.image_age, self.speed, self.is_held = 0.03, 100.0, True
         self._tick = 0
+        self._controllers = [part.controller for part in profile.robots if part.controller]
         self._publishers = {topic.name: transport.publisher(topic) for topic in self._topics()}
         self._heard = {part.name: transport.subscription(part.command_topic, 50) for part in profile.robots}
 
     def _topics(self) -> Iterator[Topic]:
         status, operator = self.profile.status, self.profile.operator
         watched = (status.safety_mode, status.robot_mode, status.program_running, status.speed_scaling)
+        yield from {each.activity.name: each.activity for each in self._controllers}.values()
         yield from {part.state_topic.name: part.state_topic for part in self.profile.robots}.values()
         yield from (topic for topic in watched if topic)
         yield from (operator.arm, operator.dead_man, operator.stop)
@@ -53,6 +55,8 @@ class WireLab:
         self.say(status.safety_mode, messages.safety_mode(1))
         self.say(status.robot_mode, messages.robot_mode(7))
         self.say(status.program_running, messages.boolean(True))
+        for each in self._controllers:
+            self.say(each.activity, messages.activity({each.name: messages.ACTIVE, "other": 1}, 0.0))
 
     def step(self) -> None:
         """Let 2 ms pass in the laboratory."""
@@ -69,7 +73,12 @@ class WireLab:
             now = self.clock.now()
             image_stamp = now - self.image_age
             self.loop.send(
-                PolicyCommand(joint_pos_target=self.target, target_stamp=now, image_stamp=image_stamp)
+                PolicyCommand(
+                    joint_pos_target=self.target,
+                    target_stamp=now,
+                    image_stamp=image_stamp,
+                    box_stamp=image_stamp,
+                )
             )
         self.servo_statuses += self.loop.receive()
         self._tick += 1

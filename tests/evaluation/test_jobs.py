@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from domains import PATIENCE
 from pixel2catch.errors import StudyError
 from pixel2catch.evaluation.comparison.jobs import Job, Runner, Slot, Status, last_lines, locked
 
@@ -117,7 +118,7 @@ def test_an_error_while_watching_leaves_nothing_running(tmp_path: Path):
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from domains import PATIENCE
 from pixel2catch.cli.main import main
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.episode import Episode
@@ -64,7 +65,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def node(script: str, *args: str | Path) -> Any:
     command = ["node", str(Path(__file__).with_name(script)), *map(str, args)]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert result.returncode == 0, result.stderr
     return json.loads(result.stdout)
 

@@ -15,6 +15,7 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, ReachingEnv
 
+from domains import PATIENCE
 from pixel2catch.cli.main import main
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.learning.distributed import Workers, start_workers
@@ -51,7 +52,7 @@ def pair(what: str, folder: Path, device: str = "cpu") -> list[tuple[int, str]]:
         start(SCRIPT, what, folder, device, RANK=rank, LOCAL_RANK=rank, MASTER_PORT=port, **common)
         for rank in "01"
     ]
-    outputs = [process.communicate(timeout=120)[0] for process in processes]
+    outputs = [process.communicate(timeout=PATIENCE)[0] for process in processes]
     return [(process.returncode, output) for process, output in zip(processes, outputs, strict=True)]
 
 
@@ -90,7 +91,7 @@ def test_the_command_writes_one_run_which_one_process_resumes(tmp_path: Path) ->
     size = ("--num-envs", "8", "--rollout-steps", "4", "--hidden", "16", "--checkpoint-seconds", "0")
     command = ("train", "proposed", "--device", "cpu", *size, "--out", str(run))
     process = torchrun("-m", "pixel2catch", *command, "--transitions", "64")
-    output, _ = process.communicate(timeout=120)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, output
     assert output.count("finished: 64 transitions") == 1
     assert len(list(run.glob("events.out.tfevents.*"))) == 1
@@ -111,7 +112,7 @@ def test_interruption(tmp_path: Path) -> None:
         pass
     process.send_signal(signal.SIGINT)
     started = time.monotonic()
-    output, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert time.monotonic() - started < 20
     assert output.count("go on with --resume") == 1, output
     ended = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2)]

@@ -17,6 +17,7 @@ import pytest
 import torch
 from reaching import CONTRACT, SMALL, Observation, ReachingCfg, ReachingEnv, Step
 
+from domains import PATIENCE
 from pixel2catch.errors import (
     CheckpointError,
     DeviceUnavailableError,
@@ -285,7 +286,7 @@ def test_interruption(number: signal.Signals, tmp_path: Path) -> None:
     assert "transitions" in process.stdout.readline()
     process.send_signal(number)
     started = time.monotonic()
-    output, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert time.monotonic() - started < 20
     assert "status interrupted" in output

@@ -17,6 +17,7 @@ import pytest
 from filmed import CAMERA, HELD, PATH, box_at, compressed, jpeg, save_bag, save_camera, save_video, throw
 from tiny_sam2 import save_tiny_sam2
 
+from domains import PATIENCE
 from pixel2catch.cli.main import main
 from pixel2catch.cli.track import SUMMARY, TABLE, VIDEO
 from pixel2catch.installation import install_command
@@ -196,7 +197,7 @@ def test_a_missing_extra_is_named(files: Path, tmp_path: Path):
 
 def interrupt_once_there(file: Path) -> None:
     """Do what Ctrl-C does, a moment after a file has come into being."""
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + PATIENCE
     while not file.exists() and time.monotonic() < end:
         time.sleep(0.01)
     time.sleep(0.2)

@@ -1,6 +1,8 @@
 """The whole deployment and its twin in step: all of it but processes, network and real time."""
 
 import json
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +13,16 @@ import torch
 
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.control_loop import GRACE, SHIFT
+from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
 from pixel2catch.deployment.recorder import ORDERS
 from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.loading import task_of
 from pixel2catch.methods import find_method
+from pixel2catch.perception.color import ColorThreshold
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.policy import Policy, contract_of
+from pixel2catch.rendering.camera import Exposure
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.scene.constants import CONTROL_DT
@@ -24,7 +30,19 @@ from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.shipped import policy_folder
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, LATENCY
-from pixel2catch.twin.stepped import HOP, rehearse_stepped
+from pixel2catch.twin.rehearsal import run_trial
+from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
+from pixel2catch.twin.stepped import (
+    GREY,
+    HOP,
+    NOISE,
+    RED,
+    RED_HUES,
+    Draw,
+    SteppedRehearsal,
+    plain_image,
+    rehearse_stepped,
+)
 from pixel2catch.workcells import find_workcell
 
 POLICY = Policy.load(policy_folder(Path("proposed")))
@@ -192,3 +210,49 @@ def test_a_rehearsal_can_be_repeated():
 def test_with_perfect_boxes_it_catches_about_as_often_as_the_evaluation():
     report = rehearsed(replace(ONE, throws=40, seed=0), task=task_of(POLICY))
     assert report["success_rate"] >= 34 / 40  # 94 % of 200; fewer than 34 of 40 in one case of 50
+
+
+@contextmanager
+def seen_by(draw: Draw) -> Iterator[SteppedRehearsal]:
+    """A rehearsal whose camera sees what is drawn."""
+    workcell = find_workcell(TASK.scene.workcell)
+    controller = Controller(POLICY, workcell, TASK.scene.camera)
+    pipeline = make_pipeline(controller, ColorThreshold(RED_HUES), Prompter(), TASK.scene.camera, None)
+    with closing(SteppedRehearsal(ONE, TASK, draw, pipeline, None)) as rehearsal:
+        yield rehearsal
+
+
+@pytest.mark.slow
+def test_an_image_that_freezes_in_the_flight_stops_the_robot():
+    frozen = list[np.ndarray]()
+
+    def draw(lab: SimulatedLab, exposure: Exposure) -> np.ndarray:
+        if lab.phase is not Phase.FLYING or not frozen:
+            frozen[:] = [plain_image(lab, exposure)]
+        return frozen[0]
+
+    with seen_by(draw) as rehearsal:
+        outcome = run_trial(rehearsal.operator, 3)
+    assert (outcome.stops, outcome.is_success) == (["perception unsound"], False)
+
+
+@pytest.mark.slow
+def test_an_object_that_vanishes_in_the_flight_leaves_the_arm_at_rest():
+    """And armed: the robot is not stopped before the end of the throw."""
+    flown, speeds = [0], dict[int, float]()
+
+    def draw(lab: SimulatedLab, exposure: Exposure) -> np.ndarray:
+        image = plain_image(lab, exposure)
+        if lab.phase is Phase.FLYING:
+            flown[0] += 1
+            speeds[flown[0]] = float(np.abs(lab.joints.velocity[:6]).max())
+            image[image[..., 0] > GREY + NOISE] = GREY if flown[0] > 2 else RED
+        return image
+
+    with seen_by(draw) as rehearsal:
+        outcome = run_trial(rehearsal.operator, 3)
+    assert outcome.stops == []
+    assert max(speeds.values()) > 0.5
+    at_rest = [speed for flown, speed in speeds.items() if flown > 24]
+    assert at_rest
+    assert max(at_rest) < 0.05

@@ -17,7 +17,7 @@ from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.rendering.renderer import find_gl_backend
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import RealClock, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
 from pixel2catch.twin.lab_node import COMMAND, STATE
 
 RATE = 0.5
@@ -45,7 +45,7 @@ def twin(monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
 
 def test_it_throws_when_asked_and_ends_with_ctrl_c(twin: subprocess.Popen[str]):
     clock, profile = RealClock(RATE), Profile.load("ur5e_allegro_v4")
-    with make_transport("dds", "operator", loopback=True, clock=clock) as node:
+    with make_transport("dds", "operator", LOOPBACK, clock) as node:
         states, requests = node.subscription(STATE, depth=100_000), node.publisher(COMMAND)
         begin = clock.stamp()
         images = node.subscription(profile.camera.image, depth=4)

@@ -137,6 +137,8 @@ def sentence(status: dict[str, Any]) -> str:
             parts.append(f"{name.replace('_', ' ')} {', '.join(status[name])}")
     if status["mode"] == "idle" and status["found"]:
         parts.append(f"not ready: {', '.join(status['found'])}")
+    if status.get("object"):
+        parts.append(f"object: {status['object']}")
     if status["mode"] == "stopped" and (latency := status.get("latency_ms")):
         times = ", ".join(f"{name} {latency[name]:.0f}" for name in ("p50", "p90", "p99"))
         parts.append(f"image to command [ms]: {times}")

@@ -209,12 +209,12 @@ def dds() -> str:
     if importlib.util.find_spec("cyclonedds") is None:
         raise Absent(f"not looked at without cyclonedds: {install_command('deployment')}")
     from pixel2catch.ros2 import messages
-    from pixel2catch.ros2.transport import RealClock, Topic, make_transport
+    from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, make_transport
 
     topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
     with (
-        make_transport("dds", "doctor", True, clock) as ear,
-        make_transport("dds", "d", True, clock) as mouth,
+        make_transport("dds", "doctor", LOOPBACK, clock) as ear,
+        make_transport("dds", "d", LOOPBACK, clock) as mouth,
     ):
         heard, sent = ear.subscription(topic), mouth.publisher(topic)
         begin = clock.now()

@@ -1,5 +1,6 @@
 """Options of the commands that move a robot, or its digital twin."""
 
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pixel2catch.checks import AtMostFull, DynamicsPath
+from pixel2catch.ros2.transport import ANY, LOOPBACK, NetworkName, RealClock, make_transport
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.recorder import Connection, Images
@@ -39,17 +41,35 @@ class Network:
 
     robot: Robot = field(default_factory=Robot)  #: The robot.
     transport: Literal["dds", "ros"] = "dds"  #: dds: DDS by itself; ros: rclpy of a sourced ROS 2.
-    loopback: bool = False  #: Speak to this machine only, as the digital twin does.
+    #: Network of the robot, one interface of this machine, such as eth0, or any: what CYCLONEDDS_URI says, or
+    #: DDS takes. lo is this machine only, on which the digital twin is heard, and no robot's driver.
+    network: NetworkName = LOOPBACK
     clock: AtMostFull = 1.0  #: Seconds in a real second: 1, or the --clock of a digital twin.
 
     @contextmanager
     def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
-        """Be a node of the network by a name, with a clock that all agree on."""
-        from pixel2catch.ros2.transport import RealClock, make_transport
+        """Be a node of the network by a name, with a clock that all agree on; say which network it is."""
+        from pixel2catch.cli.console import say
 
         clock = RealClock(self.clock)
-        with make_transport(self.transport, node, self.loopback, clock) as transport:
+        with make_transport(self.transport, node, self.network, clock) as transport:
+            domain = os.environ.get("ROS_DOMAIN_ID") or 0
+            say(f"network: {self.network}, {self._reach}; ROS_DOMAIN_ID {domain}")
             yield transport, clock
+
+    @property
+    def is_twin(self) -> bool:
+        """Whether it can be no robot's driver that is heard: by DDS on this machine only the twin is."""
+        return self.network == LOOPBACK and self.transport == "dds"
+
+    @property
+    def _reach(self) -> str:
+        """Who is reached, in words."""
+        if self.is_twin:
+            return "the digital twin on this machine; for a robot: --network INTERFACE"
+        if self.network == LOOPBACK:
+            return "what ROS 2 is on this machine"
+        return "whatever DDS reaches" if self.network == ANY else "all that this interface reaches"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,12 +90,11 @@ class Link(Network):
         The stack ends it all: first the servo, which stops the robot.
         """
         from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
-        from pixel2catch.ros2.transport import make_transport
         from pixel2catch.servo.process import ServoSetup, start_servo
 
         limits = self._limits(profile)
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)
-        join = partial(make_transport, self.transport, f"{NODE}_servo", self.loopback)
+        join = partial(make_transport, self.transport, f"{NODE}_servo", self.network)
         recorder = stack.enter_context(BagRecorder(record)) if record else None
         transport, clock = stack.enter_context(self.join(NODE))
         recording = DeploymentRecorder(recorder, transport, profile, clock, images) if recorder else None
@@ -96,8 +115,13 @@ class Link(Network):
         dynamics = JointDynamics.nominal(specs=workcell.joints)
         if self.dynamics:
             dynamics = DynamicsFile.load(self.dynamics, workcell).dynamics.over(dynamics)
-        elif not self.loopback:
+        elif not self.is_twin:
             say("no --dynamics: commands are no faster than the joints may be; identify the robot to catch")
-        is_identified = self.loopback or self.dynamics is not None
-        joints = JointLimits.of(workcell, self.speed, dynamics, is_identified=is_identified)
-        return ServoLimits.of(workcell, joints)
+        is_identified = self.is_twin or self.dynamics is not None
+        joints = JointLimits.of(
+            workcell, self.speed, dynamics, is_identified=is_identified, parts=profile.robots
+        )
+        limits = ServoLimits.of(workcell, joints)
+        for part in profile.robots:
+            say(f"{part.name}: {limits.in_words(part.ids)}")
+        return limits

@@ -199,9 +199,6 @@ class ControlLoop:
         look, self._look = self._look, None
         took = look.end - look.begin if look else 0.0
         policy_command, complaint = self._decide()
-        if policy_command:
-            self.statistics.note_command(policy_command)
-            policy_command = replace(policy_command, image_stamp=min(self._images.stamp, now))
         self._timer.advance(now, is_even=policy_command is not None)
         self._due = self._timer.due
         return self._conclude(policy_command, complaint, look, began=now - took)
@@ -209,8 +206,9 @@ class ControlLoop:
     def _show_servo(self, frame: CameraFrame) -> None:
         """Tell the servo of an image at once: how old the newest one is does not depend on decisions."""
         if self._sent and self._mode in ACTIVE:
-            image_stamp = min(frame.stamp, self._clock.now())
-            self._connection.servo.send(replace(self._sent, image_stamp=image_stamp))
+            newest, is_sound = min(frame.stamp, self._clock.now()), not self._problem
+            told = replace(self._sent, image_stamp=newest, is_perception_sound=is_sound)
+            self._connection.servo.send(told)
 
     def _step(self, frame: CameraFrame | None) -> dict[str, Any]:
         """One control step; without a new image it is the last one's again."""
@@ -253,10 +251,11 @@ class ControlLoop:
             times = {"received": look.received, "begun": look.begin, "looked": look.end, "decided": end}
             self.statistics.count_stages(look.frame.stamp, times)
         trouble = self._recording.trouble if self._recording else ""
-        message = (
-            self._message or self._images.message or complaint or (seen.message if seen else "") or trouble
-        )
-        status = self.statistics.status(seen, self._images.take_notice() or message)
+        of_image = self._images.message or (seen.message if seen else "")
+        message = self._message or self._problem or of_image or complaint or trouble
+        sight = self._pipeline.sight
+        message = self._images.take_notice() or message
+        status = self.statistics.status(seen, message, sight.at(end), end - sight.box_stamp)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
             if policy_command:
@@ -264,12 +263,23 @@ class ControlLoop:
             self._recording.record_messages()
         return status
 
+    @property
+    def _problem(self) -> str:
+        """Why perception cannot be trusted; empty if it can."""
+        return self._images.problem or self._pipeline.sight.problem
+
     def _decide(self) -> tuple[PolicyCommand | None, str]:
-        """A command, if there can be one, and what is wrong."""
+        """A command, if there can be one, and what is wrong; the servo is told of the newest image."""
+        now = self._clock.now()
         try:
-            return self._pipeline.decide(self._joint_pos, self._clock.now()), ""
+            policy_command = self._pipeline.decide(self._joint_pos, now)
         except (NonFiniteError, DeploymentError) as error:
             return None, str(error)
+        if policy_command is None:
+            return None, ""
+        self.statistics.note_command(policy_command)
+        newest, is_sound = min(self._images.stamp, now), not self._problem
+        return replace(policy_command, image_stamp=newest, is_perception_sound=is_sound), ""
 
 
 def read_prompt(data: bytes) -> Prompt:

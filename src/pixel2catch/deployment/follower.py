@@ -76,7 +76,9 @@ class TrajectoryFollower:
             return
         elapsed = now - self._armed_at - self._ramp_time
         target = self._targets(elapsed)
-        policy_command = PolicyCommand(joint_pos_target=target, target_stamp=now, image_stamp=now)
+        policy_command = PolicyCommand(
+            joint_pos_target=target, target_stamp=now, image_stamp=now, box_stamp=now
+        )
         self._connection.servo.send(policy_command)
         if self._connection.recording:
             self._connection.recording.record_row(ORDERS, policy_command.row, now)
@@ -88,7 +90,11 @@ class TrajectoryFollower:
         if np.isfinite(self._armed_at):
             now, still = connection.clock.now(), self._targets(self._duration)
             stop = PolicyCommand(
-                joint_pos_target=still, target_stamp=now, image_stamp=now, is_stop_requested=True
+                joint_pos_target=still,
+                target_stamp=now,
+                image_stamp=now,
+                box_stamp=now,
+                is_stop_requested=True,
             )
             connection.servo.send(stop)
         connection.clock.sleep_until(connection.clock.now() + STOP_TIME)

@@ -22,6 +22,75 @@ LENS_TOLERANCE = 0.02  #: Relative difference of focal lengths, and of centres b
 EARLIEST, LATEST = -0.05, 0.5
 """Age at arrival of images whose stamps can be meant [s]. Source: ours; outside it is another clock's."""
 
+NUM_EQUAL = 4
+"""Equal images in a row that no camera takes, as its sensor has noise. Source: ours; a recording, or a camera
+that is asked for more images than it takes, may repeat one."""
+
+THINNING = 8  #: Rows and columns of which one is compared before all are [px]. Source: ours.
+DISTRUST_TIME = (
+    1.0  #: Time for which images are not trusted after one that is older than its predecessor [s].
+)
+POLL_TIME = 0.2  #: Time between two counts of the cameras [s]. Source: ours, as the servo's.
+
+
+class ImageChecks:
+    """Finds out whether the images can be those of one camera that looks."""
+
+    def __init__(self, transport: Transport, profile: CameraProfile, clock: Clock) -> None:
+        """Trust the camera."""
+        self._transport, self._profile, self._clock = transport, profile, clock
+        self._before: ImageReading | None = None
+        self._num_equal, self._next_poll, self._distrusted_until = 1, -inf, -inf
+        self._others = self._size = self._older = ""
+
+    @property
+    def problem(self) -> str:
+        """Why the images cannot be trusted; empty if they can."""
+        if self._num_equal >= NUM_EQUAL:
+            name = self._profile.image.name
+            return (
+                f"the image on {name} is frozen: new ones have the same pixels. Restart the camera's driver."
+            )
+        is_distrusted = self._clock.now() < self._distrusted_until
+        return self._others or self._size or (self._older if is_distrusted else "")
+
+    def count_cameras(self) -> None:
+        """Look from time to time how many cameras there are."""
+        if (now := self._clock.now()) < self._next_poll:
+            return
+        self._next_poll = now + POLL_TIME
+        topics = [topic for topic in (self._profile.image, self._profile.info) if topic]
+        shared = [topic.name for topic in topics if self._transport.num_other_publishers(topic) > 1]
+        self._others = f"several publish {' and '.join(shared)}: end all but one." if shared else ""
+
+    def is_new(self, reading: ImageReading) -> bool:
+        """Take note of the next image; say whether it is none that was there before."""
+        before, self._before = self._before, reading
+        self._size = ""
+        try:
+            self._profile.require(reading)
+        except DeploymentError as error:
+            self._size = str(error)
+        if before is None or self._size:
+            self._num_equal = 1
+            return not self._size
+        if 0.0 < reading.stamp < before.stamp:
+            self._distrusted_until = self._clock.now() + DISTRUST_TIME
+            self._older = (
+                f"an image on {self._profile.image.name} is {before.stamp - reading.stamp:.2g} s older than "
+                "the one before: two cameras, a recording that begins anew, or a clock that was set."
+            )
+        is_repeated = reading.stamp == before.stamp != 0.0
+        is_equal = are_equal(before.pixels, reading.pixels)
+        self._num_equal = self._num_equal + (not is_repeated) if is_equal else 1
+        return not is_equal
+
+
+def are_equal(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two images have the same pixels: mostly some of them say that they have not."""
+    few = slice(None, None, THINNING)
+    return np.array_equal(one[few, few], other[few, few]) and np.array_equal(one, other)
+
 
 class ImageSubscriber:
     """Takes images from the network."""
@@ -42,12 +111,13 @@ class ImageSubscriber:
         be assumed; else they are as old as they say, and the servo refuses them.
         """
         self._profile, self._camera, self._clock = profile, camera, clock
+        self._checks = ImageChecks(transport, profile, clock)
         self._images = transport.subscription(profile.image, DEPTH)
         self._lens = transport.subscription(profile.info) if profile.info else None
         self._joints: deque[tuple[float, Joints]] = deque()
         self.received: list[Message] = []  #: What the last call of `newest` took, for a recording.
         self._other_lens = ""
-        self.message = ""  #: Why the last image was no good; empty if it was.
+        self.message = ""  #: Why the last image could not be read; empty if it could.
         self.stamp = -inf  #: When the newest good image was taken [s].
         self._assumes_age, self._is_stamped, self._notices = assumes_age, False, list[str]()
 
@@ -57,26 +127,33 @@ class ImageSubscriber:
         while self._joints[0][0] < time - MEMORY:
             self._joints.popleft()
 
-    def newest(self) -> CameraFrame | None:
-        """The newest image, if one has arrived since the last call and is good; stamps are of `Clock.now`.
+    @property
+    def problem(self) -> str:
+        """Why no image is good, be it readable; empty if that is not so.
 
-        None is, as long as the camera says that it has another lens than the one that it was calibrated with.
+        The camera may have another lens than the one that it was calibrated with, or not be one that looks.
         """
+        return self._checks.problem or self._other_lens
+
+    def newest(self) -> CameraFrame | None:
+        """The newest image, if one has arrived since the last call and is good; stamps are of `Clock.now`."""
         self._check_lens()
+        self._checks.count_cameras()
         self.received = self._images.take()
-        if not self.received:
-            return None
-        try:
-            reading = messages.read_image(self.received[-1].data)
-            self._profile.require(reading)
-            if self._other_lens:
-                raise DeploymentError(self._other_lens)
-        except DeploymentError as error:
-            self.message = str(error)
-            return None
-        self.message = ""
-        stamp = self.stamp = self._exposed(reading, self.received[-1].arrival)
-        return CameraFrame(image=reading.pixels, stamp=stamp, joint_pos=self._joints_at(stamp))
+        newest: CameraFrame | None = None
+        for message in self.received:
+            try:
+                reading = messages.read_image(message.data)
+            except DeploymentError as error:
+                self.message = str(error)
+                continue
+            self.message = ""
+            is_new = self._checks.is_new(reading)
+            if not self.problem:
+                stamp = self.stamp = self._exposed(reading, message.arrival)
+                if is_new:
+                    newest = CameraFrame(image=reading.pixels, stamp=stamp, joint_pos=self._joints_at(stamp))
+        return None if self.problem else newest
 
     def take_notice(self) -> str:
         """What was found out about the camera's stamps, once; else nothing."""

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.deployment.sight import Sight, SightTrack
 from pixel2catch.errors import DeploymentError, NonFiniteError, PolicyMismatchError
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
@@ -54,6 +55,10 @@ class Controller:
         self._policy = policy
         self._action_map = ActionMap.of(commands_of(workcell), torch.device("cpu"))
         self._geometry, self.joints = WorkcellGeometry(workcell), workcell.joints
+        #: Which joints are an arm's, in joint order.
+        self.is_arm = np.zeros(len(self.joints), dtype=bool)
+        for columns in workcell.of_role("arm"):
+            self.is_arm[columns] = True
         self._past: _Past | None = None
         self._held: Tensor | None = None
         nowhere = BoxHistory.begun(torch.zeros(1, 4), torch.zeros(1), self.method.num_boxes)
@@ -155,6 +160,8 @@ LONGEST_LOOK = 0.4
 Source: ours; where an image takes 100 ms, it is up to 0.25 s old when the next one is done.
 """
 
+FADE_STEPS = 5  #: Control steps in which an arm comes to rest while nothing is seen. Source: ours.
+
 
 class PolicyPipeline:
     """Perception and policy, without a network and without a clock.
@@ -172,13 +179,22 @@ class PolicyPipeline:
         self._looked = -inf
         self._stamps: deque[float] = deque(maxlen=num_boxes)
         self._boxes: deque[Float[Tensor, " 4"]] = deque(maxlen=num_boxes)
+        self.sight = SightTrack()  #: When the object was seen in this throw.
+        self._target: Joints | None = None
+        self._lead, self._num_held = np.zeros(self.num_joints), 0
 
     def forget(self) -> None:
         """A new throw begins for the policy: nothing is known of the object."""
-        self._controller.reset()
-        self._looked = -inf
+        self._looked, self._target, self.sight = -inf, None, SightTrack()
+        self._begin_track()
+
+    def _begin_track(self) -> None:
+        """What is seen next continues nothing; the joints are held where they are to be now."""
+        target = self._target
+        self._controller.reset(None if target is None else torch.tensor(target[None], dtype=torch.float32))
         self._stamps.clear()
         self._boxes.clear()
+        self._num_held = 0
 
     def point(self, prompt: Prompt | None) -> None:
         """A new throw begins for the perception, which looks where the operator points."""
@@ -200,12 +216,17 @@ class PolicyPipeline:
         """Keep the box of an image for the policy.
 
         Where nothing was seen, the last box gets older for a policy that knows it; for another one it is also
-        the box of this image, as in its training. The image may be the same as before.
+        the box of this image, as in its training. The image may be the same as before. A box that does not
+        continue the one before, or that ends a hold, is the first.
         """
         if frame is None or not seen.is_valid or frame.stamp <= self._looked:
             return
         self._looked = frame.stamp
-        if seen.verdict is Verdict.SEEN or not self.knows_age:
+        self.sight.note(frame.stamp, seen)
+        is_seen = seen.verdict is Verdict.SEEN
+        if is_seen and (seen.is_elsewhere or self._num_held):
+            self._begin_track()
+        if is_seen or not self.knows_age:
             self._stamps.append(frame.stamp)
             self._boxes.append(seen.box[0])
 
@@ -216,7 +237,8 @@ class PolicyPipeline:
         the perception takes cost `proposed` 5 of 100 throws (experiments/LOG.md).
 
         The newest joint positions are in joint order [rad], and NaN where unknown. Nothing is decided before
-        the object is seen, nor without joint positions.
+        the object is seen, nor without joint positions. When it was not seen for `LONGEST_GAP`, the policy is
+        not asked: the arm comes to rest and stays, and the hand holds, until it is seen again.
 
         Raises:
             NonFiniteError: A joint position is infinite.
@@ -224,19 +246,36 @@ class PolicyPipeline:
         """
         if not self._boxes or np.isnan(joint_pos).any():
             return None
-        boxes = self._measured(now) if self.knows_age else self._box_at(now - BOX_AGE)
-        target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), boxes)
-        return PolicyCommand(
-            joint_pos_target=target[0].double().numpy(), target_stamp=now, image_stamp=self._looked
-        )
-
-    def _measured(self, now: float) -> BoxHistory:
-        """The measured boxes, each as old as it is."""
-        if now - self._looked > LONGEST_LOOK:
+        if self.knows_age and now - self._looked > LONGEST_LOOK:
             raise DeploymentError(
                 f"the newest image that was looked at is {now - self._looked:.1f} s old: look at the camera, "
                 "and with 'pixel2catch track' at which stage of perception takes so long."
             )
+        if self._target is not None and self.sight.at(now) is not Sight.SEEN:
+            self._target = self._resting(joint_pos, self._target)
+        else:
+            boxes = self._measured(now) if self.knows_age else self._box_at(now - BOX_AGE)
+            target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), boxes)
+            self._target = target[0].double().numpy()
+        return PolicyCommand(
+            joint_pos_target=self._target,
+            target_stamp=now,
+            image_stamp=self._looked,
+            box_stamp=self.sight.box_stamp,
+        )
+
+    def _resting(self, joint_pos: Joints, target: Joints) -> Joints:
+        """Targets after these with which the arm comes to rest evenly where it then is [rad]."""
+        if self._num_held == 0:
+            self._lead = target - joint_pos
+        self._num_held += 1
+        if self._num_held > FADE_STEPS:
+            return target
+        share = 1.0 - self._num_held / FADE_STEPS
+        return np.where(self._controller.is_arm, joint_pos + share * self._lead, target)
+
+    def _measured(self, now: float) -> BoxHistory:
+        """The measured boxes, each as old as it is."""
         return BoxHistory.of_stamps(
             torch.stack(list(self._boxes)), list(self._stamps), now, self._controller.method.num_boxes
         )

@@ -121,7 +121,9 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
 
 
 SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)  #: Ticks of the servo, `ServoStatus.row`.
-ORDERS = Topic(name="/pixel2catch/orders", type=messages.FLOAT_ARRAY)  #: Its orders, `PolicyCommand.row`.
+ORDERS = Topic(
+    name="/pixel2catch/policy_command", type=messages.FLOAT_ARRAY
+)  #: Its orders, `PolicyCommand.row`.
 DEPTH = 512  #: Messages that are kept between two control steps.
 RESOLUTION = 1e-6  #: Least time between two messages of a topic [s]: readers of bags sort by it.
 Images = Literal["jpeg", "raw", "none"]  #: How images are recorded; raw ones are 27 MB a second.
@@ -140,6 +142,7 @@ class DeploymentRecorder:
         topics = {topic for part in profile.robots for topic in (part.state_topic, part.command_topic)}
         topics |= {*vars(profile.operator).values()}
         topics |= {topic for topic in vars(profile.status).values() if topic}
+        topics |= {part.controller.activity for part in profile.robots if part.controller}
         self._subscriptions = [
             (topic, transport.subscription(topic, DEPTH, only_watches=True)) for topic in topics
         ]

@@ -2,10 +2,12 @@
 
 from collections import Counter, deque
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 import numpy as np
 
+from pixel2catch.deployment.sight import Sight
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.core import Clamp, Mode
@@ -114,8 +116,13 @@ class RunStatistics:
                 self._latencies.count(self._latency)
         self._last = servo_status
 
-    def status(self, seen: Extraction | None, message: str) -> dict[str, Any]:
-        """What is going on now; requests that were refused are said once."""
+    def status(
+        self, seen: Extraction | None, message: str, sight: Sight | None = None, age: float = inf
+    ) -> dict[str, Any]:
+        """What is going on now, and what is known of the object, if one matters, seen so long ago [s].
+
+        Requests that were refused are said once.
+        """
         last = self._last
         refused, clamped, self._refused, self._clamped = self._refused, self._clamped, 0, 0
         return {
@@ -126,6 +133,8 @@ class RunStatistics:
             "clamped": flag_names(Clamp, clamped),
             "box": seen.box[0].tolist() if seen and seen.is_valid else None,
             "verdict": str(seen.verdict) if seen else None,
+            "object": sight and str(sight),
+            "object_age_ms": round(1e3 * age, 1) if age < inf else None,
             "latency_ms": self._latencies.milliseconds(50, 90, 99),
             "num_missed": self.num_missed,
             "message": message,

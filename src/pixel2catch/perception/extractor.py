@@ -18,7 +18,7 @@ from torch import Tensor
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.image_track import find_blobs
-from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, judge
+from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, is_jump, judge
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Mask, Segmentation, Segmenter, check_image
@@ -63,6 +63,8 @@ class Extraction:
     num_skipped: int  #: Control steps without an image since the last: so many too many are in differences.
     mask: Mask | None  #: The object's pixels, where it was seen.
     message: str  #: What went wrong with an image that could not be used.
+    #: Whether the box does not continue the one before it: no thrown object moves so.
+    is_elsewhere: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +76,7 @@ class _Finding:
     mask: Mask | None = None
     box: Float[Tensor, "1 4"] | None = None
     message: str = ""
+    is_elsewhere: bool = False
 
 
 @dataclass(kw_only=True)
@@ -84,6 +87,7 @@ class TrackState:
     box_stamp: float = -torch.inf  #: When its image was taken [s].
     image_stamp: float = -torch.inf  #: When the last image was taken that was looked at [s].
     num_lost: int = 0  #: Images since that box, or since the object was pointed out.
+    has_jumped: bool = False  #: Whether a box was refused since that one, as no object moves so.
     is_pointed_out: bool = False  #: Whether the segmenter was told what the object is.
     is_continued: bool = False  #: Whether the box is one of the thing that was last pointed out.
     #: Whether the box touched the robot. What vanished there is taken to be in its hand: then nothing else is
@@ -105,9 +109,10 @@ class TrackState:
         """Take over what was found in an image of this time; where nothing was, the box is held."""
         if finding.box is None:
             self.num_lost += 1
+            self.has_jumped |= finding.verdict is Verdict.JUMP
             return
         self.box, self.box_stamp = finding.box, stamp
-        self.num_lost, self.is_continued = 0, True
+        self.num_lost, self.is_continued, self.has_jumped = 0, True, False
         xmin, ymin, xmax, ymax = (int(edge) for edge in finding.box[0])
         self.is_at_robot = ignored is not None and bool(ignored[ymin:ymax, xmin:xmax].any())
 
@@ -207,6 +212,7 @@ class PixelFeatureExtractor:
             num_skipped=num_skipped,
             mask=finding.mask,
             message=finding.message,
+            is_elsewhere=finding.is_elsewhere,
         )
 
     def _look(self, frame: CameraFrame | None) -> _Finding:
@@ -253,7 +259,7 @@ class PixelFeatureExtractor:
 
     def _judged(self, segmentation: Segmentation, stamp: float) -> _Finding:
         """The box of a segmentation, unless something speaks against it."""
-        state, score = self._state, segmentation.score
+        state, score, cfg = self._state, segmentation.score, self._cfg.plausibility
         if segmentation.mask is None:
             missing = Verdict.NOT_FOUND if state.is_pointed_out else Verdict.NO_PROMPT
             return _Finding(verdict=missing, score=score)
@@ -261,9 +267,13 @@ class PixelFeatureExtractor:
         if not blobs:
             return _Finding(verdict=Verdict.TOO_SMALL, score=score)
         box = torch.tensor([blobs[0].box])
-        before = state.box if state.is_continued else None
-        steps = (stamp - state.box_stamp) / CONTROL_DT
-        verdict = judge(self._cfg.plausibility, self._camera, box, blobs[0].area, before, steps)
+        verdict = judge(cfg, self._camera, box, blobs[0].area)
         if verdict is not Verdict.SEEN:
             return _Finding(verdict=verdict, score=score)
-        return _Finding(verdict=verdict, score=score, mask=blobs[0].mask(), box=box)
+        is_far = state.is_valid and is_jump(cfg, box, state.box, (stamp - state.box_stamp) / CONTROL_DT)
+        if is_far and state.is_continued:
+            return _Finding(verdict=Verdict.JUMP, score=score)
+        is_elsewhere = is_far or state.has_jumped
+        return _Finding(
+            verdict=verdict, score=score, mask=blobs[0].mask(), box=box, is_elsewhere=is_elsewhere
+        )

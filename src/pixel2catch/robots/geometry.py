@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pixel2catch.robots.chain import Chain, pose_matrix
+from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import PlacedPalm, WorkcellSpec, add_robots
 
 TABLE_CLEARANCE = 0.02  #: Distance to keep from the table's top and from its sides [m]. Source: ours.
@@ -45,6 +46,12 @@ class ArmShape:
     #: Middle of the box about the hand, from the palm, in the axes of the palm's site [m].
     hand_center: Float[np.ndarray, " 3"]
     hand_half: Float[np.ndarray, " 3"]  #: Half of its extents [m].
+    #: Lower and upper corners of boxes about the hand alone and the last link, likewise [m]; none if the
+    #: hand need not keep away from its arm.
+    boxes: Float[np.ndarray, "2 3 boxes"]
+    reached: Int[
+        np.ndarray, " some"
+    ]  #: Capsules that hand and last link can reach: three joints away or more.
 
 
 def chain_of(
@@ -84,16 +91,50 @@ def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
                 radii.append(radius)
     site = model.site(palm.spec.site)
     to_site = np.linalg.inv(pose_matrix(site.pos, site.quat))
-    corners = np.array([*product(*zip(palm.spec.lower, palm.spec.upper, strict=True))])
-    corners = corners @ to_site[:3, :3].T + to_site[:3, 3]
-    lower, upper = corners.min(axis=0), corners.max(axis=0)
+    lower, upper = _box_about(to_site, palm.spec.lower, palm.spec.upper)
+    boxes = np.empty((2, 3, 0))
+    if palm.spec.hand:
+        own = _box_about(to_site, *palm.spec.hand), _last_link_box(model, data, chain.joints[-1], palm)
+        boxes = np.stack(own, axis=-1)
     return ArmShape(
         links=np.array(links),
         ends=np.array(ends),
         radii=np.array(radii),
         hand_center=(lower + upper) / 2.0,
         hand_half=(upper - lower) / 2.0,
+        boxes=boxes,
+        reached=np.flatnonzero(np.array(links) < len(chain.joints) - 3),
     )
+
+
+def _box_about(
+    frame: Float[np.ndarray, "4 4"], lower: np.ndarray | Vec3, upper: np.ndarray | Vec3
+) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [m] of the box in the axes of a frame's target about one in those of its source."""
+    corners = np.array([*product(*zip(np.asarray(lower), np.asarray(upper), strict=True))])
+    corners = corners @ frame[:3, :3].T + frame[:3, 3]
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def _last_link_box(
+    model: mujoco.MjModel, data: mujoco.MjData, joint: str, palm: PlacedPalm
+) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the box about what an arm's last joint turns but the hand, in the site's axes [m]."""
+    site = data.site(palm.spec.site)
+    axes, origin = site.xmat.reshape(3, 3), site.xpos
+    welded = (
+        model.body_weldid[model.geom_bodyid] == model.body_weldid[model.jnt_bodyid[model.joint(joint).id]]
+    )
+    is_before = welded & (model.geom_bodyid < model.body(palm.spec.body).id)
+    boxes = []
+    for geom in np.flatnonzero(is_before & (model.geom_group == COLLISION_GROUP)):
+        frame = np.eye(4)
+        frame[:3, :3] = axes.T @ data.geom_xmat[geom].reshape(3, 3)
+        frame[:3, 3] = axes.T @ (data.geom_xpos[geom] - origin)
+        middle, half = model.geom_aabb[geom].reshape(2, 3)
+        boxes.append(_box_about(frame, middle - half, middle + half))
+    lower, upper = zip(*boxes, strict=True)
+    return np.min(lower, axis=0), np.max(upper, axis=0)
 
 
 def _capsule(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray, float]:

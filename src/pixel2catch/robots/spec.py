@@ -69,6 +69,8 @@ class PalmSpec:
     #: whatever the fingers do [m].
     lower: Vec3
     upper: Vec3  #: The other corner [m].
+    #: Lower and upper corner of one about palm and fingers alone, which keep away from their arm; or none.
+    hand: tuple[Vec3, Vec3] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,7 +31,16 @@ from rosbags.typesys.store import Typestore
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.messages import STORE
-from pixel2catch.ros2.transport import Message, Publisher, RealClock, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import (
+    ANY,
+    LOOPBACK,
+    Message,
+    Publisher,
+    RealClock,
+    Subscription,
+    Topic,
+    Transport,
+)
 
 PLAIN_TYPES = {
     "bool": bool,
@@ -134,7 +143,7 @@ class NodeAnnouncement:
 
 LARGEST_DOMAIN = 232  #: Largest domain whose ports exist. Source: DDS-RTPS.
 
-LOOPBACK = """
+THIS_MACHINE = """
 <CycloneDDS><Domain>
   <General>
     <Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
@@ -152,6 +161,15 @@ LOOPBACK = """
 """
 """This machine only: no multicast, and room for a few images that nobody has read yet. The tag keeps a
 rehearsal from a robot's driver on this machine, which may listen on this interface, too."""
+
+ONE_INTERFACE = """<CycloneDDS xmlns="https://cdds.io/config"><Domain Id="any">
+  <General><Interfaces><NetworkInterface name="{name}"/></Interfaces></General>
+  <Internal><SocketReceiveBufferSize max="8MB"/></Internal>
+</Domain></CycloneDDS>
+"""
+"""One interface of this machine, with all that is reached by it."""
+
+ONLY_WATCHES = "watches=1;"  #: In the user data of subscriptions that do not count. Source: ours.
 
 NEVER_BLOCK = Policy.Reliability.Reliable(max_blocking_time=0)
 """A slow reader may lose messages; it does not hold up the writer."""
@@ -173,14 +191,15 @@ def domain_id() -> int:
 
 
 @cache
-def _loopback_domain(number: int) -> Domain:
-    """Configure a domain; DDS wants that once in a process, before its first node."""
+def _configured_domain(number: int, network: str) -> Domain:
+    """Keep a domain to a network; DDS wants that once in a process, before its first node."""
+    config = THIS_MACHINE if network == LOOPBACK else ONE_INTERFACE.format(name=network)
     try:
-        return Domain(number, LOOPBACK)
+        return Domain(number, config)
     except DDSException as error:
         raise DeploymentError(
-            f"DDS domain {number} cannot be kept to this machine ({error}): another node of this process has "
-            "opened it, or there is no interface 'lo'; choose another ROS_DOMAIN_ID."
+            f"DDS domain {number} cannot be kept to the network '{network}' ({error}): another node of this "
+            "process has opened it, or there is no such interface; choose another ROS_DOMAIN_ID."
         ) from error
 
 
@@ -188,8 +207,8 @@ def _loopback_domain(number: int) -> Domain:
 class DdsTransport(Transport):
     """A node of the DDS domain ROS_DOMAIN_ID."""
 
-    def __init__(self, node_name: str, clock: RealClock, *, loopback: bool = False) -> None:
-        """Join; by loopback, to speak to this machine only, whatever CYCLONEDDS_URI says.
+    def __init__(self, node_name: str, clock: RealClock, *, network: str) -> None:
+        """Join: this machine only, or one interface, whatever CYCLONEDDS_URI says; or any, as that says.
 
         ROS's tools show the name where they know the version of ROS (ROS_DISTRO).
 
@@ -197,8 +216,8 @@ class DdsTransport(Transport):
             DeploymentError: DDS cannot be started.
         """
         number = domain_id()
-        if loopback:
-            _loopback_domain(number)
+        if network != ANY:
+            _configured_domain(number, network)
         try:
             self._participant = DomainParticipant(number, Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:
@@ -223,7 +242,7 @@ class DdsTransport(Transport):
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """See `Transport.subscription`."""
-        reader = self._reader(topic, depth)
+        reader = self._reader(topic, depth, only_watches=only_watches)
         if not only_watches:
             self._news.attach(ReadCondition(reader, NEW))
         if self._announcement:
@@ -237,7 +256,7 @@ class DdsTransport(Transport):
         One that was killed counts for 10 s more; one that has just come is found within some 0.1 s.
         """
         if topic not in self._watchers:
-            self._watchers[topic] = self._reader(topic, 1, Policy.IgnoreLocal.Participant)
+            self._watchers[topic] = self._reader(topic, 1, Policy.IgnoreLocal.Participant, only_watches=True)
         return len(self._watchers[topic].get_matched_publications())
 
     def wait(self, seconds: float) -> bool:
@@ -248,10 +267,10 @@ class DdsTransport(Transport):
         """Leave the network."""
         self._participant.__del__()  # the library has no other way while somebody holds a publisher
 
-    def _reader(self, topic: Topic, depth: int, *policies: object) -> DataReader:
+    def _reader(self, topic: Topic, depth: int, *policies: object, only_watches: bool) -> DataReader:
         """Best effort hears every publisher; latched messages must be asked for reliably."""
         reliability = NEVER_BLOCK if topic.is_latched else Policy.Reliability.BestEffort
-        qos = _qos(topic, depth, reliability, *policies)
+        qos = _qos(topic, depth, reliability, *policies, note=ONLY_WATCHES if only_watches else "")
         return DataReader(self._participant, self._dds_topic(topic), qos)
 
     def _dds_topic(self, topic: Topic) -> DdsTopic:
@@ -263,6 +282,7 @@ class _DdsPublisher(Publisher):
     def __init__(self, topic: Topic, writer: DataWriter) -> None:
         self._topic, self._writer = topic, writer
         self._type = dds_type(topic.type)
+        self._takes: dict[int, bool] = {}
 
     def publish(self, data: bytes) -> None:
         try:
@@ -270,6 +290,18 @@ class _DdsPublisher(Publisher):
         except DDSException as error:
             if error.code != DDSException.DDS_RETCODE_TIMEOUT:  # a reader that does not keep up
                 raise DeploymentError(f"{self._topic.name} cannot be sent ({error}).") from error
+
+    def num_subscribers(self) -> int:
+        handles = self._writer.get_matched_subscriptions()
+        known = self._takes  # what a subscription says of itself is read once
+        self._takes = {each: known.get(each) or self._is_taken_by(each) for each in handles}
+        return sum(self._takes.values())
+
+    def _is_taken_by(self, handle: int) -> bool:
+        """Whether a subscription does more than watch."""
+        found = self._writer.get_matched_subscription_data(handle)
+        said: Any = found and found.qos[Policy.Userdata]
+        return said is None or ONLY_WATCHES.encode() not in said.data
 
 
 @final
@@ -290,8 +322,8 @@ class _DdsSubscription(Subscription):
         ]
 
 
-def _qos(topic: Topic, depth: int, *policies: object) -> Qos:
+def _qos(topic: Topic, depth: int, *policies: object, note: str = "") -> Qos:
     """The qualities of an endpoint, which tells its message's definition: ROS 2 (from Jazzy on) compares."""
     durability = Policy.Durability.TransientLocal if topic.is_latched else Policy.Durability.Volatile
-    definition = Policy.Userdata(f"typehash={STORE.hash_rihs01(topic.type)};".encode())
+    definition = Policy.Userdata(f"typehash={STORE.hash_rihs01(topic.type)};{note}".encode())
     return Qos(durability, Policy.History.KeepLast(depth), definition, *policies)

@@ -1,8 +1,9 @@
 """Nodes of one process that talk to each other through memory, by the rules of DDS: for tests."""
 
 from collections import deque
+from collections.abc import Iterator
 from threading import Condition, RLock
-from typing import final
+from typing import NamedTuple, final
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.transport import Clock, Message, Publisher, Subscription, Topic, Transport
@@ -80,7 +81,7 @@ class MemoryTransport(Transport):
         """Begin without publishers and subscriptions."""
         self.broker, self._queues = broker, MessageQueues(clock)
         self.publishers: list[_MemoryPublisher] = []
-        self.listeners: list[tuple[Topic, MessageQueue]] = []
+        self.listeners: list[_Listener] = []
 
     def publisher(self, topic: Topic) -> Publisher:
         """See `Transport.publisher`."""
@@ -93,7 +94,7 @@ class MemoryTransport(Transport):
         """Begin to listen to a topic; one that is latched gives its last messages."""
         queue = self._queues.add(depth, is_awaited=not only_watches)
         with self.broker.lock:
-            self.listeners.append((topic, queue))
+            self.listeners.append(_Listener(topic, queue, only_watches))
             for publisher in (each for node in self.broker.nodes for each in node.publishers):
                 if publisher.last is not None and topic.is_latched and _fits(publisher.topic, topic):
                     queue.put(publisher.last)
@@ -115,6 +116,12 @@ class MemoryTransport(Transport):
             self.broker.nodes = [node for node in self.broker.nodes if node is not self]
 
 
+class _Listener(NamedTuple):
+    topic: Topic
+    queue: MessageQueue
+    only_watches: bool
+
+
 @final
 class _MemoryPublisher(Publisher):
     def __init__(self, node: MemoryTransport, topic: Topic) -> None:
@@ -127,9 +134,17 @@ class _MemoryPublisher(Publisher):
             if self._node not in broker.nodes:
                 raise DeploymentError(f"{self.topic.name} cannot be sent: its node is closed.")
             self.last = data
-            for topic, queue in (each for node in broker.nodes for each in node.listeners):
-                if _fits(self.topic, topic):
-                    queue.put(data)
+            for listener in self._listeners():
+                listener.queue.put(data)
+
+    def num_subscribers(self) -> int:
+        with self._node.broker.lock:
+            return sum(not listener.only_watches for listener in self._listeners())
+
+    def _listeners(self) -> "Iterator[_Listener]":
+        """All that hear it."""
+        listeners = (each for node in self._node.broker.nodes for each in node.listeners)
+        return (each for each in listeners if _fits(self.topic, each.topic))
 
 
 def _is_same(one: Topic, other: Topic) -> bool:

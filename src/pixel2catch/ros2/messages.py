@@ -5,7 +5,7 @@ Stamps are seconds since the epoch; a decoded message is checked for what its ty
 
 import json
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
@@ -22,14 +22,31 @@ from pixel2catch.scene.constants import PIXEL_CENTER, CameraSpec
 
 SAFETY_MODE = "ur_dashboard_msgs/msg/SafetyMode"
 ROBOT_MODE = "ur_dashboard_msgs/msg/RobotMode"
+ACTIVITY = "controller_manager_msgs/msg/ControllerManagerActivity"
+_CONTROLLER = "controller_manager_msgs/msg/NamedLifecycleState"
 
 NORMAL_SAFETY_MODE, PROTECTIVE_STOP, RUNNING_ROBOT_MODE = 1, 3, 7
 """Modes of a UR robot; it may move in the first and the last. Source: `ur_dashboard_msgs`."""
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-"""Definitions of all messages. Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`."""
+ACTIVE = 3  #: State of a controller that moves its joints. Source: `lifecycle_msgs`.
 
-STORE.register(get_types_from_msg("uint8 mode", SAFETY_MODE) | get_types_from_msg("int8 mode", ROBOT_MODE))
+STORE = get_typestore(Stores.ROS2_JAZZY)
+"""Definitions of all messages.
+
+Source: ROS 2 Jazzy; the two modes: `ur_dashboard_msgs`; activity: `controller_manager_msgs`.
+"""
+
+STORE.register(
+    get_types_from_msg("uint8 mode", SAFETY_MODE)
+    | get_types_from_msg("int8 mode", ROBOT_MODE)
+    | get_types_from_msg("string name\nlifecycle_msgs/State state", _CONTROLLER)
+    | get_types_from_msg(
+        "std_msgs/Header header\n"
+        "NamedLifecycleState[] controllers\n"
+        "NamedLifecycleState[] hardware_components",
+        ACTIVITY,
+    )
+)
 
 
 def encode(kind: str, *fields: Any) -> bytes:
@@ -263,6 +280,20 @@ def read_json(data: bytes) -> dict[str, Any]:
 
 safety_mode, read_safety_mode = _single(SAFETY_MODE, int, "mode")
 robot_mode, read_robot_mode = _single(ROBOT_MODE, int, "mode")
+
+
+def activity(states: Mapping[str, int], stamp: float) -> bytes:
+    """Encode the states of controllers by name, such as `ACTIVE`."""
+    state, named = STORE.types["lifecycle_msgs/msg/State"], STORE.types[_CONTROLLER]
+    controllers = [named(name, state(number, "")) for name, number in states.items()]
+    return encode(ACTIVITY, header(stamp), controllers, [])
+
+
+def read_active_controllers(data: bytes) -> frozenset[str]:
+    """Names of the controllers that move their joints; raises as `decode` does."""
+    return frozenset(each.name for each in decode(data, ACTIVITY).controllers if each.state.id == ACTIVE)
+
+
 FORMAT = "rgb8; jpeg compressed bgr8"  #: What was compressed, and how. Source: image_transport.
 
 SUFFIX = "/compressed"

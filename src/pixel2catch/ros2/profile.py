@@ -7,7 +7,7 @@ name file, key and fix.
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
-from math import isfinite
+from math import inf, pi
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -42,6 +42,42 @@ class DriverJoint:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MotionBudget:
+    """How much a laboratory allows of the motion of a part; the servo's own limits hold beside it."""
+
+    speed: float = inf  #: Largest speed of a joint [rad/s].
+    acceleration: float = inf  #: Largest acceleration of a command [rad/s²].
+    jerk: float = inf  #: Largest jerk of a command [rad/s³].
+
+    def __post_init__(self) -> None:
+        """Refuse what would be no limit."""
+        for entry in fields(self):
+            if not (value := getattr(self, entry.name)) > 0.0:
+                raise InvalidValueError(f"{entry.name} is {value:g}; it must be more than 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldJoint:
+    """A joint that is none of ours."""
+
+    angle: float  #: Where it is kept [rad].
+    #: Its name in the joint states: it goes to its angle evenly. Without, it is sent there at once.
+    name_in_state: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Controller:
+    """The controller of ros2_control that takes the commands."""
+
+    name: str  #: Such as forward_position_controller; it must be active.
+    #: What its controller manager says of all of them, from ROS 2 Jazzy on.
+    activity: Annotated[Topic, TopicType(messages.ACTIVITY, is_latched=True)]
+
+
+FARTHEST = 2.0 * pi  #: Largest angle of a held joint [rad]. Source: ours; no joint turns further.
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotPart:
     """One driver, of a joint group of the work cell; its profile checks it."""
 
@@ -50,9 +86,11 @@ class RobotPart:
     state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]  #: Other parts may use it, too.
     command_topic: Topic  #: Topic of the commands, and the type that this driver takes.
     command_size: int  #: How many numbers a command has.
-    #: Where joints are kept that are none of ours [rad], by their place in a command.
-    held: dict[int, float] = field(default_factory=dict)
+    #: Joints that are none of ours, by their place in a command.
+    held: dict[int, HeldJoint] = field(default_factory=dict)
     rate_hz: float  #: How often the driver takes a command [Hz].
+    limits: MotionBudget = MotionBudget()  #: What its joints are allowed, if less than the servo allows.
+    controller: Controller | None = None  #: What must be active; not watched if absent.
     joint_order: tuple[str, ...] = ()  #: All joints of the work cell, which the profile fills in.
 
     def require_complete(self) -> None:
@@ -63,7 +101,8 @@ class RobotPart:
         if self.command_topic.type not in COMMANDS:
             raise UnknownNameError("type of commands", self.command_topic.type, COMMANDS)
         all_theirs = self.joints.values()
-        _require_once("the joint state's name", (theirs.name_in_state for theirs in all_theirs))
+        names = (each.name_in_state for each in (*all_theirs, *self.held.values()) if each.name_in_state)
+        _require_once("the joint state's name", names)
         places = [*(theirs.index_in_command for theirs in all_theirs), *self.held]
         _require_once("the command's place", places)
         if sorted(places) != list(range(self.command_size)):
@@ -71,8 +110,14 @@ class RobotPart:
                 f"a command has places 0 to {self.command_size - 1}, joints and held have {sorted(places)}: "
                 "give each place one joint or one held angle"
             )
-        if not (self.rate_hz > 0.0 and all(map(isfinite, self.held.values()))):
-            raise InvalidValueError("rate_hz must be positive, and the held angles must be numbers")
+        if not 0.0 < self.rate_hz < inf:
+            raise InvalidValueError(f"rate_hz is {self.rate_hz:g}; it must be positive")
+        for place, joint in self.held.items():
+            if not abs(joint.angle) <= FARTHEST:
+                raise InvalidValueError(
+                    f"held.{place}: angle is {joint.angle:g} rad; it must be from {-FARTHEST:.4g} to "
+                    f"{FARTHEST:.4g}"
+                )
 
     @cached_property
     def ids(self) -> Int[np.ndarray, " part_joints"]:
@@ -80,20 +125,31 @@ class RobotPart:
         return np.array([self.joint_order.index(joint) for joint in self.joints], dtype=np.int64)
 
     @cached_property
-    def _template(self) -> tuple[np.ndarray, np.ndarray]:
-        """A command with the held angles in it, and the places of the joints."""
-        values = np.zeros(self.command_size)
-        values[list(self.held)] = list(self.held.values())
-        return values, np.array([theirs.index_in_command for theirs in self.joints.values()], dtype=np.int64)
+    def held_angles(self) -> Float[np.ndarray, " num_held"]:
+        """Where the joints are kept that are none of ours [rad]."""
+        return np.array([joint.angle for joint in self.held.values()])
 
-    def command(self, joint_pos_target: Float[np.ndarray, " num_joints"], stamp: float = 0.0) -> bytes:
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Places in a command of the joints, and of those that are none of ours."""
+        ours = [theirs.index_in_command for theirs in self.joints.values()]
+        return np.array(ours, dtype=np.int64), np.array([*self.held], dtype=np.int64)
+
+    def command(
+        self,
+        joint_pos_target: Float[np.ndarray, " num_joints"],
+        stamp: float = 0.0,
+        held: Float[np.ndarray, " num_held"] | None = None,
+    ) -> bytes:
         """Encode the command of this part, from the targets of all joints in joint order [rad].
 
-        The stamp [s] is for drivers that take joint states, which have no names then: the order tells.
+        The stamp [s] is for drivers that take joint states, which have no names then: the order tells. Held
+        joints are where they are kept, or on their way there [rad].
         """
-        template, places = self._template
-        values = template.copy()
-        values[places] = joint_pos_target[self.ids]
+        values = np.empty(self.command_size)
+        ours, others = self._places
+        values[ours] = joint_pos_target[self.ids]
+        values[others] = self.held_angles if held is None else held
         if self.command_topic.type == messages.JOINT_STATE:
             return messages.joint_state((), values, stamp)
         return messages.float_array(values)
@@ -111,6 +167,18 @@ class RobotPart:
         columns, ids = _columns(reading.names, self._wanted)
         joint_pos[ids] = reading.position[columns]
         return ids
+
+    def held_positions(self, reading: JointReading) -> Float[np.ndarray, " num_held"]:
+        """Where a joint state has the joints that are none of ours [rad]; NaN where it does not say."""
+        positions = np.full(len(self.held), np.nan)
+        columns, ids = _columns(reading.names, self._wanted_held)
+        positions[ids] = reading.position[columns]
+        return positions
+
+    @cached_property
+    def _wanted_held(self) -> tuple[tuple[str, int], ...]:
+        names = (joint.name_in_state for joint in self.held.values())
+        return tuple((name, place) for place, name in enumerate(names) if name)
 
     @cached_property
     def _wanted(self) -> tuple[tuple[str, int], ...]:

@@ -19,25 +19,35 @@ from rosidl_runtime_py.utilities import get_message
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.memory import MessageQueues
-from pixel2catch.ros2.transport import Clock, Publisher, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import ANY, LOOPBACK, Clock, Publisher, Subscription, Topic, Transport
 
 LOCALHOST = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 """What keeps ROS 2 to this machine: the first in Humble, the second from Iron on."""
+
+OWN_NODES = "pixel2catch"  #: What the names of our nodes begin with; they only watch what others are to take.
 
 
 @final
 class RosTransport(Transport):
     """A node of rclpy, with a thread that receives."""
 
-    def __init__(self, node_name: str, clock: Clock, *, loopback: bool = False) -> None:
+    def __init__(self, node_name: str, clock: Clock, *, network: str) -> None:
         """Join.
 
         Raises:
-            DeploymentError: By loopback it may speak to this machine only, and ROS 2 is not set so.
+            DeploymentError: It may speak to this machine only, and ROS 2 is not set so, or to one interface,
+                which rclpy cannot choose.
         """
-        if loopback and not any(os.environ.get(name) == value for name, value in LOCALHOST.items()):
+        if network == LOOPBACK and not any(
+            os.environ.get(name) == value for name, value in LOCALHOST.items()
+        ):
             settings = " or ".join(f"{name}={value}" for name, value in LOCALHOST.items())
             raise DeploymentError(f"ROS 2 would speak to the whole network: set {settings} first.")
+        if network not in (LOOPBACK, ANY):
+            raise DeploymentError(
+                f"rclpy cannot be told to speak to {network}: take --network {ANY}, and name the interface "
+                "in the settings of its middleware, such as CYCLONEDDS_URI."
+            )
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node(node_name, context=self._context)
@@ -52,10 +62,10 @@ class RosTransport(Transport):
         """Announce a topic that this node sends."""
         self._num_own[topic.name] = self._num_own.get(topic.name, 0) + 1
         qos = _qos(topic, 1, is_reader=False)
-        return _RosPublisher(self._node.create_publisher(_type(topic), topic.name, qos))
+        return _RosPublisher(self._node, self._node.create_publisher(_type(topic), topic.name, qos))
 
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
-        """See `Transport.subscription`."""
+        """See `Transport.subscription`; who only watches is known by the name of its node."""
         queue = self._queues.add(depth, is_awaited=not only_watches)
         qos = _qos(topic, depth, is_reader=True)
         self._node.create_subscription(_type(topic), topic.name, queue.put, qos, raw=True)
@@ -79,11 +89,15 @@ class RosTransport(Transport):
 
 @final
 class _RosPublisher(Publisher):
-    def __init__(self, publisher: Any) -> None:
-        self._publisher = publisher
+    def __init__(self, node: Any, publisher: Any) -> None:
+        self._node, self._publisher = node, publisher
 
     def publish(self, data: bytes) -> None:
         self._publisher.publish(data)
+
+    def num_subscribers(self) -> int:
+        found = self._node.get_subscriptions_info_by_topic(self._publisher.topic_name)
+        return sum(not info.node_name.startswith(OWN_NODES) for info in found)
 
 
 def _type(topic: Topic) -> Any:

@@ -3,11 +3,13 @@
 Nothing here waits but `Transport.wait`; what arrives is kept until it is taken, up to a depth.
 """
 
+import socket
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import final
+from typing import Annotated, final
 
+from pixel2catch.checks import Requirement
 from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
 from pixel2catch.installation import install_command
 
@@ -82,6 +84,10 @@ class Publisher(ABC):
     def publish(self, data: bytes) -> None:
         """Send a serialised message."""
 
+    @abstractmethod
+    def num_subscribers(self) -> int:
+        """How many subscriptions take its messages, those left out that only watch."""
+
 
 class Subscription(ABC):
     """Receives messages of one topic."""
@@ -102,7 +108,7 @@ class Transport(ABC):
     def subscription(self, topic: Topic, depth: int = 1, *, only_watches: bool = False) -> Subscription:
         """Begin to listen to a topic; so many messages are kept until they are taken.
 
-        Those of one that only watches, such as a recording's, end no `wait`.
+        One that only watches, such as a recording's, does not count as a subscriber and ends no `wait`.
         """
 
     @abstractmethod
@@ -111,7 +117,7 @@ class Transport(ABC):
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
-        """Wait until something has arrived for a subscription that does not only watch, or for a real time [s]; say which."""
+        """Wait until something has arrived for who does not only watch, or for a real time [s]; say which."""
 
     @abstractmethod
     def close(self) -> None:
@@ -133,23 +139,44 @@ TRANSPORTS = {
 """Names of the transports, and how to get what they need."""
 
 
-def make_transport(name: str, node_name: str, loopback: bool, clock: RealClock) -> Transport:
-    """Join the network by one of `TRANSPORTS`; by loopback, to speak to this machine only.
+LOOPBACK, ANY = "lo", "any"
+"""Networks besides the interfaces of this machine: itself alone, and what the transport takes by itself."""
+
+
+@final
+@dataclass(frozen=True)
+class Reachable(Requirement):
+    """A network that this machine is on."""
+
+    def require(self, name: str, value: str) -> None:
+        """Refuse an interface that there is not, and name those that there are."""
+        known = dict.fromkeys((LOOPBACK, *(interface for _, interface in socket.if_nameindex()), ANY))
+        if value not in known:
+            raise UnknownNameError(name, value, known)
+
+
+NetworkName = Annotated[str, Reachable()]
+"""`LOOPBACK`, an interface of this machine, or `ANY`."""
+
+
+def make_transport(name: str, node_name: str, network: str, clock: RealClock) -> Transport:
+    """Join a network, a `NetworkName`, by one of `TRANSPORTS`.
 
     Raises:
-        UnknownNameError: There is no such transport.
+        UnknownNameError: There is no such transport or network.
         DeploymentError: Its library is missing, or it cannot be started.
     """
     if name not in TRANSPORTS:
         raise UnknownNameError("transport", name, TRANSPORTS)
+    Reachable().require("network", network)
     try:
         if name == "dds":
             from pixel2catch.ros2.dds import DdsTransport
 
-            return DdsTransport(node_name, clock, loopback=loopback)
+            return DdsTransport(node_name, clock, network=network)
         from pixel2catch.ros2.rclpy_node import RosTransport
 
-        return RosTransport(node_name, clock, loopback=loopback)
+        return RosTransport(node_name, clock, network=network)
     except ImportError as error:
         raise DeploymentError(
             f"the transport '{name}' cannot be loaded ({error}): {TRANSPORTS[name]}."

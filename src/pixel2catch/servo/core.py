@@ -8,35 +8,43 @@
 
 Armed, it holds the pose. In the ramp it goes over to the policy's targets, in the run it follows them: as in
 training, a command moves evenly from where it is to the newest target, which it reaches after a control step.
-A fault stops: within `STOP_TIME` the commands go to where the joints are measured, and stand still. It takes
-a new request to arm for the robot to move again; where somebody else moves the stopped robot, nothing is
-sent any more. Whatever the servo is told, no command passes a limit.
+A fault stops: evenly the commands give up their lead of the joints, which slows these down evenly whatever
+their lag is, and within `STOP_TIME` they stand still. Where joints are not measured the commands slow down as
+evenly. It takes a new request to arm for the robot to move again; where somebody else moves the stopped
+robot, nothing is sent any more. Whatever the servo is told, no command passes a limit.
 
 Rows are independent robots: one in the laboratory, thousands in tests.
 """
 
 from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
+from functools import cached_property
 
 import numpy as np
+from jaxtyping import Bool
 
+from pixel2catch.servo.braking import WorkspaceBrake
 from pixel2catch.servo.limits import RETURN_TIME, STOP_TIME, ServoLimits
 from pixel2catch.servo.motion import (
     Bits,
     Flags,
     Motion,
+    Recent,
     Rows,
     TargetInterpolator,
     Times,
-    braked,
+    averaged,
+    clipped,
     towards,
     wished,
 )
 from pixel2catch.servo.watchdogs import (
+    Commanded,
     Fault,
     JointTrack,
     ServoInputs,
     bits,
+    faults_of_joints,
     faults_of_policy,
     faults_of_robot,
     is_recent,
@@ -53,6 +61,9 @@ class Mode(IntEnum):
     RAMP = 2
     RUN = 3
     STOPPED = 4
+
+
+AnyFlags = Bool[np.ndarray, "rows joints"]
 
 
 class Clamp(IntFlag):
@@ -74,17 +85,21 @@ class ServoState:
     stopped_by: Bits  #: The `Fault` bits that it was stopped by; none in other modes.
     now: Times  #: Time of the last tick [s].
     arm_stamp: Times  #: Stamp of the last request to arm that was heeded, granted or not [s].
-    motion: Motion  #: The commands.
+    motion: Motion  #: Where the commands are on their way to.
+    recent: Recent  #: Newest positions of that motion, oldest first [rad].
+    command: Rows  #: The commands, which are their means [rad].
     hold: Rows  #: The commands when the mode last changed to armed or stopped [rad].
+    lead: Rows  #: How far they were ahead of the joints at the last stop [rad].
+    is_returning: Flags  #: Whether the joints have been measured since that stop.
     interpolator: TargetInterpolator  #: The way of the policy's targets.
     expected: Rows  #: Where the joints should be, by the lag of their servos [rad].
     track: JointTrack  #: What has been measured.
     used_press: Times  #: When the switch was pressed that was held at the last stop [s].
 
     @classmethod
-    def idle(cls, num_rows: int, num_joints: int) -> "ServoState":
+    def idle(cls, num_rows: int, limits: ServoLimits) -> "ServoState":
         """The state in which everything begins."""
-        zeros, none = np.zeros((num_rows, num_joints)), np.zeros(num_rows, dtype=np.int64)
+        zeros, none = np.zeros((num_rows, limits.num_joints)), np.zeros(num_rows, dtype=np.int64)
         return cls(
             mode=none,
             ticks=none,
@@ -92,10 +107,14 @@ class ServoState:
             now=np.full(num_rows, np.nan),
             arm_stamp=np.full(num_rows, -np.inf),
             motion=Motion(position=zeros, velocity=zeros),
+            recent=np.zeros((len(limits.motion.weights), *zeros.shape)),
+            command=zeros,
             hold=zeros,
+            lead=zeros,
+            is_returning=none > 0,
             interpolator=TargetInterpolator.resting(zeros),
             expected=zeros,
-            track=JointTrack.unknown(num_rows, num_joints),
+            track=JointTrack.unknown(num_rows, limits.num_joints),
             used_press=np.full(num_rows, -np.inf),
         )
 
@@ -105,12 +124,12 @@ class ServoState:
             return self.mode == int(first)
         return (self.mode >= int(first)) & (self.mode <= int(last))
 
-    @property
+    @cached_property
     def is_driven(self) -> Flags:
         """Which rows the policy moves, in the ramp or after it."""
         return self.is_in(Mode.RAMP, Mode.RUN)
 
-    @property
+    @cached_property
     def is_active(self) -> Flags:
         """Which rows a fault stops."""
         return self.is_in(Mode.ARMED, Mode.RUN)
@@ -130,6 +149,7 @@ class Output:
     clamped: Bits  #: `Clamp` bits: what held the command back in this tick.
 
 
+_CLAMPS = np.array([*Clamp], dtype=np.int64)
 _LATE = int(Fault.POLICY_LATE)
 _SENSELESS = int(Fault.TARGET_NOT_FINITE | Fault.TARGET_FAR)
 _NOT_MEASURED = int(Fault.JOINTS_STALE | Fault.JOINTS_NOT_FINITE | Fault.JOINTS_IMPLAUSIBLE)
@@ -148,22 +168,19 @@ class Findings:
     def of(cls, state: ServoState, inputs: ServoInputs, limits: ServoLimits) -> "Findings":
         """Look at everything."""
         joints = limits.joints
-        track, is_jump = state.track.continued(inputs.joint_pos, inputs.joint_stamp, joints.jump_speed)
-        is_beyond = ((inputs.joint_pos < joints.least) | (inputs.joint_pos > joints.most)).any(axis=-1)
-        is_fast = (np.abs(track.speed) > joints.joint_speed).any(axis=-1)
-        joint_pos = np.where(np.isfinite(inputs.joint_pos), inputs.joint_pos, state.motion.position)
-        is_off = (np.abs(joint_pos - state.expected) > joints.tracking_error).any(axis=-1)
-        is_far = (np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance).any(axis=-1)
+        commanded = Commanded(
+            position=state.command,
+            expected=state.expected,
+            is_followed=state.is_active & (state.ticks > 0),
+        )
+        track, of_joints = faults_of_joints(state.track, inputs, commanded, limits)
+        joint_pos = np.where(np.isfinite(inputs.joint_pos), inputs.joint_pos, state.command)
+        is_far = np.logical_or.reduce(
+            np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance, axis=-1
+        )
         return cls(
             joint_pos=joint_pos,
-            robot=faults_of_robot(inputs, limits, state.now)
-            | bits(
-                {
-                    Fault.JOINTS_IMPLAUSIBLE: is_beyond | is_jump,
-                    Fault.JOINT_SPEED: is_fast & state.is_active,
-                    Fault.TRACKING_ERROR: is_off & state.is_active,
-                }
-            ),
+            robot=faults_of_robot(inputs, limits, state.now) | of_joints,
             policy=faults_of_policy(inputs, limits)
             | bits({Fault.TARGET_FAR: is_far & state.is_in(Mode.ARMED)}),
             track=track,
@@ -173,6 +190,11 @@ class Findings:
     def is_measured(self) -> Flags:
         """Whether the positions of all joints are fresh numbers."""
         return (self.robot & _NOT_MEASURED) == 0
+
+
+def of_any_joint(*flags: AnyFlags) -> Bool[np.ndarray, "kinds rows"]:
+    """Which flags hold of any joint of a row."""
+    return np.logical_or.reduce(flags, axis=-1)
 
 
 def changed(
@@ -192,9 +214,16 @@ def changed(
         stopped_by=np.where(is_stop, stop, state.stopped_by * (mode == int(Mode.STOPPED))),
         now=inputs.now,
         track=found.track,
-        used_press=np.where(is_stop, np.fmax(inputs.pressed_stamp, state.used_press), state.used_press),
-        hold=np.where(is_stop[:, None], state.motion.position, state.hold),
+        is_returning=(is_stop | state.is_returning) & found.is_measured,
     )
+    if is_stop.any():
+        rows = is_stop[:, None]
+        turned = replace(
+            turned,
+            used_press=np.where(is_stop, np.fmax(inputs.pressed_stamp, state.used_press), state.used_press),
+            hold=np.where(rows, state.command, state.hold),
+            lead=np.where(rows, state.command - found.joint_pos, state.lead),
+        )
     is_new = inputs.arm_stamp > state.arm_stamp
     if not is_new.any():
         return turned, np.zeros_like(stop)
@@ -220,14 +249,14 @@ def _was_moved(state: ServoState, found: Findings, limits: ServoLimits) -> Flags
     if not state.is_in(Mode.STOPPED).any():
         return state.is_in(Mode.STOPPED)
     is_over = state.is_in(Mode.STOPPED) & (state.ticks * limits.dt >= STOP_TIME) & found.is_measured
-    is_away = np.abs(found.joint_pos - state.motion.position) > limits.joints.moved_error
+    is_away = np.abs(found.joint_pos - state.command) > limits.joints.moved_error
     return is_over & is_away.any(axis=-1)
 
 
 def _first_command(state: ServoState, found: Findings, limits: ServoLimits) -> Rows:
     """Where a row would be armed: where it is measured, or where a stop has left the command [rad]."""
     measured = found.joint_pos.clip(limits.joints.lower, limits.joints.upper)
-    return np.where(state.is_in(Mode.IDLE)[:, None], measured, state.motion.position)
+    return np.where(state.is_in(Mode.IDLE)[:, None], measured, state.command)
 
 
 def _refusals(state: ServoState, first: Rows, found: Findings, limits: ServoLimits) -> Bits:
@@ -253,6 +282,8 @@ def _armed(state: ServoState, arm: Flags, first: Rows, joint_pos: Rows) -> Servo
             position=np.where(rows, first, state.motion.position),
             velocity=np.where(rows, 0.0, state.motion.velocity),
         ),
+        recent=np.where(rows, first, state.recent),
+        command=np.where(rows, first, state.command),
         hold=np.where(rows, first, state.hold),
         interpolator=state.interpolator.rested(arm, first),
         expected=np.where(rows, joint_pos, state.expected),
@@ -264,7 +295,7 @@ class ServoCore:
 
     Example:
         core = ServoCore(limits)
-        state = ServoState.idle(1, limits.num_joints)
+        state = ServoState.idle(1, limits)
         state, output = core.tick(state, inputs)  # every 2 ms
     """
 
@@ -272,101 +303,80 @@ class ServoCore:
         """Keep to limits."""
         self.limits = limits
         self._motion = limits.motion
-        self._columns = limits.workspace.joints
-        self._arm = self._motion.only(self._columns)
-        longest = (self._arm.speed / (self._arm.acceleration * self._arm.dt)).max()
-        self._braking_ticks = np.arange(int(np.ceil(longest)) + 1)
+        self._brake = WorkspaceBrake(limits.workspace, self._motion)
+        self._even_speed = limits.joints.lead / limits.joints.lag
+        self._ahead = limits.dt + self._motion.delay
+        self._reach = limits.joints.lead + self._even_speed * self._motion.delay
+        self._stop_reach = limits.joints.lead + 0.5 * self._even_speed * limits.joints.stop_time
+        self._sudden = self._motion.change + ROUNDING
+        self._follow = np.minimum(limits.dt / limits.joints.lag, 1.0)
 
     def tick(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Output]:
         """Decide on the commands of this tick; one that is late must not be made up for by two at once."""
+        joints, target = self.limits.joints, inputs.joint_pos_target
         with np.errstate(invalid="ignore", over="ignore"):
             found = Findings.of(state, inputs, self.limits)
             state, refused = changed(state, inputs, found, self.limits)
-            state, beyond_limits = self._directed(state, inputs)
-            goal, beyond_lead = self._goal(state, found)
-            state, held_back = self._moved(state, goal)
+            allowed = clipped(target, joints.lower, joints.upper)
+            is_out = (np.abs(allowed - target) > ROUNDING) & state.is_driven[:, None]
+            way = state.interpolator.turned(state.is_driven, allowed, inputs.now, inputs.target_stamp)
+            goal, is_led = self._goal(state, found, way)
+            state, held_back = self._moved(state, found, way, goal)
         is_idle = state.is_in(Mode.IDLE)
         is_silent = is_idle | ((state.stopped_by & int(Fault.OTHER_PUBLISHER)) != 0)
-        clamped = held_back | bits({Clamp.POSITION: beyond_limits, Clamp.LEAD: beyond_lead})
         return state, Output(
-            command=np.where(is_silent[:, None], np.nan, state.motion.position),
+            command=np.where(is_silent[:, None], np.nan, state.command),
             mode=state.mode,
             stopped_by=state.stopped_by,
             found=found.robot | found.policy,
             refused=refused,
-            clamped=np.where(is_idle, 0, clamped),
+            clamped=_CLAMPS @ of_any_joint(is_out, is_led, *held_back),
         )
 
-    def _directed(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Flags]:
-        """The state on its way to the policy's newest target, and whether that is out of limits."""
-        joints, target, is_driven = self.limits.joints, inputs.joint_pos_target, state.is_driven
-        interpolator = state.interpolator.turned(
-            is_driven, target.clip(joints.lower, joints.upper), inputs.now, inputs.target_stamp
-        )
-        is_out = (target < joints.lower - ROUNDING) | (target > joints.upper + ROUNDING)
-        return replace(state, interpolator=interpolator), is_driven & is_out.any(axis=-1)
-
-    def _goal(self, state: ServoState, found: Findings) -> tuple[Rows, Flags]:
-        """Where the commands shall go [rad], and whether that is held back to stay near the joints."""
-        joints, hold, position = self.limits.joints, state.hold, state.motion.position
-        is_driven = state.is_driven[:, None]
+    def _goal(self, state: ServoState, found: Findings, way: TargetInterpolator) -> tuple[Rows, AnyFlags]:
+        """Where armed robots shall go [rad], and which joints are held back to stay near where they are."""
+        joints, hold, is_driven = self.limits.joints, state.hold, state.is_driven[:, None]
         share = np.minimum((state.ticks + 1) * self.limits.dt / self.limits.ramp_time, 1.0)
         share = np.where(state.is_in(Mode.RAMP), share, 1.0)[:, None]
-        wanted = hold + share * (state.interpolator.at(state.now + self.limits.dt) - hold)
-        near = wanted.clip(found.joint_pos - joints.lead, found.joint_pos + joints.lead)
-        returns = state.is_in(Mode.STOPPED) & found.is_measured
-        returns &= state.ticks * self.limits.dt < RETURN_TIME
-        back = found.joint_pos.clip(hold - joints.lead, hold + joints.lead)
-        resting = np.where(state.is_in(Mode.ARMED)[:, None], hold, position)
-        goal = np.where(is_driven, near, np.where(returns[:, None], back, resting))
-        return goal.clip(joints.lower, joints.upper), ((near != wanted) & is_driven).any(axis=-1)
+        wanted = hold + share * (way.at(state.now, self._ahead) - hold)
+        near = clipped(wanted, found.joint_pos - self._reach, found.joint_pos + self._reach)
+        goal = clipped(np.where(is_driven, near, hold), joints.lower, joints.upper)
+        return goal, (near != wanted) & is_driven
 
-    def _moved(self, state: ServoState, goal: Rows) -> tuple[ServoState, Bits]:
-        """The state a tick further on the way to a goal, and what held it back."""
+    def _stopping(self, state: ServoState, found: Findings) -> Rows:
+        """Speeds that bring what is not armed to rest [rad/s]."""
+        joints, motion, dt = self.limits.joints, state.motion, self.limits.dt
+        left = joints.stop_time - state.ticks[:, None] * dt
+        slower = motion.velocity.clip(-self._even_speed, self._even_speed)
+        slower *= np.maximum(1.0 - dt / np.maximum(left, dt), 0.0)
+        if not state.is_returning.any():
+            return slower
+        is_returning = state.is_returning & (state.ticks * dt < RETURN_TIME)
+        speed = np.where(left > 0.0, found.track.speed - state.lead / joints.stop_time, 0.0)
+        back = found.joint_pos + state.lead * np.maximum(left / joints.stop_time, 0.0) + speed * self._ahead
+        back = clipped(back, state.hold - self._stop_reach, state.hold + self._stop_reach)
+        back = speed + wished(motion, clipped(back, joints.lower, joints.upper), self._motion)
+        return np.where(is_returning[:, None], back, slower)
+
+    def _moved(
+        self, state: ServoState, found: Findings, way: TargetInterpolator, goal: Rows
+    ) -> tuple[ServoState, tuple[AnyFlags, AnyFlags, AnyFlags]]:
+        """The state a tick further, and which joints speed, acceleration and the workspace have held back."""
         motion, limits = state.motion, self._motion
-        wish = wished(motion, goal, limits)
+        wish, is_active = wished(motion, goal, limits), state.is_active
+        if not is_active.all():
+            wish = np.where(is_active[:, None], wish, self._stopping(state, found))
         wanted = towards(motion, wish, limits)
-        moved = self._kept_inside(motion, wanted, ~state.is_in(Mode.IDLE))
-        follow = np.minimum(limits.dt / self.limits.joints.lag, 1.0)
-        expected = state.expected + follow * (moved.position - state.expected)
-        change = limits.acceleration * limits.dt
-        held_back = {
-            Clamp.SPEED: (np.abs(wish) > limits.speed).any(axis=-1),
-            Clamp.ACCELERATION: (np.abs(wish - motion.velocity) > change + ROUNDING).any(axis=-1),
-            Clamp.WORKSPACE: (moved.velocity != wanted.velocity).any(axis=-1),
-        }
-        return replace(state, motion=moved, expected=expected), bits(held_back)
-
-    def _kept_inside(self, motion: Motion, wanted: Motion, is_watched: Flags) -> Motion:
-        """The wanted tick, or as much of it as lets the arm brake without leaving the workspace.
-
-        All joints may brake: that was found a tick ago. One after the other is let go on, if then the arm can
-        still brake.
-        """
-        arm = self._columns
-        rows = np.flatnonzero(is_watched & (wanted.velocity[:, arm] != 0.0).any(axis=-1))
-        rows = rows[~self._can_stop(wanted.only(rows))] if len(rows) else rows
-        if not len(rows):
-            return wanted
-        braking = braked(motion.only(rows), self._motion)
-        position, velocity = wanted.position[rows], wanted.velocity[rows]
-        position[:, arm], velocity[:, arm] = braking.position[:, arm], braking.velocity[:, arm]
-        for joint in np.flatnonzero((velocity != wanted.velocity[rows]).any(axis=0)):
-            trial = Motion(position=position.copy(), velocity=velocity.copy())
-            trial.position[:, joint] = wanted.position[rows, joint]
-            trial.velocity[:, joint] = wanted.velocity[rows, joint]
-            may_go = self._can_stop(trial)[:, None]
-            position = np.where(may_go, trial.position, position)
-            velocity = np.where(may_go, trial.velocity, velocity)
-        kept = Motion(position=wanted.position.copy(), velocity=wanted.velocity.copy())
-        kept.position[rows], kept.velocity[rows] = position, velocity
-        return kept
-
-    def _can_stop(self, motion: Motion) -> Flags:
-        """Whether the arm stays in the workspace at every tick of braking, the present one included."""
-        position, velocity = (rows[:, self._columns] for rows in (motion.position, motion.velocity))
-        longest = np.ceil(np.abs(velocity) / (self._arm.acceleration * self._arm.dt)).max(axis=-1)
-        row, ticks = np.nonzero(self._braking_ticks <= longest[:, None])
-        path = braked(Motion(position=position[row], velocity=velocity[row]), self._arm, ticks[:, None])
-        is_inside = self.limits.workspace.contains(path.position)
-        return np.logical_and.reduceat(is_inside, np.flatnonzero(ticks == 0))
+        moved = self._brake.kept_inside(motion, state.recent, wanted, state.mode != int(Mode.IDLE))
+        recent = np.concatenate((state.recent[1:], moved.position[None]))
+        command = averaged(recent, limits)
+        moved_state = replace(
+            state,
+            motion=moved,
+            recent=recent,
+            command=command,
+            interpolator=way,
+            expected=state.expected + self._follow * (command - state.expected),
+        )
+        is_fast, is_sudden = np.abs(wish) > limits.speed, np.abs(wish - motion.velocity) > self._sudden
+        return moved_state, (is_fast, is_sudden, moved.velocity != wanted.velocity)

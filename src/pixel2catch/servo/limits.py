@@ -1,20 +1,26 @@
 """What the servo keeps to: limits of the joints, and how old its inputs may be."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import partial
 from math import isclose, pi
 
 import numpy as np
+from jaxtyping import Int
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.ros2.profile import MotionBudget, RobotPart
 from pixel2catch.scene.constants import CONTROL_DT, SPEED_MARGIN
 from pixel2catch.servo.motion import Joints, MotionLimits
 from pixel2catch.servo.workspace import Workspace
 
 STOP_TIME = 0.3  #: Time after which the commands of a stop stand still [s]. Source: ours.
 RETURN_TIME = 0.2  #: Part of it to go back to where the joints are [s]; the rest is to brake. Source: ours.
+LOSS_TIME = 3.0
+"""Time since the object was last seen after which it is lost [s]. Source: ours; longer than a throw lasts."""
+
 BEYOND_TRAVEL = 0.3
 """Distance beyond the ends of its travel at which a joint cannot be [rad].
 
@@ -35,24 +41,52 @@ class JointLimits:
 
     Speed and acceleration are those of the commands, which run ahead of the joints: a joint follows through
     its servo, and at a steady speed it is `lag` behind. Its own speed is therefore limited by `lead`.
+
+    Sources:
+        lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
+            its travel (UR), and `TRAVEL_MARGIN` is kept from it.
+        speed, acceleration: ours. In simulation the whole servo costs the shipped policies no success: of
+            100 throws `proposed`, `single_agent` and `only_center` catch 91, 93 and 96, without it 93, 92
+            and 94. With 4 rad/s and 100 rad/s² `proposed` loses 8.
+        jerk: ours; an arm's acceleration may turn in 10 ms, for which commands come 4 ms later, a finger's
+            in a tick: the slowest driver of a hand takes every fifth command.
+        deceleration: ours; that of an arm is five times that with which UR's driver stops one that nobody
+            commands any more, and lets it rest after 0.13 s and 0.16 rad from full speed.
+        step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
+        lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
+        joint_speed, jump_speed: ours; what a joint may do, or can, and what an estimate may be wrong by.
+        tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
+        start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
+            finger's target is anywhere.
     """
 
     lower: Joints  #: Lowest command [rad].
     upper: Joints  #: Highest command [rad].
     speed: Joints  #: Largest speed of a command [rad/s].
     acceleration: Joints  #: Largest acceleration of a command [rad/s²].
+    jerk: Joints  #: Largest jerk of a command [rad/s³].
+    deceleration: Joints  #: Deceleration in a stop from the full speed [rad/s²].
     step: Joints  #: Largest change of a command in a tick [rad].
     lag: Joints  #: How long a joint is behind its command [s].
     lead: Joints  #: How far a command goes ahead of its joint [rad].
     tracking_error: Joints  #: Distance of a joint from where its servo should have it that is a fault [rad].
-    moved_error: Joints  #: Distance from a stopped command from which somebody has moved the joint [rad].
+    #: How wrong the lag may be, as a share of it. Source: ours; a joint may follow at once if not identified.
+    lag_error: float
+    #: Distance of a finger's joint from what its commands explain that is a fault [rad]. Source: ours, twice
+    #: what objects push fingers away in simulated catches.
+    escape: Joints
+    #: Distance from a stopped command from which somebody has moved the joint [rad]. Source: ours, three
+    #: times `start_error`.
+    moved_error: Joints
     least: Joints  #: Lowest position that a joint can have [rad].
     most: Joints  #: Highest position that a joint can have [rad].
     joint_speed: Joints  #: Speed of a joint that is a fault [rad/s].
     jump_speed: Joints  #: Speed that a joint cannot have [rad/s].
     start_error: Joints  #: Largest distance of a joint from the first command [rad].
     start_distance: Joints  #: Largest distance of the policy's first target from the first command [rad].
-    position_age: Joints  #: Age of a measured position that is a fault [s].
+    #: Age of a measured position that is a fault [s]. Source: ours, ten cycles of the UR driver, five of the
+    #: slowest Allegro driver.
+    position_age: Joints
 
     @classmethod
     def of(
@@ -62,27 +96,15 @@ class JointLimits:
         dynamics: JointDynamics | None = None,
         *,
         is_identified: bool = True,
+        parts: Iterable[RobotPart] = (),
     ) -> "JointLimits":
         """The limits of the robots of a work cell, at a share of the full speed, more than 0 and up to 1.
+
+        The full speed is that of the spec, or what a laboratory allows the joint's part, if that is less.
 
         Joints of one role have the same limits where the spec does not say more. The lag is that of the
         dynamics of all joints, nominal if absent. Where it has not been identified, commands are no faster
         than joints may be: a joint with a shorter lag than told would otherwise be faster than it may.
-
-        Sources:
-            lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
-                its travel (UR), and `TRAVEL_MARGIN` is kept from it.
-            speed, acceleration: ours. In simulation the whole servo costs the shipped policies no success: of
-                100 throws `proposed`, `single_agent` and `only_center` catch 91, 93 and 96, without it 93, 92
-                and 94. A command stops in 36 ms. With 4 rad/s and 100 rad/s² `proposed` loses 8.
-            step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
-            lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
-            joint_speed, jump_speed: ours; a joint's own limit, and what an estimate may be wrong by.
-            tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
-            moved_error: ours; three times `start_error`.
-            start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
-                finger's target is anywhere.
-            position_age: ours: ten cycles of the UR driver, five of the slowest Allegro driver.
 
         Raises:
             InvalidValueError: The share is out of range.
@@ -91,42 +113,64 @@ class JointLimits:
             raise InvalidValueError(f"the share of the full speed is {share:g}; it must be in (0, 1]")
         each = partial(_by_role, workcell)
         lag = steady_lag(dynamics or JointDynamics.nominal(specs=workcell.joints))
-        own_speed = np.array([joint.velocity_limit for joint in workcell.joints])
-        even_speed = share * SPEED_MARGIN * own_speed
+        full_speed = np.array([joint.velocity_limit for joint in workcell.joints])
+        most = _allowed(workcell, parts)
+        own_speed = share * np.minimum(full_speed, most["speed"])
+        even_speed = SPEED_MARGIN * own_speed
+        acceleration = np.minimum(each(300.0, 2000.0), most["acceleration"])
         lead = even_speed * lag
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
         margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
         return cls(
             lower=ends[0] + margin[0],
             upper=ends[1] - margin[1],
-            speed=share * each(10.0, 20.0) if is_identified else even_speed,
-            acceleration=each(300.0, 2000.0),
+            speed=own_speed / full_speed * each(10.0, 20.0) if is_identified else even_speed,
+            acceleration=acceleration,
+            jerk=np.minimum(each(60e3, 2e6), most["jerk"]),
+            deceleration=np.minimum(each(20.0, 100.0), acceleration),
             step=each(0.03, 0.04),
             lag=lag,
             lead=lead,
             tracking_error=0.75 * lead * each(1.0, np.inf),
+            lag_error=0.5 if is_identified else 1.0,
+            escape=each(np.inf, 0.5),
             moved_error=each(0.06, np.inf),
             least=ends[0] - BEYOND_TRAVEL,
             most=ends[1] + BEYOND_TRAVEL,
-            joint_speed=each(1.15, np.inf) * own_speed,
-            jump_speed=1.2 * own_speed,
+            joint_speed=own_speed + each(0.15, np.inf) * full_speed,
+            jump_speed=1.2 * full_speed,
             start_error=each(0.02, 0.2),
             start_distance=each(0.5, np.inf),
             position_age=each(0.02, 0.05),
         )
+
+    @property
+    def stop_time(self) -> Joints:
+        """Time in which a stop takes each joint to rest [s]."""
+        return self.lead / (self.lag * self.deceleration)
 
     def __post_init__(self) -> None:
         """Refuse limits that are none."""
         if not (self.lower < self.upper).all():
             raise InvalidValueError("a joint's lower limit is not below its upper limit")
         for name in {entry.name for entry in fields(self)} - {"lower", "upper", "least", "most"}:
-            if not (getattr(self, name) > 0.0).all():
+            if not np.all(getattr(self, name) > 0.0):
                 raise InvalidValueError(f"{name} has entries that are not more than 0: {getattr(self, name)}")
 
 
 def _by_role(workcell: WorkcellSpec, arm: float, hand: float) -> Joints:
     """One number for the joints of arms, and one for those of hands."""
     return np.array([arm if group.role == "arm" else hand for group in workcell.groups for _ in group.joints])
+
+
+def _allowed(workcell: WorkcellSpec, parts: Iterable[RobotPart]) -> dict[str, Joints]:
+    """What a laboratory allows each joint, by the kind of limit; infinite where it says nothing."""
+    budgets = {joint: part.limits for part in parts for joint in part.joints}
+    of_joints = [budgets.get(joint.name, MotionBudget()) for joint in workcell.joints]
+    return {
+        entry.name: np.array([getattr(budget, entry.name) for budget in of_joints])
+        for entry in fields(MotionBudget)
+    }
 
 
 def _is_end_of_travel(limit: float) -> bool:
@@ -147,6 +191,8 @@ class ServoLimits:
     tick_age: float = 0.02
     #: Age of the newest image that is a fault [s].
     image_age: float = 0.1
+    #: Age of the newest box of the object that is a fault [s]; before, the control loop holds the arm.
+    box_age: float = LOSS_TIME
     #: Age of the newest targets that is a fault [s].
     target_age: float = 2.0 * CONTROL_DT
     #: Time since the operator last held the dead-man switch that is a fault [s], and up to which a request
@@ -162,12 +208,28 @@ class ServoLimits:
 
     def __post_init__(self) -> None:
         """Refuse limits under which a stop takes too long."""
-        slowest = float(np.max(self.motion.speed / self.motion.acceleration)) + self.dt
-        if slowest > STOP_TIME - RETURN_TIME:
+        motion = self.motion
+        braking = float(np.max(motion.speed / motion.acceleration + motion.window * self.dt))
+        if braking > STOP_TIME - RETURN_TIME:
             raise InvalidValueError(
-                f"braking takes up to {slowest:.3f} s; raise the acceleration or lower the speed until it "
-                f"takes {STOP_TIME - RETURN_TIME:.1f} s"
+                f"braking takes up to {braking:.3f} s; raise acceleration and jerk or lower the speed until "
+                f"it takes {STOP_TIME - RETURN_TIME:.1f} s"
             )
+        if (slowest := float(np.max(self.joints.stop_time))) > RETURN_TIME:
+            raise InvalidValueError(
+                f"a stop takes a joint up to {slowest:.3f} s; raise the deceleration or lower the speed "
+                f"until it takes {RETURN_TIME:.1f} s"
+            )
+
+    def in_words(self, ids: Int[np.ndarray, " some_joints"]) -> str:
+        """What the motion of some joints, by their places in joint order, keeps to."""
+        motion, joints = self.motion.only(ids), self.joints
+        own_speed = (joints.lead / (joints.lag * SPEED_MARGIN))[ids].max()
+        return (
+            f"joints up to {own_speed:.3g} rad/s; commands up to {motion.speed.max():.3g} rad/s, "
+            f"{motion.acceleration.max():.0f} rad/s², {motion.jerk.max():.0f} rad/s³; "
+            f"a stop takes {joints.stop_time[ids].max():.2f} s"
+        )
 
     @property
     def num_joints(self) -> int:
@@ -183,5 +245,6 @@ class ServoLimits:
             upper=joints.upper,
             speed=np.minimum(joints.speed, joints.step / self.dt),
             acceleration=joints.acceleration,
+            jerk=joints.jerk,
             dt=self.dt,
         )

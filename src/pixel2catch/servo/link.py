@@ -27,6 +27,8 @@ class PolicyCommand:
 
     target_stamp: float  #: When the targets were decided, `Clock.now` [s].
     image_stamp: float  #: When the newest image was taken, `Clock.now` [s].
+    box_stamp: float  #: When the newest image was taken in which the object was seen, `Clock.now` [s].
+    is_perception_sound: bool = True  #: Whether what perception says can be true.
     is_stop_requested: bool = False  #: Whether the control loop asks to stop.
     joint_pos_target: Joints  #: Targets of the policy in joint order [rad].
 
@@ -34,17 +36,19 @@ class PolicyCommand:
     def none(cls, num_joints: int) -> "PolicyCommand":
         """What holds before anything was commanded."""
         unknown = np.full(num_joints, np.nan)
-        return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf)
+        return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf, box_stamp=-np.inf)
 
     @classmethod
     def of(cls, row: Row) -> "PolicyCommand":
         """Read it."""
-        target_stamp, image_stamp, stop = row[:3].tolist()
+        target_stamp, image_stamp, box_stamp, is_sound, stop = row[:5].tolist()
         return cls(
             target_stamp=target_stamp,
             image_stamp=image_stamp,
+            box_stamp=box_stamp,
+            is_perception_sound=is_sound != 0.0,
             is_stop_requested=stop != 0.0,
-            joint_pos_target=row[3:],
+            joint_pos_target=row[5:],
         )
 
     @property

@@ -1,10 +1,14 @@
 """Motion of commands within limits: every tick moves towards a goal, and can always still stop in time.
 
-A tick chooses a speed v, which moves the command by v dt. Braking from it takes the ticks v, v - a dt, and so
-on, that are left above 0. All of it is exact in discrete time: rounding aside, no limit is passed.
+A tick chooses a speed v, which moves a position by v dt. Braking from it takes the ticks v, v - a dt, and so
+on, that are left above 0. A command is the mean of the newest n positions: it keeps their limits of position,
+speed and acceleration, as every mean does, and its acceleration changes by (a - a of n ticks ago) / n in a
+tick, which limits its jerk to 2 a / (n dt). All of it is exact in discrete time: rounding aside, no limit is
+passed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -12,6 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 from pixel2catch.scene.constants import CONTROL_DT
 
 Rows = Float64[np.ndarray, "rows joints"]
+Recent = Float64[np.ndarray, "ticks rows joints"]
 Joints = Float64[np.ndarray, " joints"]
 Times = Float64[np.ndarray, " rows"]
 Flags = Bool[np.ndarray, " rows"]
@@ -26,24 +31,49 @@ class MotionLimits:
     upper: Joints  #: Highest position [rad].
     speed: Joints  #: Largest speed [rad/s].
     acceleration: Joints  #: Largest acceleration [rad/s²].
+    jerk: Joints  #: Largest jerk [rad/s³].
     dt: float  #: Length of a tick [s].
 
     def only(self, joints: slice | Int64[np.ndarray, " some"]) -> "MotionLimits":
         """The limits of some joints."""
-        values = {name: value[joints] for name, value in vars(self).items() if name != "dt"}
-        return MotionLimits(**values, dt=self.dt)
+        names = [entry.name for entry in fields(self) if entry.name != "dt"]
+        return MotionLimits(**{name: getattr(self, name)[joints] for name in names}, dt=self.dt)
+
+    @cached_property
+    def window(self) -> Int64[np.ndarray, " joints"]:
+        """How many positions a command of each joint is the mean of."""
+        ticks = 2.0 * self.acceleration / (self.jerk * self.dt)
+        return np.maximum(np.ceil(ticks * (1.0 - 1e-12)), 1.0).astype(np.int64)
+
+    @cached_property
+    def weights(self) -> Float64[np.ndarray, "ticks 1 joints"]:
+        """What each of the newest positions counts in a command, oldest first."""
+        age = np.arange(self.window.max())[::-1, None]
+        return ((age < self.window) / self.window)[:, None]
+
+    @cached_property
+    def change(self) -> Joints:
+        """Largest change of the speed in a tick [rad/s]."""
+        return self.acceleration * self.dt
+
+    @property
+    def delay(self) -> Joints:
+        """How much later than the positions the commands are [s]."""
+        return (self.window - 1) / 2.0 * self.dt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Commands of the joints, one row per robot."""
+    """Where commands are on their way to, one row per robot."""
 
     position: Rows  #: Positions [rad].
     velocity: Rows  #: Speeds of the tick that led there [rad/s].
 
-    def only(self, rows: Int64[np.ndarray, " some"]) -> "Motion":
-        """The commands of some rows."""
-        return Motion(position=self.position[rows], velocity=self.velocity[rows])
+    def only(
+        self, rows: Int64[np.ndarray, " some_rows"], joints: Int64[np.ndarray, " some_joints"]
+    ) -> "Motion":
+        """The motion of some joints of some rows."""
+        return Motion(position=self.position[rows][:, joints], velocity=self.velocity[rows][:, joints])
 
     def moved(self, velocity: Rows, dt: float) -> "Motion":
         """A tick with a speed [rad/s]."""
@@ -57,11 +87,9 @@ def fastest(
 
     Braking from v = (n + f) a dt, n whole and 0 <= f < 1, takes ((n + 1) f + n (n + 1) / 2) a dt².
     """
-    unit = limits.acceleration * limits.dt**2
-    share = distance / unit
-    whole = np.floor((np.sqrt(1.0 + 8.0 * share) - 1.0) / 2.0)
-    part = (share - whole * (whole + 1.0) / 2.0) / (whole + 1.0)
-    return (whole + part) * limits.acceleration * limits.dt
+    share = distance / (limits.change * limits.dt)
+    whole = np.floor(np.sqrt(2.0 * share + 0.25) - 0.5)
+    return (share / (whole + 1.0) + 0.5 * whole) * limits.change
 
 
 def wished(motion: Motion, goal: Rows, limits: MotionLimits) -> Rows:
@@ -72,25 +100,34 @@ def wished(motion: Motion, goal: Rows, limits: MotionLimits) -> Rows:
 
 def towards(motion: Motion, wish: Rows, limits: MotionLimits) -> Motion:
     """The tick whose speeds are nearest to what is wished [rad/s] and within all limits."""
-    change = limits.acceleration * limits.dt
     room = np.array((motion.position - limits.lower, limits.upper - motion.position))
     below, above = np.minimum(fastest(np.maximum(room, 0.0), limits), limits.speed)
-    slowest = np.maximum(motion.velocity - change, -below)
-    quickest = np.minimum(motion.velocity + change, above)
-    return motion.moved(wish.clip(slowest, quickest), limits.dt)
+    slowest = np.maximum(motion.velocity - limits.change, -below)
+    quickest = np.minimum(motion.velocity + limits.change, above)
+    return motion.moved(clipped(wish, slowest, quickest), limits.dt)
 
 
-def braked(motion: Motion, limits: MotionLimits, num_ticks: Int64[np.ndarray, "rows 1"] | int = 1) -> Motion:
-    """The motion after some ticks of braking, the same number or another one in each row."""
-    change = limits.acceleration * limits.dt
+def braked(motion: Motion, limits: MotionLimits, num_ticks: Int64[np.ndarray, "ticks 1 1"]) -> Recent:
+    """Positions after some numbers of ticks of braking [rad]."""
     speed = np.abs(motion.velocity)
-    whole = np.minimum(num_ticks, np.floor(speed / change))
-    left = np.maximum(speed - num_ticks * change, 0.0)
-    covered = (whole * speed - change * whole * (whole + 1.0) / 2.0) * limits.dt
-    return Motion(
-        position=motion.position + np.sign(motion.velocity) * covered,
-        velocity=np.copysign(left, motion.velocity),
-    )
+    whole = np.minimum(num_ticks, np.floor(speed / limits.change))
+    covered = whole * (speed - limits.change * (0.5 * whole + 0.5))
+    return motion.position + np.copysign(limits.dt, motion.velocity) * covered
+
+
+def braking(motion: Motion, limits: MotionLimits) -> Rows:
+    """Speeds after a tick of braking [rad/s]."""
+    return np.copysign(np.maximum(np.abs(motion.velocity) - limits.change, 0.0), motion.velocity)
+
+
+def clipped(values: Rows, lower: Rows | Joints, upper: Rows | Joints) -> Rows:
+    """Values within bounds, in half the time of `np.clip`."""
+    return np.minimum(np.maximum(values, lower), upper)
+
+
+def averaged(positions: Recent, limits: MotionLimits) -> Rows:
+    """The commands that the newest positions make [rad], oldest first."""
+    return np.add.reduce(positions * limits.weights, axis=0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,10 +145,10 @@ class TargetInterpolator:
         none = np.zeros(len(position))
         return cls(start=position, end=position, begun=none, stamp=none - np.inf)
 
-    def at(self, time: Times) -> Rows:
-        """Where it is at a time [rad]."""
-        share = ((time - self.begun) / CONTROL_DT).clip(0.0, 1.0)
-        return self.start + share[:, None] * (self.end - self.start)
+    def at(self, time: Times, ahead: Joints | float = 0.0) -> Rows:
+        """Where it is at a time, or some time ahead of it [rad]."""
+        share = ((time - self.begun)[:, None] + ahead) / CONTROL_DT
+        return self.start + np.minimum(np.maximum(share, 0.0), 1.0) * (self.end - self.start)
 
     def rested(self, mask: Flags, position: Rows) -> "TargetInterpolator":
         """Stay at positions [rad] in the masked rows, until the next target of whatever stamp."""

@@ -5,45 +5,63 @@ All stamps are of one monotonic clock. A stamp that is no number, or of the futu
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntFlag
+from enum import IntFlag, auto
 from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.motion import Bits, Flags, Joints, Rows, Times
+from pixel2catch.servo.motion import Bits, Flags, Rows, Times
 
 JITTER = 0.015  #: How much earlier or later a position may arrive than others do [s]. Source: ours.
 SMOOTHING = 0.04  #: Time over which the speed of a joint is estimated [s]. Source: ours.
+REST_ERROR = (
+    0.05  #: Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours.
+)
+
+SLACK_LAGS = 3.0
+"""In how many lags a distance from the command is forgotten that a motion explains. Source: ours."""
+
+FROZEN_ANGLE = 0.01
+"""Motion of a command in which its joint must be measured elsewhere by a bit at least [rad]. Source: ours."""
+
+FROZEN_TIME = 0.15  #: Time that a joint has for that [s]. Source: ours, more than the lag of any servo here.
 CLOCK_ERROR = 1e-3  #: How far ahead a stamp may be [s]. Source: ours; processes read the clock in turn.
 
 AnyFlag = TypeVar("AnyFlag", bound=IntFlag)
 
 
 class Fault(IntFlag):
-    """What stops the robot, or keeps it from being armed."""
+    """What stops the robot, or keeps it from being armed; recordings have the numbers: append."""
 
-    CLOCK = 1
-    JOINTS_STALE = 2
-    JOINTS_NOT_FINITE = 4
-    IMAGE_STALE = 8
-    POLICY_LATE = 16
-    TARGET_NOT_FINITE = 32
-    TARGET_FAR = 64
-    TRACKING_ERROR = 128
-    SAFETY_MODE = 256
-    SPEED_SCALING = 512
-    OTHER_PUBLISHER = 1024
-    DEAD_MAN = 2048
-    STOP_REQUEST = 4096
-    START_POSE = 8192
-    WORKSPACE = 16384
-    STILL_STOPPING = 32768
-    JOINTS_IMPLAUSIBLE = 65536
-    JOINT_SPEED = 131072
-    OTHER_OPERATOR = 262144
-    SWITCH_NOT_PRESSED = 524288
+    CLOCK = auto()
+    JOINTS_STALE = auto()
+    JOINTS_NOT_FINITE = auto()
+    IMAGE_STALE = auto()
+    POLICY_LATE = auto()
+    TARGET_NOT_FINITE = auto()
+    TARGET_FAR = auto()
+    TRACKING_ERROR = auto()
+    SAFETY_MODE = auto()
+    SPEED_SCALING = auto()
+    OTHER_PUBLISHER = auto()
+    DEAD_MAN = auto()
+    STOP_REQUEST = auto()
+    START_POSE = auto()
+    WORKSPACE = auto()
+    STILL_STOPPING = auto()
+    JOINTS_IMPLAUSIBLE = auto()
+    JOINT_SPEED = auto()
+    OTHER_OPERATOR = auto()
+    SWITCH_NOT_PRESSED = auto()
+    OBJECT_LOST = auto()
+    PERCEPTION_UNSOUND = auto()
+    STATUS_UNKNOWN = auto()
+    NO_SUBSCRIBER = auto()
+    OTHER_SUBSCRIBER = auto()
+    CONTROLLER = auto()
+    JOINTS_FROZEN = auto()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,6 +74,8 @@ class ServoInputs:
     joint_pos_target: Rows  #: Newest targets of the policy [rad].
     target_stamp: Times  #: When they were decided [s].
     image_stamp: Times  #: When the newest image was taken [s].
+    box_stamp: Times  #: When the newest image was taken in which the object was seen [s].
+    is_perception_sound: Flags  #: Whether what perception says can be true.
     dead_man_stamp: Times  #: When the operator last held the dead-man switch [s].
     #: When the switch was last pressed after it had been let go, or silent for too long [s].
     pressed_stamp: Times
@@ -63,40 +83,82 @@ class ServoInputs:
     is_stop_requested: Flags  #: Whether the operator, or anything else, asks to stop.
     is_safe: Flags  #: Whether the robot's program runs in its normal safety mode.
     speed_scaling: Times  #: Share of the full speed at which the robot runs its program; 1 is full.
+    is_status_known: Flags  #: Whether the drivers have said all that is watched of them, and it holds.
+    has_controller: Flags  #: Whether the controllers that take our commands are active.
     has_other_publisher: Flags  #: Whether anybody else sends commands to the robot.
     has_other_operator: Flags  #: Whether several hold the switch, or ask to arm.
+    has_subscriber: Flags  #: Whether somebody takes the commands of each driver.
+    has_other_subscriber: Flags  #: Whether several take the commands of one.
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Commanded:
+    """What the joints have been told up to a tick."""
+
+    position: Rows  #: Newest commands [rad].
+    expected: Rows  #: Where the joints should be, by the lag of their servos [rad].
+    is_followed: Flags  #: Whether the robot has been commanded, from the same pose on, for a tick at least.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTrack:
-    """What has been measured of every joint so far."""
+    """What has been measured of every joint so far, and what of it the commands explain."""
 
     position: Rows  #: Newest position that was a number [rad].
     stamp: Rows  #: When it was measured [s].
     speed: Rows  #: Estimated speed [rad/s].
+    explained: Rows  #: Position nearest to it to which the commands may have led, or something stopped [rad].
+    slack: Rows  #: How far behind its command a joint may still be, by the motion of late [rad].
+    anchor: Rows  #: Where the command was when the measurement last changed [rad].
+    still_time: Rows  #: How long the measurement has not changed, though the command has moved [s].
 
     @classmethod
     def unknown(cls, num_rows: int, num_joints: int) -> "JointTrack":
         """Before the first measurement."""
         none = np.full((num_rows, num_joints), np.nan)
-        return cls(position=none, stamp=none, speed=0.0 * np.nan_to_num(none))
+        zeros = np.zeros((num_rows, num_joints))
+        return cls(
+            position=none,
+            stamp=none,
+            speed=zeros,
+            explained=zeros,
+            slack=zeros,
+            anchor=zeros,
+            still_time=zeros,
+        )
 
-    def continued(self, position: Rows, stamp: Rows, most: Joints) -> tuple["JointTrack", Flags]:
-        """What is known with new positions [rad] of some time [s], and whether one went as none can.
-
-        No joint is faster than `most` [rad/s].
-        """
+    def continued(
+        self, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
+    ) -> tuple["JointTrack", Flags]:
+        """What is known with new positions, and whether one went as none can."""
+        joints, position, stamp = limits.joints, inputs.joint_pos, inputs.joint_stamp
         is_known = np.isfinite(self.stamp)
         is_new = np.isfinite(position) & np.isfinite(stamp) & ~(stamp <= self.stamp)
         elapsed = np.where(is_known & is_new, stamp - self.stamp, 0.0)
         moved = np.where(is_known & is_new, position - self.position, 0.0)
-        is_jump = np.abs(moved) > most * (elapsed + JITTER)
+        is_jump = np.abs(moved) > joints.jump_speed * (elapsed + JITTER)
         share = np.minimum(elapsed / SMOOTHING, 1.0)
         speed = (1.0 - share) * self.speed + np.where(is_jump, 0.0, moved / np.maximum(elapsed, SMOOTHING))
+        command, expected, is_followed = (
+            commanded.position,
+            commanded.expected,
+            commanded.is_followed[:, None],
+        )
+        lowest = np.minimum(np.minimum(command, expected), self.explained)
+        highest = np.maximum(np.maximum(command, expected), self.explained)
+        is_measured = np.isfinite(position)
+        explained = np.where(is_followed, position.clip(lowest, highest), position)
+        left = 1.0 - np.minimum(limits.dt / (SLACK_LAGS * joints.lag), 1.0)
+        anchor = np.where(is_followed & ~(is_new & (moved != 0.0)), self.anchor, command)
+        is_still = np.abs(command - anchor) > FROZEN_ANGLE
         track = JointTrack(
             position=np.where(is_new, position, self.position),
             stamp=np.where(is_new, stamp, self.stamp),
             speed=speed,
+            explained=np.where(is_measured, explained, self.explained),
+            slack=np.maximum(np.abs(command - expected), left * self.slack),
+            anchor=anchor,
+            still_time=np.where(is_still, self.still_time + limits.dt, 0.0),
         )
         return track, np.logical_or.reduce(is_jump, axis=-1)
 
@@ -131,11 +193,48 @@ def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) 
             Fault.JOINTS_STALE: ~is_measured,
             Fault.JOINTS_NOT_FINITE: ~all_finite(inputs.joint_pos),
             Fault.SAFETY_MODE: ~inputs.is_safe,
-            Fault.SPEED_SCALING: ~(inputs.speed_scaling >= 1.0),
+            Fault.SPEED_SCALING: inputs.speed_scaling != 1.0,
+            Fault.STATUS_UNKNOWN: ~inputs.is_status_known,
+            Fault.CONTROLLER: ~inputs.has_controller,
+            Fault.NO_SUBSCRIBER: ~inputs.has_subscriber,
+            Fault.OTHER_SUBSCRIBER: inputs.has_other_subscriber,
             Fault.OTHER_PUBLISHER: inputs.has_other_publisher,
             Fault.OTHER_OPERATOR: inputs.has_other_operator,
             Fault.DEAD_MAN: ~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
             Fault.STOP_REQUEST: inputs.is_stop_requested,
+        }
+    )
+
+
+def faults_of_joints(
+    track: JointTrack, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
+) -> tuple[JointTrack, Bits]:
+    """What is known of the joints with new positions, and what is wrong with it.
+
+    An arm's joint is where its servo has it: near its command at rest, and as far behind as the lag explains
+    in motion. A finger may be stopped by what it holds; it does not leave its command by itself.
+    """
+    joints, position = limits.joints, inputs.joint_pos
+    before, (track, is_jump) = track, track.continued(inputs, commanded, limits)
+    is_arm, is_finger = np.isfinite(joints.tracking_error), np.isfinite(joints.escape)
+    is_beyond = (position < joints.least) | (position > joints.most)
+    is_escaped = np.abs(position - track.explained) > joints.escape
+    most = np.minimum(joints.tracking_error, REST_ERROR + joints.lag_error * track.slack)
+    is_off = (np.abs(position - commanded.expected) > most) & is_arm
+    is_frozen = before.still_time >= FROZEN_TIME
+    any_of, all_of = np.logical_or.reduce, np.logical_and.reduce
+    is_frozen = any_of(is_frozen & is_arm, axis=-1) | (
+        all_of(is_frozen | ~is_finger, axis=-1) & bool(is_finger.any())
+    )
+    is_followed = commanded.is_followed
+    return track, bits(
+        {
+            Fault.JOINTS_IMPLAUSIBLE: any_of(is_beyond, axis=-1)
+            | is_jump
+            | (any_of(is_escaped, axis=-1) & is_followed),
+            Fault.JOINT_SPEED: any_of(np.abs(track.speed) > joints.joint_speed, axis=-1) & is_followed,
+            Fault.TRACKING_ERROR: any_of(is_off, axis=-1) & is_followed,
+            Fault.JOINTS_FROZEN: is_frozen & is_followed,
         }
     )
 
@@ -147,6 +246,8 @@ def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
             Fault.IMAGE_STALE: ~is_recent(inputs.now, inputs.image_stamp, limits.image_age),
             Fault.POLICY_LATE: ~is_recent(inputs.now, inputs.target_stamp, limits.target_age),
             Fault.TARGET_NOT_FINITE: ~all_finite(inputs.joint_pos_target),
+            Fault.OBJECT_LOST: ~is_recent(inputs.now, inputs.box_stamp, limits.box_age),
+            Fault.PERCEPTION_UNSOUND: ~inputs.is_perception_sound,
         }
     )
 

@@ -1,7 +1,8 @@
 """Where robots may be: above the table, and with each hand in a box; by forward kinematics of the arms.
 
-An arm is made of its capsules, a hand is a box that holds it in every position of the fingers. Base and
-shoulder stand on the table; self-collisions are the policy's to avoid, and the arm's own controller watches.
+An arm is made of its capsules, a hand is a box that holds it in every position of the fingers; it keeps away
+from its own forearm and upper arm. Base and shoulder stand on the table; whether arms hit each other, or
+fingers each other, is the policy's to avoid.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from pixel2catch.robots.geometry import TABLE_CLEARANCE, ArmShape, arm_shape, ch
 from pixel2catch.robots.spec import Vec3
 from pixel2catch.robots.workcell import WorkcellSpec
 
+HAND_CLEARANCE = 0.01  #: Distance of a hand to keep from its own arm [m]. Source: ours.
 ROUNDING = 1e-9  #: Gap that is none [m], and what an axis across two that are parallel may seem to show.
 
 Corners = Float64[np.ndarray, "rows 3"]
@@ -45,6 +47,36 @@ class WatchedArm:
         middle = palm[:, :3, 3] + rotation @ self.shape.hand_center
         half = np.abs(rotation) @ self.shape.hand_half
         return middle, middle - half, middle + half
+
+    def is_hand_apart(
+        self, palm: Float64[np.ndarray, "rows 4 4"], ends: Float64[np.ndarray, "capsules rows 3 2"]
+    ) -> Bool[np.ndarray, " rows"]:
+        """Where no axis of a capsule of the arm enters the boxes of the hand, grown by its radius."""
+        points = ends.transpose(1, 2, 3, 0).reshape(len(palm), 3, -1)
+        local = palm[:, :3, :3].transpose(0, 2, 1) @ (points - palm[:, :3, 3:])
+        start, end = local.reshape(len(palm), 3, 2, 1, -1).transpose(2, 1, 3, 4, 0)
+        enter, leave = crossed(start, end - start, *self._grown_boxes)
+        return (enter > leave).all(axis=(0, 1))
+
+    @cached_property
+    def _grown_boxes(self) -> Float64[np.ndarray, "2 3 boxes capsules 1"]:
+        """Corners of the hand's boxes, with the radius of each capsule and the clearance about them [m]."""
+        around = self.shape.radii[self.shape.reached] + HAND_CLEARANCE
+        lower, upper = self.shape.boxes[..., None]
+        return np.stack((lower - around, upper + around))[..., None]
+
+
+def crossed(
+    start: Float64[np.ndarray, "axes *#places"],
+    way: Float64[np.ndarray, "axes *#places"],
+    near: Float64[np.ndarray, "axes *#places"],
+    far: Float64[np.ndarray, "axes *#places"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of straight ways at which they enter and leave a space between two corners; none if reversed."""
+    slope = np.where(way == 0.0, 1e-12, way)
+    first, last = (near - start) / slope, (far - start) / slope
+    enter = np.minimum(first, last).max(axis=0).clip(0.0, None)
+    return enter, np.maximum(first, last).min(axis=0).clip(None, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +118,8 @@ class Workspace:
         frames = arm.link_frames(arm_pos)
         middle, lower, upper = arm.hand_box(frames[-1])
         is_inside = np.logical_and.reduce((lower >= self.lower) & (upper <= self.upper), axis=-1)
-        capsules = frames[arm.shape.links] @ arm.shape.ends[:, None]
+        capsules = (frames[arm.shape.links] @ arm.shape.ends[:, None])[:, :, :3]
+        is_inside &= arm.is_hand_apart(frames[-1], capsules[arm.shape.reached])
         near, far, top = self._sides
         around = arm.shape.radii[:, None]
         if (lower[:, 2] >= top).all() and (capsules[:, :, 2] >= top + around[..., None]).all():
@@ -95,7 +128,7 @@ class Workspace:
         is_clear = ~is_over | (lower[:, 2] >= top)
         if not is_clear.all():
             is_clear[~is_clear] = self._is_box_clear(arm, middle[~is_clear], frames[-1][~is_clear, :3, :3])
-        return is_inside & is_clear & self._are_clear(capsules[:, :, :3], around)
+        return is_inside & is_clear & self._are_clear(capsules, around)
 
     def _is_box_clear(
         self, arm: WatchedArm, middle: Corners, rotation: Float64[np.ndarray, "rows 3 3"]
@@ -124,10 +157,7 @@ class Workspace:
         near, far = near[:, None, None] - radii, far[:, None, None] + radii
         start, end = ends.transpose(3, 2, 0, 1)
         way = end - start
-        slope = np.where(way == 0.0, 1e-12, way)[:2]
-        first, last = (near - start[:2]) / slope, (far - start[:2]) / slope
-        enter = np.minimum(first, last).max(axis=0).clip(0.0, None)
-        leave = np.maximum(first, last).min(axis=0).clip(None, 1.0)
+        enter, leave = crossed(start[:2], way[:2], near, far)
         lowest = start[2] + np.minimum(enter * way[2], leave * way[2])
         return ((enter > leave) | (lowest >= top + radii)).all(axis=0)
 

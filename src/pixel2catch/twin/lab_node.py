@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from pixel2catch.errors import DeploymentError
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart, StatusTopics
+from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart
 from pixel2catch.ros2.transport import Topic, Transport
 from pixel2catch.twin.drivers import CYCLE, ArmDriver, Camera, Driver, HandDriver, Motion
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
@@ -75,10 +75,10 @@ class PartTopics:
         self._places = [theirs.index_in_command for theirs in part.joints.values()]
         self._cycles = max(round(1.0 / (part.rate_hz * CYCLE)), 1)
         names = [theirs.name_in_state for theirs in part.joints.values()]
-        held = [f"ah_joint{place // 4}{place % 4}" for place in part.held]
+        held = {joint.name_in_state: joint.angle for joint in part.held.values() if joint.name_in_state}
         self._order = np.argsort([*names, *held])  # a state's order is not a command's
         self._names = [[*names, *held][i] for i in self._order]
-        self._held = np.array(list(part.held.values()))
+        self._held = np.array([*held.values()])
         self.num_refused = 0  #: Commands of a wrong length or type.
 
     def publish(self, number: int, encoders: Motion, stamp: float) -> None:
@@ -114,13 +114,16 @@ class PartTopics:
 
 
 class StatusPublisher:
-    """What the arm's driver says of itself; latched topics are sent when they change."""
+    """What the drivers say of themselves; latched topics are sent when they change."""
 
-    def __init__(self, topics: StatusTopics, transport: Transport) -> None:
-        """Announce those topics that the profile has."""
-        self._publishers = {
-            name: transport.publisher(topic) for name, topic in vars(topics).items() if topic is not None
-        }
+    def __init__(self, profile: Profile, transport: Transport) -> None:
+        """Announce those topics that the profile has, with all of its controllers active."""
+        topics = vars(profile.status)
+        self._publishers = {name: transport.publisher(topic) for name, topic in topics.items() if topic}
+        controllers = [part.controller for part in profile.robots if part.controller]
+        for topic in {each.activity for each in controllers}:
+            active = {each.name: messages.ACTIVE for each in controllers if each.activity == topic}
+            transport.publisher(topic).publish(messages.activity(active, 0.0))
         self._last: tuple[int, bool] | None = None
 
     def publish(self, number: int, arm: ArmDriver) -> None:
@@ -168,7 +171,7 @@ class LabNode:
         self._parts = [
             PartTopics(part, driver, transport) for part, driver in zip(profile.robots, drivers, strict=True)
         ]
-        self._status = StatusPublisher(profile.status, transport)
+        self._status = StatusPublisher(profile, transport)
         self._image = transport.publisher(profile.camera.image)
         self._info = transport.publisher(profile.camera.info) if profile.camera.info else None
         self._requests = transport.subscription(COMMAND, DEPTH)

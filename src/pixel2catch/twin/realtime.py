@@ -17,7 +17,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
-from pixel2catch.ros2.transport import Clock, RealClock, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, make_transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.process import set_niceness
 from pixel2catch.twin.config import TwinCfg
@@ -104,7 +104,7 @@ def serve(cfg: TwinCfg, task: CatchEnvCfg, on_cycle: OnCycle) -> ClockStats:
     set_niceness(FIRST)
     with (
         drawing_process(scene, cfg.seed) as draw,
-        make_transport("dds", "pixel2catch_twin", loopback=True, clock=clock) as node,
+        make_transport("dds", "pixel2catch_twin", LOOPBACK, clock) as node,
         SimulatedLab(task, cfg.seed) as lab,
     ):
         return run(LabNode(lab, profile, node, Camera(draw)), clock, on_cycle)

@@ -20,7 +20,7 @@ from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics, Profile
-from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.lab_node import COMMAND, PROFILE, STATE
@@ -191,12 +191,12 @@ def rehearse(
     twin_args = ["--seed", str(cfg.seed), "--objects", *cfg.task.objects]
     twin_args += ["--policy", policy] if policy else []
     twin_args += ["--dynamics", str(cfg.task.dynamics)] if cfg.task.dynamics else []
-    deploy_args = ["--loopback", "--json", *([policy] if policy else [])]
+    deploy_args = ["--json", *([policy] if policy else [])]
     deploy_args += ["--record", str(cfg.record)] if cfg.record else []
     with ExitStack() as stack:
         twin = stack.enter_context(_process(logs, "twin", *common, *twin_args))
         deploy = stack.enter_context(_process(logs, "deploy", *common, *deploy_args))
-        node = stack.enter_context(make_transport("dds", "pixel2catch_operator", True, clock))
+        node = stack.enter_context(make_transport("dds", "pixel2catch_operator", LOOPBACK, clock))
         operator = RehearsalOperator(node, Profile.load(PROFILE).operator, clock)
         _wait_for_both(operator, (twin, deploy), cfg.clock, logs)
         outcomes = []

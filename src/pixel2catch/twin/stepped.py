@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, closing, contextmanager
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from pixel2catch.perception.segmenter import Image
 from pixel2catch.policy import LoadedPolicy
 from pixel2catch.rendering.camera import Exposure, RoomCamera
 from pixel2catch.ros2.memory import Broker
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.twin.config import RehearsalCfg
@@ -113,6 +114,7 @@ def _done(image: Image) -> "Future[Image]":
 
 
 GREY, RED, RED_HUES = 120, (200, 30, 20), ColorRange(hue=(340.0, 20.0))  #: Colours of plain images.
+NOISE, NUM_SHIFTS = 4, 32  #: Largest noise of plain images; shifts along a row with which it is another one.
 
 
 def rehearse_stepped(
@@ -167,10 +169,18 @@ def in_step(
 
 
 def plain_image(lab: SimulatedLab, _: Exposure) -> Image:
-    """A grey image with a red box where the camera would see the object."""
+    """A grey image with a red box where the camera would see the object; no two in a row are equal."""
     camera = lab.camera
-    image = np.full((camera.height, camera.width, 3), GREY, dtype=np.uint8)
+    shift = round(lab.time / CONTROL_DT) % NUM_SHIFTS
+    image = _grey(camera.height, camera.width + NUM_SHIFTS)[:, shift : shift + camera.width].copy()
     if box := lab.truth()["box"]:
         xmin, ymin, xmax, ymax = map(round, box)
         image[ymin:ymax, xmin:xmax] = RED
     return image
+
+
+@cache
+def _grey(height: int, width: int) -> Image:
+    """Grey, with the noise of a sensor."""
+    noise = np.random.default_rng(0).integers(-NOISE, NOISE + 1, (height, width, 3))
+    return (GREY + noise).astype(np.uint8)

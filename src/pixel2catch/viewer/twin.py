@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from pixel2catch.deployment.operator import newest
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, Transport, make_transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.twin.lab_node import COMMAND, STATE
 from pixel2catch.twin.rehearsal import RehearsalOperator, run_trial
@@ -113,7 +113,7 @@ class TwinPage:
 def serve_page(cfg: PageCfg, scene: SceneCfg, profile: Profile, rate: float) -> NoReturn:
     """Serve the page until this process is ended."""
     clock = RealClock(rate)
-    with make_transport("dds", "pixel2catch_page", loopback=True, clock=clock) as node:
+    with make_transport("dds", "pixel2catch_page", LOOPBACK, clock) as node:
         page = TwinPage(cfg, scene, profile, node, clock)
         print(f"the twin's page: {page.address}", file=sys.stderr, flush=True)
         while True:

@@ -1,5 +1,6 @@
 """The Allegro hand of Wonik Robotics: index, middle and ring finger, and a thumb; left or right."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -64,9 +65,13 @@ PALM = PalmSpec(
     ),
     lower=(-0.06, -0.18, -0.11),
     upper=(0.15, 0.18, 0.25),
+    hand=((-0.055, -0.18, -0.03), (0.15, 0.075, 0.25)),
 )
 """The point called palm is the centre of the palm's surface (release). Box: the model over all joint
-positions of either hand, on the last link of the UR5e, rounded up."""
+positions of either hand, on the last link of the UR5e, rounded up; and of the left hand alone."""
+
+RIGHT_PALM = replace(PALM, hand=((-0.055, -0.075, -0.03), (0.15, 0.18, 0.25)))
+"""The same of the right hand, whose thumb is at the other side."""
 
 MENAGERIE = (
     ("palm", "palm"),
@@ -86,7 +91,7 @@ def allegro(handedness: Handedness = "left") -> RobotSpec:
         mjcf=Path(__file__).with_name(f"{handedness}.xml"),
         root="palm",
         groups=(HAND,),
-        palms=(PALM,),
+        palms=(PALM if handedness == "left" else RIGHT_PALM,),
         meshes=MeshSource(
             mjcf=f"wonik_allegro/{handedness}_hand.xml", bodies=MENAGERIE, pos=(0.0, 0.0, 0.095)
         ),

@@ -70,4 +70,5 @@ LEAP_RIGHT = RobotSpec(
     ),
 )
 """The palm is the middle of the surface between fingers and thumb. Box: the model over all joint positions,
-and the last link of an arm behind it, rounded up (ours)."""
+and the last link of an arm behind it, rounded up (ours). One about the hand alone would forbid a third of the
+poses about the start: its fingers go too far."""

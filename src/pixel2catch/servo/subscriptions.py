@@ -1,0 +1,247 @@
+"""What the servo hears over the network: joints, the drivers' status, the operator, and who else is there.
+
+A message that cannot be read counts as none: its sender falls silent, and that is what stops the robot.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from pixel2catch.errors import DeploymentError
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import OperatorTopics, Profile, RobotPart
+from pixel2catch.ros2.transport import Publisher, Subscription, Topic, Transport
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.watchdogs import ServoInputs
+
+DEPTH = 16  #: Messages kept from one tick to the next: several senders may share a topic. Source: ours.
+ARM_PAUSE = 0.5
+"""Time without a request to arm after which the next one counts [s]: not one of many. Source: ours."""
+
+POLL_TIME = 0.2  #: Time between two counts of publishers and subscribers [s]. Source: ours.
+SCALING_DIGITS = 3  #: Digits of a share of the speed: the driver multiplies two fractions. Source: ours.
+
+SCALING_AGE = 0.1
+"""Age of the newest speed scaling up to which it holds [s]. Source: ours, ten periods of the UR driver."""
+
+T = TypeVar("T")
+
+
+class JointStates:
+    """The newest position of each joint, by name, from any number of senders.
+
+    Positions are in joint order [rad]. Their stamps are of the first arrival [s]: a message that repeats its
+    stamp is an old one.
+    """
+
+    def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
+        """Begin to listen."""
+        self.joint_pos = np.full(num_joints, np.nan)
+        self.joint_stamp = np.full(num_joints, -np.inf)
+        #: Where the joints of each part are that are none of ours [rad]; NaN where that is not said.
+        self.held = [np.full(len(part.held), np.nan) for part in profile.robots]
+        self._sent = np.full(num_joints, np.nan)
+        senders: dict[Topic, list[tuple[RobotPart, np.ndarray]]] = {}
+        for part, held in zip(profile.robots, self.held, strict=True):
+            senders.setdefault(part.state_topic, []).append((part, held))
+        self._senders = [(transport.subscription(topic, DEPTH), parts) for topic, parts in senders.items()]
+
+    def hear(self) -> None:
+        """Take what has arrived."""
+        for subscription, parts in self._senders:
+            for (ids, stamp), arrival in _read(
+                subscription, lambda data, parts=parts: self._merge(data, parts)
+            ):
+                self._sent[ids], self.joint_stamp[ids] = stamp, arrival
+
+    def _merge(self, data: bytes, parts: list[tuple[RobotPart, np.ndarray]]) -> tuple[np.ndarray, float]:
+        """Note the positions; return the joints of which they are new, and when they were measured."""
+        reading = messages.read_joint_state(data)
+        ids = np.concatenate([part.merge(reading, self.joint_pos) for part, _ in parts])
+        for part, held in parts:
+            measured = part.held_positions(reading)
+            np.copyto(held, measured, where=np.isfinite(measured))
+        return ids[self._sent[ids] != reading.stamp], reading.stamp
+
+
+class _Said(Generic[T]):
+    """The newest that a driver says on a topic; None before the first, and when it holds no more."""
+
+    def __init__(
+        self, transport: Transport, topic: Topic, read: Callable[[bytes], T], longest: float = np.inf
+    ) -> None:
+        """Begin to listen; what is said holds for so long [s]."""
+        self.topic = topic
+        self.value: T | None = None
+        self._subscription, self._read, self._longest = transport.subscription(topic, DEPTH), read, longest
+        self._stamp = -np.inf
+
+    def hear(self, now: float) -> None:
+        for value, arrival in _read(self._subscription, self._read):
+            self.value, self._stamp = value, arrival
+        if now - self._stamp > self._longest:
+            self.value = None
+
+
+class DriverStatus:
+    """What the drivers say of themselves. What the profile names is unknown until it is said.
+
+    What is latched holds as long as its sender is there, the speed scaling for a short time.
+    """
+
+    def __init__(self, transport: Transport, profile: Profile) -> None:
+        """Begin to listen to what the profile names."""
+        self._transport = transport
+        topics = profile.status
+        modes: list[tuple[Topic | None, Callable[[bytes], bool]]] = [
+            (topics.safety_mode, lambda data: messages.read_safety_mode(data) == messages.NORMAL_SAFETY_MODE),
+            (topics.robot_mode, lambda data: messages.read_robot_mode(data) == messages.RUNNING_ROBOT_MODE),
+            (topics.program_running, messages.read_boolean),
+        ]
+        self._modes = [_Said(transport, topic, read) for topic, read in modes if topic]
+        self._controllers = [
+            _Said(transport, each.activity, partial(_is_active, each.name))
+            for each in (part.controller for part in profile.robots)
+            if each
+        ]
+        scaling = topics.speed_scaling
+        self._scaling = _Said(transport, scaling, messages.read_number, SCALING_AGE) if scaling else None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether all of it has been said, and holds."""
+        scaling = [self._scaling] if self._scaling else []
+        return all(said.value is not None for said in (*self._modes, *self._controllers, *scaling))
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether nothing that is known says that the robot is not in its normal mode, or does not run."""
+        return not any(said.value is False for said in self._modes)
+
+    @property
+    def has_controller(self) -> bool:
+        """Whether nothing that is known says that a controller which takes our commands is not active."""
+        return not any(said.value is False for said in self._controllers)
+
+    @property
+    def speed_scaling(self) -> float:
+        """Share of the full speed at which the robot runs; 1 while that is unknown."""
+        percent = self._scaling.value if self._scaling else None
+        return 1.0 if percent is None else round(percent / 100.0, SCALING_DIGITS)
+
+    def hear(self, now: float) -> None:
+        """Take what has arrived up to now [s]."""
+        for said in (*self._modes, *self._controllers):
+            said.hear(now)
+        if self._scaling:
+            self._scaling.hear(now)
+
+    def forget_lost(self) -> None:
+        """Forget what was latched by somebody who is gone."""
+        for said in (*self._modes, *self._controllers):
+            if not self._transport.num_other_publishers(said.topic):
+                said.value = None
+
+
+def _is_active(controller: str, data: bytes) -> bool:
+    return controller in messages.read_active_controllers(data)
+
+
+class _OperatorRequests:
+    """What the operator does: stamps of the dead-man's switch, none if it was let go, and of requests [s].
+
+    A message that was under way for longer than the switch may be silent says nothing of now, nor does one of
+    the future.
+    """
+
+    def __init__(self, transport: Transport, topics: OperatorTopics, operator_age: float) -> None:
+        self._operator_age = operator_age
+        self.dead_man_stamp = self.pressed_stamp = self.arm_stamp = self._last_arm = -np.inf
+        self.is_stop_requested = False
+        self._dead_man, self._arm, self._stop = (
+            transport.subscription(topic, DEPTH) for topic in (topics.dead_man, topics.arm, topics.stop)
+        )
+
+    def hear(self) -> None:
+        for is_held, arrival in _read(self._dead_man, messages.read_boolean, self._operator_age):
+            if is_held and arrival - self.dead_man_stamp > self._operator_age:
+                self.pressed_stamp = arrival
+            self.dead_man_stamp = arrival if is_held else -np.inf
+        for asks, arrival in _read(self._arm, messages.read_boolean, self._operator_age):
+            if asks and arrival - self._last_arm > ARM_PAUSE:
+                self.arm_stamp = arrival
+            self._last_arm = arrival if asks else self._last_arm
+        self.is_stop_requested = any(asks for asks, _ in _read(self._stop, messages.read_boolean))
+
+
+class ServoSubscriptions:
+    """All that the servo hears over the network."""
+
+    def __init__(
+        self, transport: Transport, profile: Profile, limits: ServoLimits, commands: Sequence[Publisher]
+    ) -> None:
+        """Begin to listen to all that a profile names, and see who takes our commands; none in a dry run."""
+        self._transport, self._publishers = transport, commands
+        self.joints = JointStates(transport, profile, limits.num_joints)
+        self._status = DriverStatus(transport, profile)
+        self._operator = _OperatorRequests(transport, profile.operator, limits.operator_age)
+        self._commands = [part.command_topic for part in profile.robots]
+        self._switches = (profile.operator.dead_man, profile.operator.arm)
+        self._has_other_publisher = self._has_other_operator = True
+        self._num_subscribers: list[int] = [0]
+        self._next_poll = -np.inf
+
+    def hear(self, now: float) -> None:
+        """Take what has arrived."""
+        self.joints.hear()
+        self._status.hear(now)
+        self._operator.hear()
+        if now >= self._next_poll:
+            self._next_poll = now + POLL_TIME
+            num_publishers = self._transport.num_other_publishers
+            self._has_other_publisher = any(num_publishers(topic) for topic in self._commands)
+            self._has_other_operator = any(num_publishers(topic) > 1 for topic in self._switches)
+            self._num_subscribers = [publisher.num_subscribers() for publisher in self._publishers]
+            self._status.forget_lost()
+
+    def inputs(self, now: float, policy_command: PolicyCommand) -> ServoInputs:
+        """What the servo is told in a tick, with what the control loop has ordered last."""
+        joints, status, operator = self.joints, self._status, self._operator
+        return ServoInputs(
+            now=np.array([now]),
+            joint_pos=joints.joint_pos[None].copy(),
+            joint_stamp=joints.joint_stamp[None].copy(),
+            joint_pos_target=policy_command.joint_pos_target[None],
+            target_stamp=np.array([policy_command.target_stamp]),
+            image_stamp=np.array([policy_command.image_stamp]),
+            box_stamp=np.array([policy_command.box_stamp]),
+            is_perception_sound=np.array([policy_command.is_perception_sound]),
+            dead_man_stamp=np.array([operator.dead_man_stamp]),
+            pressed_stamp=np.array([operator.pressed_stamp]),
+            arm_stamp=np.array([operator.arm_stamp]),
+            is_stop_requested=np.array([operator.is_stop_requested or policy_command.is_stop_requested]),
+            is_safe=np.array([status.is_safe]),
+            speed_scaling=np.array([status.speed_scaling]),
+            is_status_known=np.array([status.is_known]),
+            has_controller=np.array([status.has_controller]),
+            has_other_publisher=np.array([self._has_other_publisher]),
+            has_other_operator=np.array([self._has_other_operator]),
+            has_subscriber=np.array([all(self._num_subscribers)]),
+            has_other_subscriber=np.array([max(self._num_subscribers, default=0) > 1]),
+        )
+
+
+def _read(
+    subscription: Subscription, read: Callable[[bytes], T], longest: float = np.inf
+) -> Iterator[tuple[T, float]]:
+    """What has arrived and can be read, with its time of arrival [s], if it was not too long under way."""
+    for message in subscription.take():
+        if abs(message.age) > longest:
+            continue
+        try:
+            yield read(message.data), message.arrival
+        except DeploymentError:
+            continue

@@ -1,0 +1,144 @@
+"""Positions that cannot be true: frozen, shifted, run away; and what a robot does that is none of these."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from servo_rows import HOME, LIMITS, Lab, noisy
+
+from pixel2catch.servo.core import Mode
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.watchdogs import FROZEN_ANGLE, FROZEN_TIME, Fault, ServoInputs
+
+ARM, FINGERS, ELBOW = range(6), range(6, len(HOME)), 2
+NUM = len(HOME)
+Distort = Callable[[ServoInputs], ServoInputs]
+
+
+def frozen(joints: range | int) -> Distort:
+    """Joints of whom the same position comes again and again, with fresh stamps."""
+    kept: list[np.ndarray] = []
+
+    def distort(good: ServoInputs) -> ServoInputs:
+        kept.append(good.joint_pos.copy())
+        is_frozen = np.isin(np.arange(NUM), joints)
+        return replace(good, joint_pos=np.where(is_frozen, kept[0], good.joint_pos))
+
+    return distort
+
+
+def until_stopped(lab: Lab, seconds: float, distort: Distort) -> float:
+    """Time until the robot stops [s]; infinite if it does not."""
+    begin = lab.time
+    while lab.time < begin + seconds:
+        if lab.tick(distort).mode[0] == Mode.STOPPED:
+            return lab.time - begin
+    return np.inf
+
+
+@pytest.mark.parametrize("joint", ARM)
+@pytest.mark.parametrize("motion", [-0.02, -0.3])
+def test_a_frozen_joint_of_an_arm_stops_it_within_a_fifth_of_a_second(joint: int, motion: float):
+    """Also with a small target; the command needs 2 control steps at most for the small angle."""
+    lab = Lab().started()
+    lab.target[0, joint] += motion
+    time = until_stopped(lab, 1.0, frozen(joint))
+    assert lab.state.stopped_by[0] in (Fault.JOINTS_FROZEN, Fault.TRACKING_ERROR)
+    assert time < FROZEN_TIME + 2.0 / 30.0
+    assert FROZEN_TIME <= 0.2
+
+
+def test_a_frozen_arm_that_is_not_to_move_stands_still():
+    lab = Lab().started()
+    lab.target[0, ELBOW] += 0.8 * FROZEN_ANGLE
+    assert until_stopped(lab, 1.0, frozen(ARM)) == np.inf
+
+
+def test_a_hand_that_is_frozen_as_a_whole_stops():
+    lab = Lab().started()
+    lab.target[0, FINGERS] += 0.3
+    assert until_stopped(lab, 1.0, frozen(FINGERS)) < 0.25
+    assert lab.state.stopped_by[0] == Fault.JOINTS_FROZEN
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.5, 2.0])
+def test_an_elbow_that_is_measured_a_tenth_of_a_radian_off_stops(seconds: float):
+    """Suddenly or slowly, while the arm holds a pose and after a swing."""
+    for moves in (False, True):
+        lab = Lab().started()
+        lab.target[0, :3] += 0.3 * moves
+        begin = lab.time
+
+        def distort(good: ServoInputs, begin: float = begin) -> ServoInputs:
+            share = 1.0 if seconds == 0.0 else min((good.now[0] - begin) / seconds, 1.0)
+            return replace(good, joint_pos=good.joint_pos + 0.1 * share * (np.arange(NUM) == ELBOW))
+
+        assert until_stopped(lab, seconds + 1.5, distort) < np.inf
+        assert lab.state.stopped_by[0] & (Fault.JOINTS_IMPLAUSIBLE | Fault.TRACKING_ERROR)
+
+
+@pytest.mark.parametrize("share", [0.7, 1.0, 1.3])
+def test_swings_of_an_arm_whose_lag_is_a_little_wrong_are_explained(share: float):
+    """There and back, as fast as it goes, with pauses."""
+    lab = Lab().started()
+    lab.lag = share * lab.lag
+    for step in range(40):
+        if step % 10 < 6:
+            lab.target[0, :3] = HOME[:3] + 0.3 * (-1.0) ** (step // 3)
+        assert lab.run(1.0 / 30.0).mode[0] == Mode.RUN
+
+
+@pytest.mark.parametrize("lag", [0.02, 0.06, 0.14])
+def test_swings_of_an_arm_that_was_not_identified_are_explained(lag: float):
+    limits = replace(LIMITS, joints=type(LIMITS.joints).of(LIMITS.workspace.workcell, is_identified=False))
+    lab = Lab(limits=limits).started()
+    lab.lag = np.where(np.arange(NUM) < 6, lag, lab.lag)
+    for step in range(40):
+        if step % 10 < 6:
+            lab.target[0, :3] = HOME[:3] + 0.3 * (-1.0) ** (step // 3)
+        assert lab.run(1.0 / 30.0).mode[0] == Mode.RUN
+
+
+def test_fingers_that_an_object_stops_or_pushes_are_explained():
+    """They close on an object, squeeze, let go and are struck by 0.3 rad; one is stopped to the bit."""
+    lab = Lab().started()
+    for closing in (0.2, 1.2, 0.6, 0.0, 1.5):
+        lab.target[0, FINGERS] = HOME[FINGERS] + closing
+        lab.is_held_fast[FINGERS] = closing > 0.5
+        assert lab.run(0.3, noisy).mode[0] == Mode.RUN
+    lab.is_held_fast[:] = False
+    lab.run(0.5, noisy)
+    lab.joint_pos[0, FINGERS] -= 0.08  # a tick later: no jump
+    assert lab.run(0.3, noisy).mode[0] == Mode.RUN
+    lab.is_held_fast[7] = True
+    lab.target[0, FINGERS] = HOME[FINGERS] + 0.2
+    assert lab.run(0.5).mode[0] == Mode.RUN
+
+
+@pytest.mark.parametrize("finger", [6, 15, 18])
+def test_a_finger_that_leaves_its_command_by_itself_stops_the_robot(finger: int):
+    """By 0.6 rad within 2 s, in its travel, with its command at rest."""
+    lab = Lab().started()
+    lab.target[0, FINGERS] = HOME[FINGERS] + 0.8
+    lab.run(0.5)
+    begin = lab.time
+
+    def drifting(good: ServoInputs) -> ServoInputs:
+        gone = 0.3 * (good.now[0] - begin) * (np.arange(NUM) == finger)
+        return replace(good, joint_pos=good.joint_pos - gone)
+
+    assert until_stopped(lab, 2.0, drifting) < np.inf
+    assert lab.state.stopped_by[0] == Fault.JOINTS_IMPLAUSIBLE
+
+
+def test_a_dry_run_expects_nothing_of_the_joints():
+    """What `Servo` makes of the limits then."""
+    anywhere = np.full(NUM, np.inf)
+    limits: ServoLimits = replace(
+        LIMITS, joints=replace(LIMITS.joints, tracking_error=anywhere, escape=anywhere)
+    )
+    lab = Lab(limits=limits).started()
+    lab.target[0] += 0.2
+    lab.is_held_fast[:] = True
+    assert lab.run(1.0).mode[0] == Mode.RUN

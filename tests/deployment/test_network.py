@@ -1,0 +1,88 @@
+"""Which network the commands join: this machine only, unless they are told of another one."""
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from domains import own_domain
+from pixel2catch.cli.deploy import Deploy
+from pixel2catch.cli.link import Link, Network
+from pixel2catch.cli.main import main
+from pixel2catch.cli.operate import Operate
+from pixel2catch.cli.record import Record
+from pixel2catch.errors import UnknownNameError
+from pixel2catch.ros2.dds import THIS_MACHINE
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock, make_transport
+
+INTERFACES = [name for _, name in socket.if_nameindex()]
+COMMANDS = (["deploy"], ["record", "motion.npz", "--out", "tape"], ["operate", "/dev/null"])
+
+
+def test_nobody_joins_more_than_this_machine_by_default():
+    links = (
+        Deploy().link,
+        Record(trajectory=Path("a"), out=Path("b")).link,
+        Operate(device=Path("a")).network,
+    )
+    assert {link.network for link in links} == {LOOPBACK}
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
+def test_an_interface_that_there_is_not_is_refused_at_once(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """And those that there are, are named."""
+    monkeypatch.chdir(tmp_path)
+    Path("motion.npz").touch()
+    assert main([*command, "--network", "eth99"]) == 2
+    said = capsys.readouterr().err
+    assert "network 'eth99'" in said
+    assert all(name in said for name in (LOOPBACK, ANY, *INTERFACES))
+
+
+def test_a_network_that_there_is_not_is_refused_of_a_program_too():
+    with pytest.raises(UnknownNameError, match="network 'eth99'"):
+        make_transport("dds", "node", "eth99", RealClock())
+
+
+def test_each_network_is_said_at_the_beginning(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    with Network().join("node"):
+        said = capsys.readouterr().err
+    assert "network: lo, the digital twin on this machine; for a robot: --network INTERFACE" in said
+    assert f"ROS_DOMAIN_ID {own_domain()}" in said
+
+
+OTHERS = [
+    pytest.param(name, marks=pytest.mark.slow) for name in INTERFACES if name != LOOPBACK
+]  # they send there
+
+
+@pytest.mark.parametrize("network", [*OTHERS[-1:], ANY])
+def test_another_network_is_joined(network: str):
+    """In a process of its own: a process configures a domain once. Any is what CYCLONEDDS_URI says."""
+    script = (
+        "from pixel2catch.cli.link import Network\n"
+        f"with Network(network={network!r}).join('node'):\n"
+        "    print('joined')"
+    )
+    environment = {**os.environ, "ROS_DOMAIN_ID": own_domain(), "CYCLONEDDS_URI": THIS_MACHINE}
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+    assert run.stdout == "joined\n", run.stderr
+    assert f"network: {network}, " in run.stderr
+
+
+def test_only_the_twin_needs_no_identified_dynamics():
+    """Where a robot may be heard, commands are no faster than its joints may be."""
+    profile = Profile.load("ur5e_allegro_v4")
+    twin = Link()._limits(profile).joints
+    for link in (Link(network=ANY), Link(transport="ros")):
+        assert not link.is_twin
+        assert (link._limits(profile).joints.speed < twin.speed).all()

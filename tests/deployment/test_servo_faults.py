@@ -1,0 +1,189 @@
+"""What goes wrong in a laboratory on the wire, and the one reason that the servo gives for its stop."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from servo_rows import HOME, LIMITS
+from servo_stage import Cut, Stage, wait
+from wire_lab import frozen, twice, with_nan, without_elbow
+
+from pixel2catch.ros2 import messages
+from pixel2catch.servo.core import Mode
+from pixel2catch.servo.limits import STOP_TIME
+
+STOP_TICKS = round(STOP_TIME / LIMITS.dt)
+
+
+def silence(*names: str) -> Callable[[Stage], None]:
+    """Somebody says nothing more."""
+    return lambda stage: stage.lab.silent.update(names)
+
+
+def joints(change: Callable[[messages.JointReading], messages.JointReading]) -> Callable[[Stage], None]:
+    """Joint states are otherwise from now on."""
+    return lambda stage: setattr(stage.lab, "change", change)
+
+
+def says(name: str, data: bytes) -> Callable[[Stage], None]:
+    """The driver or the operator says something."""
+
+    def say(stage: Stage) -> None:
+        profile = stage.lab.profile
+        owner = profile.operator if hasattr(profile.operator, name) else profile.status
+        stage.lab.say(getattr(owner, name), data)
+
+    return say
+
+
+def slowed(stage: Stage) -> None:
+    stage.lab.speed = 50.0
+
+
+def scaled(percent: float) -> Callable[[Stage], None]:
+    """The driver says another speed scaling."""
+    return lambda stage: setattr(stage.lab, "speed", percent)
+
+
+def released(stage: Stage) -> None:
+    stage.lab.is_held = False
+
+
+def blinded(stage: Stage) -> None:
+    stage.lab.image_age = 0.2
+
+
+def rivalled(stage: Stage) -> None:
+    stage.broker.node(stage.clock).publisher(stage.lab.profile.robots[0].command_topic)
+
+
+def unheard(stage: Stage) -> None:
+    """The driver listens to no commands any more, though it goes on speaking."""
+    node = stage.laboratory
+    node.listeners = [each for each in node.listeners if not each.topic.name.endswith("commands")]
+
+
+def overheard(stage: Stage) -> None:
+    """Somebody else takes the commands, too."""
+    stage.broker.node(stage.clock).subscription(stage.lab.profile.robots[1].command_topic)
+
+
+def left(stage: Stage) -> None:
+    """Who latched the status is gone; everything else goes on."""
+    node = stage.laboratory
+    node.publishers = [each for each in node.publishers if not each.topic.is_latched]
+
+
+def switched(stage: Stage) -> None:
+    """Somebody has switched controllers."""
+    states = {"forward_position_controller": 2, "scaled_joint_trajectory_controller": messages.ACTIVE}
+    (controller,) = [part.controller for part in stage.lab.profile.robots if part.controller]
+    stage.lab.say(controller.activity, messages.activity(states, 0.0))
+
+
+def garbled(stage: Stage) -> None:
+    """Bytes that are no joint state, and one with fewer positions than names."""
+    topic, lab = stage.lab.profile.robots[0].state_topic, stage.lab
+    lab.say(topic, b"\x00\x01\x00\x00garbage")
+    lab.say(topic, messages.joint_state(["elbow_joint", "wrist_1_joint"], [1.0], 1.0))
+    lab.silent.add("arm")
+
+
+FAULTS = {
+    "arm gone": (silence("arm"), "joints stale"),
+    "hand gone": (silence("hand"), "joints stale"),
+    "joint missing": (joints(without_elbow), "joints stale"),
+    "joint states frozen": (joints(frozen), "joints stale"),
+    "joint states garbled": (garbled, "joints stale"),
+    "joint twice": (joints(twice), "joints stale"),
+    "joint not a number": (joints(with_nan), "joints not finite"),
+    "protective stop": (says("safety_mode", messages.safety_mode(3)), "safety mode"),
+    "reduced mode": (says("safety_mode", messages.safety_mode(2)), "safety mode"),
+    "robot idle": (says("robot_mode", messages.robot_mode(5)), "safety mode"),
+    "program stopped": (says("program_running", messages.boolean(False)), "safety mode"),
+    "speed slider": (slowed, "speed scaling"),
+    "speed not a number": (scaled(np.nan), "speed scaling"),
+    "speed without end": (scaled(np.inf), "speed scaling"),
+    "speed backwards": (scaled(-100.0), "speed scaling"),
+    "speed above full": (scaled(101.0), "speed scaling"),
+    "speed not told": (silence("/speed_scaling_state_broadcaster/speed_scaling"), "status unknown"),
+    "status left": (left, "status unknown"),
+    "other controller": (switched, "controller"),
+    "nobody listens": (unheard, "no subscriber"),
+    "two listen": (overheard, "other subscriber"),
+    "rival": (rivalled, "other publisher"),
+    "dead man let go": (released, "dead man"),
+    "dead man silent": (silence("/pixel2catch/dead_man"), "dead man"),
+    "operator stops": (says("stop", messages.boolean(True)), "stop request"),
+}
+"""What goes wrong, and the one reason that is given."""
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_goes_wrong_on_the_wire_stops_the_robot_by_name(fault: str, stage: Stage):
+    happens, reason = FAULTS[fault]
+
+    def script() -> Iterator[None]:
+        yield from stage.armed()
+        happens(stage)
+        for _ in range(130):
+            yield
+            if stage.mode == Mode.STOPPED:
+                raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == (reason,)
+
+
+@pytest.mark.parametrize(("happens", "reason"), [(silence("brain"), "policy late"), (blinded, "image stale")])
+def test_a_brain_that_lags_stops_the_robot_that_runs(
+    happens: Callable[[Stage], None], reason: str, stage: Stage
+):
+    def script() -> Iterator[None]:
+        yield from stage.armed(10)
+        happens(stage)
+        for _ in range(60):
+            yield
+            if stage.mode == Mode.STOPPED:
+                raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by[-1] == reason
+
+
+AUTHORITY = ("rival", "nobody listens", "two listen", "other controller", "status left", "speed not told")
+
+
+@pytest.mark.parametrize("fault", AUTHORITY)
+def test_a_robot_that_is_not_ours_alone_is_not_armed(fault: str, stage: Stage):
+    happens, reason = FAULTS[fault]
+
+    def script() -> Iterator[None]:
+        yield from wait(11)
+        happens(stage)
+        yield from wait(110)  # the next count of who is there
+        stage.lab.ask_to_arm()
+        yield from wait(5)
+
+    stage.play(script())
+    assert stage.modes == [Mode.IDLE]
+    assert stage.refused == (reason,)
+
+
+def test_nothing_is_sent_against_somebody_else_who_commands(stage: Stage):
+    lab = stage.lab
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(80)
+        lab.target = HOME + 0.1
+        yield from wait(20)
+        rivalled(stage)
+        yield from wait(110)
+        assert stage.mode == Mode.STOPPED
+        num_commands = len(lab.commands["arm"])
+        yield from wait(STOP_TICKS)
+        assert len(lab.commands["arm"]) == num_commands
+        raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == ("other publisher",)
