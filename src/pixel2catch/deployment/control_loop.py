@@ -206,8 +206,9 @@ class ControlLoop:
     def _show_servo(self, frame: CameraFrame) -> None:
         """Tell the servo of an image at once: how old the newest one is does not depend on decisions."""
         if self._sent and self._mode in ACTIVE:
-            image_stamp = min(frame.stamp, self._clock.now())
-            self._connection.servo.send(replace(self._sent, image_stamp=image_stamp))
+            newest, is_sound = min(frame.stamp, self._clock.now()), not self._problem
+            told = replace(self._sent, image_stamp=newest, is_perception_sound=is_sound)
+            self._connection.servo.send(told)
 
     def _step(self, frame: CameraFrame | None) -> dict[str, Any]:
         """One control step; without a new image it is the last one's again."""

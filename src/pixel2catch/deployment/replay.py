@@ -141,6 +141,7 @@ def played_topics(profile: Profile) -> set[Topic]:
     operator, camera = profile.operator, profile.camera
     topics = {part.state_topic for part in profile.robots} | {*vars(profile.status).values()}
     topics |= {operator.arm, operator.dead_man, operator.stop, operator.prompt, camera.image, camera.info}
+    topics |= {part.controller.activity for part in profile.robots if part.controller}
     return {topic for topic in topics if topic}
 
 
