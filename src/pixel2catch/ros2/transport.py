@@ -111,7 +111,7 @@ class Transport(ABC):
 
     @abstractmethod
     def wait(self, seconds: float) -> bool:
-        """Wait until something has arrived for a subscription that does not only watch, or for a real time [s]; say which."""
+        """Wait until something has arrived for who does not only watch, or for a real time [s]; say which."""
 
     @abstractmethod
     def close(self) -> None:
