@@ -70,7 +70,7 @@ class Motion:
     velocity: Rows  #: Speeds of the tick that led there [rad/s].
 
     def only(
-        self, rows: Int64[np.ndarray, " some_rows"], joints: Int64[np.ndarray, " some_joints"]
+        self, rows: Int64[np.ndarray, " some_rows"], joints: slice | Int64[np.ndarray, " some_joints"]
     ) -> "Motion":
         """The motion of some joints of some rows."""
         return Motion(position=self.position[rows][:, joints], velocity=self.velocity[rows][:, joints])
