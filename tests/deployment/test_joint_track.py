@@ -37,8 +37,7 @@ def until_stopped(lab: Lab, seconds: float, distort: Distort) -> float:
     return np.inf
 
 
-@pytest.mark.parametrize("joint", ARM)
-@pytest.mark.parametrize("motion", [-0.02, -0.3])
+@pytest.mark.parametrize(("joint", "motion"), [*((joint, -0.02) for joint in ARM), (ELBOW, -0.3)])
 def test_a_frozen_joint_of_an_arm_stops_it_within_a_fifth_of_a_second(joint: int, motion: float):
     """Also with a small target; the command needs 2 control steps at most for the small angle."""
     lab = Lab().started()
@@ -78,23 +77,23 @@ def test_an_elbow_that_is_measured_a_tenth_of_a_radian_off_stops(seconds: float)
         assert lab.state.stopped_by[0] & (Fault.JOINTS_IMPLAUSIBLE | Fault.TRACKING_ERROR)
 
 
-@pytest.mark.parametrize("share", [0.7, 1.0, 1.3])
+@pytest.mark.parametrize("share", [0.7, 1.3])
 def test_swings_of_an_arm_whose_lag_is_a_little_wrong_are_explained(share: float):
     """There and back, as fast as it goes, with pauses."""
     lab = Lab().started()
     lab.lag = share * lab.lag
-    for step in range(40):
+    for step in range(20):
         if step % 10 < 6:
             lab.target[0, :3] = HOME[:3] + 0.3 * (-1.0) ** (step // 3)
         assert lab.run(1.0 / 30.0).mode[0] == Mode.RUN
 
 
-@pytest.mark.parametrize("lag", [0.02, 0.06, 0.14])
+@pytest.mark.parametrize("lag", [0.02, 0.14])
 def test_swings_of_an_arm_that_was_not_identified_are_explained(lag: float):
     limits = replace(LIMITS, joints=type(LIMITS.joints).of(LIMITS.workspace.workcell, is_identified=False))
     lab = Lab(limits=limits).started()
     lab.lag = np.where(np.arange(NUM) < 6, lag, lab.lag)
-    for step in range(40):
+    for step in range(20):
         if step % 10 < 6:
             lab.target[0, :3] = HOME[:3] + 0.3 * (-1.0) ** (step // 3)
         assert lab.run(1.0 / 30.0).mode[0] == Mode.RUN
@@ -116,7 +115,7 @@ def test_fingers_that_an_object_stops_or_pushes_are_explained():
     assert lab.run(0.5).mode[0] == Mode.RUN
 
 
-@pytest.mark.parametrize("finger", [6, 15, 18])
+@pytest.mark.parametrize("finger", [6, 18])
 def test_a_finger_that_leaves_its_command_by_itself_stops_the_robot(finger: int):
     """By 0.6 rad within 2 s, in its travel, with its command at rest."""
     lab = Lab().started()

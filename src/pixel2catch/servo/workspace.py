@@ -1,8 +1,8 @@
 """Where robots may be: above the table, and with each hand in a box; by forward kinematics of the arms.
 
-An arm is made of its capsules, a hand is a box that holds it in every position of the fingers; it keeps away
-from its own forearm and upper arm. Base and shoulder stand on the table; whether arms hit each other, or
-fingers each other, is the policy's to avoid.
+An arm is made of its capsules, a hand is a box that holds it in every position of the fingers. A hand whose
+robot has a closer box about it keeps away from its own forearm and upper arm. Base and shoulder stand on the
+table; whether arms, or fingers, hit each other is the policy's to avoid.
 """
 
 from dataclasses import dataclass
