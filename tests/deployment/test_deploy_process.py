@@ -145,5 +145,4 @@ def test_a_frozen_image_a_second_camera_and_a_lost_object_stop_it(watcher: Watch
             watcher.until(lambda: watcher.status["mode"] in ("ramp", "run", "stopped"))
             watcher.say(fault)
             watcher.until(lambda: watcher.status["mode"] == "stopped")
-            print(fault, watcher.status["stopped_by"])
         watcher.say("switch let go")
