@@ -12,11 +12,11 @@ from valid import KINDS, Kind
 
 from pixel2catch.errors import Pixel2CatchError
 
-NUM_CHANGES = 12  #: Changed files of each kind in the test that takes seconds.
+NUM_CHANGES = 8  #: Changed files of each kind in the test that takes seconds.
 MANY_SECONDS = 25.0  #: Time for each kind in the slow test [s].
 LONGEST_TIME = 5.0  #: Of the processor for a file [s]: one second on a machine that is five times faster.
 MOST_MEMORY = 500 * 2**10  #: That a kind of file may add to the process at its peak [KiB].
-LONGEST_MESSAGE = 3000  #: Characters of an error.
+LONGEST_MESSAGE = 10_000  #: Characters of an error.
 
 
 def read_changed(kind: Kind, folder: Path, goes_on: Callable[[int], bool]) -> None:

@@ -216,7 +216,7 @@ def test_other_paths_are_refused(tmp_path: Path):
         read_intrinsics(tmp_path / "nothing", BOARD)
     with pytest.raises(PerceptionError, match="0 of 0 images"):
         read_intrinsics(tmp_path, BOARD)
-    with pytest.raises(PerceptionError, match="not a readable image"):
+    with pytest.raises(PerceptionError, match="cannot read the image"):
         read_image(tmp_path / "missing.png")
 
 

@@ -149,7 +149,7 @@ def test_what_is_printed_says_whether_it_is_fast_enough(
     ("args", "words"),
     [
         (["throw.mp4"], "(240, 320, 3) and dtype uint8; it must be (480, 640, 3)"),
-        (["nothing.mp4"], "there is no '"),
+        (["nothing.mp4"], "there is no file '"),
         (["camera.json"], "cannot be read as a video"),
         (["bag", "--topic", "/wrist"], "choose with --topic out of: /camera/image_raw/compressed"),
         (["throw.mp4", "--segmenter", "color"], "--color 340 20"),

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pixel2catch.agents import AgentSpec
 from pixel2catch.errors import CheckpointError, NonFiniteError
+from pixel2catch.files import read_json_object, reading
 from pixel2catch.interruption import StopRequest
 from pixel2catch.learning.checkpoint import Progress, RunFolder, load_checkpoint, save_checkpoint
 from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
@@ -99,7 +100,10 @@ def _require_teacher(cfg: TrainCfg, folder: RunFolder) -> None:
         CheckpointError: It had one, and none is named.
     """
     file = folder.path / CONFIG_FILE
-    before = TrainCfg.of_run(folder.path).teacher if file.exists() else None
+    before = None
+    if file.exists():
+        with reading("configuration", file, "Mend it, or begin another run.", CheckpointError):
+            before = read_json_object(file)["train"].get("teacher")
     if before and not cfg.teacher:
         raise CheckpointError(
             f"'{folder.path}' was begun with the teacher '{before}'; go on with --teacher {before}."

@@ -31,6 +31,7 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 FORMAT_VERSION = 2
 """Version of the files that `Policy.save` writes. Raised when an older file can no longer be read."""
 
+MOST_NAMED = 100  #: Fields of a policy that does not fit that a message names.
 MOST_AGENTS, MOST_INPUTS = (
     16,
     8192,
@@ -107,7 +108,8 @@ class PolicyContract:
         ours, theirs = dict(leaves(self.to_dict())), dict(leaves(same_task.to_dict()))
         fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
         if fields:
-            lines = [f"  {name}: policy {ours.get(name)!r}, here {theirs.get(name)!r}" for name in fields]
+            pairs = ((name, repr(ours.get(name)), repr(theirs.get(name))) for name in fields[:MOST_NAMED])
+            lines = (f"  {name[:200]}: policy {own[:500]}, here {other[:500]}" for name, own, other in pairs)
             raise PolicyMismatchError("the policy does not fit:\n" + "\n".join(lines))
 
 

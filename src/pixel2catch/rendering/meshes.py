@@ -9,11 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import read_bytes
 from pixel2catch.robots.chain import pose_matrix
 from pixel2catch.robots.spec import MeshSource, RobotSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, WorkcellSpec, robot_mjcf
 
 Pose = Float[np.ndarray, "4 4"]
+MOST_MJCF = 2**24  #: Bytes of a model; those of robots have some ten thousand. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +96,7 @@ def _dress(spec: mujoco.MjSpec, prefix: str, part: RobotSpec, source: MeshSource
 def _seen_meshes(path: Path) -> tuple[list[SeenMesh], Mapping[str, Pose]]:
     """The meshes of a model that are only seen, and the poses of its bodies with all joints at 0."""
     try:
+        read_bytes(path, MOST_MJCF)
         spec = mujoco.MjSpec.from_file(str(path))
         folder = path.parent / spec.meshdir
         found = [
@@ -109,7 +112,7 @@ def _seen_meshes(path: Path) -> tuple[list[SeenMesh], Mapping[str, Pose]]:
         for element in (*spec.geoms, *spec.meshes):
             spec.delete(element)
         return found, _body_poses(spec)
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         raise InvalidValueError(f"cannot read the meshes of {path}: {error}") from error
 
 
