@@ -22,6 +22,9 @@ AGE = 0.02
 """Age of an image when it is sent [s]."""
 
 
+Fault = Callable[["CameraLab"], Any]  # what somebody does in it, a function that can be sent to its process
+
+
 class NoControlLoop:
     """The control loop is a process of its own here."""
 
@@ -104,7 +107,8 @@ def laboratory(words: Connection, rate: float) -> None:
             while True:
                 lab.step()
                 while words.poll():
-                    lab.faults[words.recv()]()
+                    word = words.recv()
+                    lab.faults[word]() if isinstance(word, str) else word(lab)
                 due = max(due + DT, clock.now())
                 clock.sleep_until(due)
         except EOFError:

@@ -31,7 +31,8 @@ class WireLab:
         self.image_age, self.speed, self.is_held = 0.03, 100.0, True
         self._tick = 0
         self._controllers = [part.controller for part in profile.robots if part.controller]
-        self._publishers = {topic.name: transport.publisher(topic) for topic in self._topics()}
+        self.topics = [*self._topics()]
+        self._publishers = {topic.name: transport.publisher(topic) for topic in self.topics}
         self._heard = {part.name: transport.subscription(part.command_topic, 50) for part in profile.robots}
 
     def _topics(self) -> Iterator[Topic]:

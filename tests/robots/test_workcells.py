@@ -184,7 +184,7 @@ def test_faults_are_named(tmp_path: Path):
     with pytest.raises(InvalidValueError, match="defines no WorkcellSpec"):
         find_workcell(str(tmp_path / "empty.py"))
     (tmp_path / "broken.py").write_text("import nothing_of_that_name\n")
-    with pytest.raises(ModuleNotFoundError, match="nothing_of_that_name"):
+    with pytest.raises(InvalidValueError, match="nothing_of_that_name"):
         find_workcell(str(tmp_path / "broken.py"))
     with pytest.raises(InvalidValueError, match="must be a Python file"):
         find_workcell(str(tmp_path / "absent.py"))

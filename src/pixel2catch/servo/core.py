@@ -129,6 +129,11 @@ class ServoState:
         """Which rows the policy moves, in the ramp or after it."""
         return self.is_in(Mode.RAMP, Mode.RUN)
 
+    @property
+    def is_left_to_others(self) -> Flags:
+        """Which rows are stopped because somebody else commands the robot: nothing is sent to it."""
+        return (self.stopped_by & int(Fault.OTHER_PUBLISHER)) != 0
+
     @cached_property
     def is_active(self) -> Flags:
         """Which rows a fault stops."""
@@ -254,9 +259,10 @@ def _was_moved(state: ServoState, found: Findings, limits: ServoLimits) -> Flags
 
 
 def _first_command(state: ServoState, found: Findings, limits: ServoLimits) -> Rows:
-    """Where a row would be armed: where it is measured, or where a stop has left the command [rad]."""
+    """Where a row would be armed: where a stop has left the command, or where it is measured [rad]."""
     measured = found.joint_pos.clip(limits.joints.lower, limits.joints.upper)
-    return np.where(state.is_in(Mode.IDLE)[:, None], measured, state.command)
+    is_free = state.is_in(Mode.IDLE) | state.is_left_to_others
+    return np.where(is_free[:, None], measured, state.command)
 
 
 def _refusals(state: ServoState, first: Rows, found: Findings, limits: ServoLimits) -> Bits:
@@ -323,7 +329,7 @@ class ServoCore:
             goal, is_led = self._goal(state, found, way)
             state, held_back = self._moved(state, found, way, goal)
         is_idle = state.is_in(Mode.IDLE)
-        is_silent = is_idle | ((state.stopped_by & int(Fault.OTHER_PUBLISHER)) != 0)
+        is_silent = is_idle | state.is_left_to_others
         return state, Output(
             command=np.where(is_silent[:, None], np.nan, state.command),
             mode=state.mode,
