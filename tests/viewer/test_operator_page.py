@@ -216,7 +216,7 @@ def test_a_box_is_that_in_the_image(box: Any, expected: list[float] | None):
             box_in_image(box, PROFILE.camera)
 
 
-LATENCY = {"p50": 20.0, "p90": 21.0, "p99": 25.0, "max": 30.0, "count": 9}
+LATENCY = {"p50": 20.0, "p90": 21.0, "p99": 25.0, "max": 30.0}
 
 
 def test_words_follow_the_statuses(desk: Desk):

@@ -26,12 +26,9 @@ from pixel2catch.files import (
 from pixel2catch.policy.contract import PolicyContract
 from pixel2catch.policy.networks import HIDDEN, AgentNetwork
 
+MOST_LAYERS, LARGEST_LAYER = 16, 8192  #: Of networks that are read. Source: ours; the paper has 3, of 512.
 WEIGHTS_FILE = "policy.safetensors"
 CONTRACT_FILE = "policy.json"
-MOST_LAYERS, LARGEST_LAYER = (
-    16,
-    8192,
-)  #: Of the networks that are read. Source: ours; a paper's has 3, of 512.
 
 
 class Policy(nn.Module):
