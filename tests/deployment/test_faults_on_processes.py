@@ -7,7 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from camera_lab import CameraLab
 from process_lab import ARM, PROFILE, Watcher
 
 from domains import own_domain
+from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
 from pixel2catch.servo.limits import STOP_TIME
@@ -74,7 +75,8 @@ def junk(lab: CameraLab) -> None:
     random = np.random.default_rng(0)
     for topic in lab.topics:
         for size in (0, 4, 12, 50, 4000):
-            lab.say(topic, b"\x00\x01\x00\x00" + random.bytes(size))
+            with suppress(DeploymentError):  # DDS itself does not send all of it
+                lab.say(topic, b"\x00\x01\x00\x00" + random.bytes(size))
     lab.silent.update(("arm", "hand"))
 
 
@@ -148,7 +150,7 @@ FAULTS: dict[str, tuple[Inject, set[str]]] = {
     "a finger at 100 rad": (told(partial(lying, joint=FINGER, value=100.0)), {"joints implausible"}),
     "a finger at 1e308 rad": (told(partial(lying, joint=FINGER, value=1e308)), {"joints implausible"}),
     "joints that repeat themselves": (told(repeated), {"joints frozen", "tracking error"}),
-    "junk on every topic": (told(junk), {"joints stale"}),
+    "junk on every topic": (told(junk), {"joints stale", "safety mode", "stop request"}),
     "speed scaling without end": (told(partial(scaling, percent=np.inf)), {"speed scaling"}),
     "speed scaling falls silent": (
         told(partial(silent, name=PROFILE.status.speed_scaling.name)),  # type: ignore[union-attr]

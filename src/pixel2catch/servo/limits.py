@@ -133,7 +133,7 @@ class JointLimits:
             lag=lag,
             lead=lead,
             tracking_error=0.75 * lead * each(1.0, np.inf),
-            lag_error=0.5 if is_identified else 1.0,
+            lag_error=0.75 if is_identified else 1.0,
             escape=each(np.inf, 0.5),
             moved_error=each(0.06, np.inf),
             least=ends[0] - BEYOND_TRAVEL,
