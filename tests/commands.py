@@ -22,7 +22,9 @@ def pixel2catch(*args: str | Path, folder: Path | None = None, **environment: st
         process = CONTEXT.Process(target=_run, args=(words, files, folder or Path.cwd(), environment))
         process.start()
         process.join(PATIENCE)
-        assert process.exitcode is not None, f"{words} goes on and on"
+        if process.exitcode is None:
+            process.kill()
+            raise AssertionError(f"{words} goes on and on")
         return CompletedProcess(words, process.exitcode, *(file.read_text() for file in files))
 
 

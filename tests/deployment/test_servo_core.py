@@ -140,6 +140,16 @@ def test_a_stopped_robot_that_somebody_moves_is_left_to_them_and_armed_where_it_
     assert (np.abs(lab.outputs[-1].command - homed) < 1e-9).all()
 
 
+def test_a_robot_that_somebody_else_has_commanded_is_armed_where_that_left_it():
+    """Nothing was sent since the stop, so that the commands need not go on from where they were."""
+    lab = Lab().swung()
+    lab.run(2.0 * STOP_TIME, given(has_other_publisher=~NO))
+    lab.joint_pos[0, 2] -= 0.5 * (LIMITS.joints.start_error + LIMITS.joints.moved_error)[2]
+    assert lab.tick().mode == Mode.STOPPED
+    assert lab.ask().mode == Mode.ARMED
+    np.testing.assert_allclose(lab.outputs[-1].command, lab.told.joint_pos, atol=1e-9)
+
+
 def test_a_request_in_the_middle_of_a_stop_is_refused():
     lab = Lab().swung()
     lab.tick(given(is_safe=NO))

@@ -16,9 +16,8 @@ from pixel2catch.servo.motion import Bits, Flags, Rows, Times
 
 JITTER = 0.015  #: How much earlier or later a position may arrive than others do [s]. Source: ours.
 SMOOTHING = 0.04  #: Time over which the speed of a joint is estimated [s]. Source: ours.
-REST_ERROR = (
-    0.05  #: Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours.
-)
+REST_ERROR = 0.05
+"""Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours."""
 
 SLACK_LAGS = 3.0
 """In how many lags a distance from the command is forgotten that a motion explains. Source: ours."""

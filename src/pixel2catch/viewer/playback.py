@@ -26,11 +26,6 @@ class Playback:
         """Whether time stands still."""
         return self._is_paused
 
-    @property
-    def is_interrupted(self) -> bool:
-        """Whether what is played shall give way to something else."""
-        return self._is_interrupted
-
     def set_speed(self, speed: float) -> None:
         """Let time go so fast."""
         self._set(_speed=speed)
