@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from box_scores import Score, score, summary
-from rendered_throws import FilmCfg, PerceptionRunner, RenderedDetector
+from rendered_throws import FilmCfg, PerceptionRunner, RenderedDetector, film_scores
 
 from pixel2catch.envs.catch_env import Step
 from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.evaluation.box_scores import Score, summary
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import wilson_interval
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, Trials, run_round
@@ -55,7 +55,7 @@ class Duel:
     def throw(self, seed: int) -> Pair:
         """One throw both ways."""
         by_images = self._round(seed, through_images=True)
-        scores = score(self.detector.shots, self.detector.extractions)
+        scores = film_scores(self.detector.shots, self.detector.extractions)
         by_geometry = self._round(seed, through_images=False)
         name = tuple(OBJECTS)[int(by_images.record.object_id[0])]
         return Pair(object_name=name, images=by_images, geometry=by_geometry, scores=scores)

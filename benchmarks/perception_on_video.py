@@ -17,9 +17,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from box_scores import GOOD, NEAR_HAND, Score, reacquisition, score, summary
-from rendered_throws import FilmCfg, LabelledImage, PerceptionRunner, ThrowFilm, moments
+from rendered_throws import (
+    NEAR_HAND,
+    FilmCfg,
+    LabelledImage,
+    PerceptionRunner,
+    ThrowFilm,
+    film_scores,
+    moments,
+)
 
+from pixel2catch.evaluation.box_scores import GOOD, Score, reacquisition, summary
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
 from pixel2catch.files import write_atomically
@@ -103,8 +111,8 @@ def watch(take: RecordedThrow, cfg: FilmCfg, seed: int) -> dict[str, tuple[list[
     back = cfg.num_held + first + GAP_IMAGES
     return {
         name: (
-            score(shots, seen[name]),
-            reacquisition(score(shots, seen_gapped[name]), back),
+            film_scores(shots, seen[name]),
+            reacquisition(film_scores(shots, seen_gapped[name]), back),
             plain[name].clock.percentiles()["total"].p50,
         )
         for name in plain

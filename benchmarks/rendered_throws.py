@@ -4,7 +4,7 @@ A furnished room, a thrower, an exposure time and a sensor's noise. Needs OpenGL
 what looks at the images, OpenCV: the extra `perception`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,9 +16,11 @@ from pixel2catch.camera.boxes import box_of_mask
 from pixel2catch.envs.detector import Detector
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
+from pixel2catch.evaluation.box_scores import Score, score
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor, StageClock
+from pixel2catch.perception.labels import Phase, Truth
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
@@ -39,6 +41,13 @@ CLICK_ERROR = 2.0
 
 LEAST_SPEED = 0.5
 """Speed from which an object flies [m/s]."""
+
+NEAR_HAND = 0.25
+"""From the palm to the object [m]; what was nearer once is near the hand from then on. Source: ours, the last
+two images of a flight."""
+
+LEAST_PIXELS = 6
+"""Visible pixels of the object from which it can be found. Source: as the gate's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +164,23 @@ def moments(throw: RecordedThrow) -> list[Moment]:
     flying = np.flatnonzero(np.linalg.norm(qvel[:, OBJECT_VEL], axis=-1) > LEAST_SPEED)
     release = int(flying[0]) if len(flying) else len(qvel)
     return [Moment(qpos=qpos[i], qvel=qvel[i], time=(i - release) * CONTROL_DT) for i in range(len(qpos))]
+
+
+def truths(shots: Sequence[LabelledImage]) -> list[Truth]:
+    """What the images of a film show."""
+    found, is_near = [], False
+    for shot in shots:
+        is_near = is_near or shot.palm_distance < NEAR_HAND
+        phase: Phase = "near the hand" if is_near else "flight" if shot.time > 0.0 else "held"
+        xmin, ymin, xmax, ymax = shot.box[0].tolist()
+        box = (xmin, ymin, xmax, ymax) if shot.num_pixels >= LEAST_PIXELS else None
+        found.append(Truth(phase=phase, box=box))
+    return found
+
+
+def film_scores(shots: Sequence[LabelledImage], extractions: Sequence[Extraction]) -> list[Score]:
+    """Compare what was seen in the images of a film with the truth."""
+    return [score(truth, seen) for truth, seen in zip(truths(shots), extractions, strict=True)]
 
 
 class PerceptionRunner:

@@ -4,7 +4,7 @@ import csv
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, takewhile
 from math import inf
 from pathlib import Path
@@ -22,8 +22,13 @@ from pixel2catch.errors import PerceptionError
 from pixel2catch.files import json_text, require_free_folder, write_atomically
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
+from pixel2catch.perception.labels import Labels
 
 if TYPE_CHECKING:
+    from pixel2catch.evaluation.box_scores import Score
+    from pixel2catch.perception.image_fit import ImageFit
+    from pixel2catch.perception.prompt import Prompter
+    from pixel2catch.perception.sources import SourceCfg
     from pixel2catch.perception.tracking import Sighting, Tally
     from pixel2catch.scene.constants import CameraSpec
 
@@ -50,32 +55,38 @@ class Track:
     mask_robot: bool = False
     #: The robots, for --mask-robot: a name, as for `train`, or a Python file that defines WORKCELLS.
     workcell: str = "ur5e_allegro"
+    #: Label file of the video, as `label` writes it: how right the boxes are, from --at on.
+    truth: Path | None = None
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: What looks for the object.
     json: bool = False  #: Print the summary as one JSON object.
 
     def run(self) -> None:
         """Follow the object, write what is seen, and print how long it took."""
         with needs_extra("perception"):
+            from pixel2catch.evaluation import box_scores
             from pixel2catch.perception.tracking import Tally
         require_free_folder(self.out)
+        labels = self.truth and Labels.load(self.truth)
         self.perception.prepare()
         notes: list[str] = []
         tally = Tally()
-        self._record(tally, notes)
+        scores = self._record(tally, labels, notes)
         if self.mask_robot and tally.num_without_joints:
             notes.append(
                 f"the robot is not masked in {tally.num_without_joints} control steps: no states of all its "
                 f"joints on {self.joint_states} before their images."
             )
         source = {"source": self.source, "segmenter": self.perception.segmenter}
-        summary = {**source, **tally.summary(), "notes": notes}
+        truth = {"truth": box_scores.summary(scores)} if labels else {}
+        summary = {**source, **tally.summary(), **truth, "notes": notes}
         text = json_text(summary | {"circumstances": circumstances()})
         write_atomically({self.out / SUMMARY: text.encode()})
         _print_result(tally, summary, as_json=self.json)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
 
-    def _record(self, tally: "Tally", notes: list[str]) -> None:
-        """Follow the object and write video and table until the end, or until Ctrl-C."""
+    def _record(self, tally: "Tally", labels: Labels | None, notes: list[str]) -> "list[Score]":
+        """Follow the object and write video and table until the end, or until Ctrl-C; compare with labels."""
+        from pixel2catch.evaluation.box_scores import scored
         from pixel2catch.perception.extractor import PixelFeatureExtractor
         from pixel2catch.perception.robot_mask import RobotMask
         from pixel2catch.perception.sources import SourceCfg, ticks_of
@@ -83,19 +94,24 @@ class Track:
         from pixel2catch.workcells import find_workcell
 
         workcell = find_workcell(self.workcell)
-        camera = self.perception.camera_spec(notes)
+        source = SourceCfg(
+            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=workcell.joint_names
+        )
+        fit, camera = self._fit(source, notes)
+        if labels:
+            labels.require_size(*fit.own)
         extractor = PixelFeatureExtractor(
             self.perception.make_segmenter(),
-            self.perception.make_prompter(camera),
+            self._prompter(fit, camera),
             robot=RobotMask(workcell, camera) if self.mask_robot else None,
             camera=camera,
             waits=True,
         )
-        source = SourceCfg(
-            name=self.source, topic=self.topic, joint_states=self.joint_states, joints=workcell.joint_names
-        )
-        with closing(ticks_of(source, notes)) as ticks:
+        scores: list[Score] = []
+        with closing(ticks_of(source, notes, fit)) as ticks:
             sightings = follow(ticks, extractor, self.at)
+            if labels:
+                sightings = scored(sightings, labels, fit, self.at, scores)
             first = next(sightings, None)
             if first is None:
                 raise PerceptionError(f"{self.source} has no images.")
@@ -105,6 +121,38 @@ class Track:
                 self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera, tally)
             if stop.is_set:
                 notes.append("stopped by Ctrl-C.")
+        return scores
+
+    def _fit(self, source: "SourceCfg", notes: list[str]) -> "tuple[ImageFit, CameraSpec]":
+        """How the images are made to fit, and the camera that would take them then."""
+        from pixel2catch.perception.image_fit import ImageFit, camera_for
+        from pixel2catch.perception.sources import image_size
+
+        camera = self.perception.camera_spec(notes)
+        size = image_size(source)
+        if size is None:
+            size = (camera.width, camera.height)
+            return ImageFit(own=size, size=size), camera
+        fit, camera = camera_for(size, camera if self.perception.camera else None)
+        if fit.changes:
+            (width, height), (wide, high) = fit.own, fit.size
+            notes.append(
+                f"images of {width} by {height} px were scaled and framed in black to {wide} by {high}, the "
+                "pixels of the boxes in the table; --box, --point, --region and --truth are in the file's own."
+            )
+        return fit, camera
+
+    def _prompter(self, fit: "ImageFit", camera: "CameraSpec") -> "Prompter":
+        """What points the object out: what was given in the pixels of the file."""
+        args = self.perception
+        args.make_prompter(replace(camera, width=fit.own[0], height=fit.own[1]))  # says what is not on them
+        args = replace(
+            args,
+            box=args.box and fit.box(args.box),
+            point=args.point and fit.point(args.point),
+            region=args.region and fit.box(args.region),
+        )
+        return args.make_prompter(camera)
 
     def _write(self, sightings: "Iterator[Sighting]", camera: "CameraSpec", tally: "Tally") -> None:
         """Write a picture and a row for every sighting."""
@@ -145,8 +193,35 @@ def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> 
         table.add_row(stage, *times, str(took.count))
     console = results_console()
     console.print(table)
+    if "truth" in summary:
+        console.print(_truth_table(summary["truth"]))
     for line in _sentences(tally, summary):
         console.print(Text(line))
+
+
+def _truth_table(truth: dict[str, Any]) -> Table:
+    """How right the boxes are, by phases that are labelled."""
+    table = Table(title="boxes against the labels")
+    table.add_column("phase")
+    for name in (
+        "images",
+        "within 5 px",
+        "95 % interval",
+        "median error",
+        "false boxes",
+        "lost",
+        "found again",
+    ):
+        table.add_column(name, justify="right")
+    for phase, row in truth.items():
+        if not row["images"]:
+            continue
+        low, high = row["within_5px_interval"]
+        error = f"{row['error_p50']:.1f} px" if "error_p50" in row else "-"
+        rates = (f"{100 * row['within_5px']:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %", error)
+        counts = (row["false_boxes"], row["losses"], row["reacquisitions"])
+        table.add_row(phase, str(row["images"]), *rates, *map(str, counts))
+    return table
 
 
 def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":

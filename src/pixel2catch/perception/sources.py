@@ -7,17 +7,19 @@ stalls blocks nobody.
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
 from pathlib import Path
 
 import av
 import cv2
+import numpy as np
 from av.error import FFmpegError
 
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.perception.image_fit import ImageFit, Size
 from pixel2catch.perception.rosbag_images import bag_frames
 from pixel2catch.ros2.bags import BAG_SUFFIXES
 from pixel2catch.ros2.messages import MOST_PIXELS
@@ -66,14 +68,28 @@ class SourceCfg:
     joints: tuple[str, ...] = ()  #: Of the robot, in joint order; none if they are not asked for.
 
 
-def ticks_of(cfg: SourceCfg, notes: list[str]) -> Generator[Tick, None, None]:
+def ticks_of(cfg: SourceCfg, notes: list[str], fit: ImageFit | None = None) -> Generator[Tick, None, None]:
     """Yield what a controller would get in every control step; notes get what is wrong but no reason to end.
+
+    The images of a recording may be made to fit another size; a camera is asked for the right one.
 
     Raises:
         PerceptionError: If there is no such source, or no image in it; the message says what to do.
     """
     if is_camera(cfg.name):
         return live_ticks(open_camera(cfg.name), notes)
+    frames = file_frames(cfg, notes)
+    if fit is not None:
+        frames = (replace(frame, image=fit.image(frame.image)) for frame in frames)
+    return on_control_clock(frames, notes)
+
+
+def file_frames(cfg: SourceCfg, notes: list[str]) -> Iterator[CameraFrame]:
+    """Yield the images of a recording, each once.
+
+    Raises:
+        PerceptionError: As `ticks_of`.
+    """
     path = Path(cfg.name)
     if not (path.is_file() or path.is_dir()):
         raise PerceptionError(
@@ -81,8 +97,22 @@ def ticks_of(cfg: SourceCfg, notes: list[str]) -> Generator[Tick, None, None]:
             "/dev/videoN."
         )
     if path.suffix in BAG_SUFFIXES or path.is_dir():
-        return on_control_clock(bag_frames(path, cfg.topic, cfg.joint_states, cfg.joints, notes), notes)
-    return on_control_clock(video_frames(path, notes), notes)
+        return bag_frames(path, cfg.topic, cfg.joint_states, cfg.joints, notes)
+    return video_frames(path, notes)
+
+
+def image_size(cfg: SourceCfg) -> Size | None:
+    """Return width and height of the first image of a recording [px]; None of a camera.
+
+    Raises:
+        PerceptionError: As `ticks_of`, or there is no image.
+    """
+    if is_camera(cfg.name):
+        return None
+    first = next(iter(file_frames(cfg, [])), None)
+    if first is None:
+        raise PerceptionError(f"{cfg.name} has no images.")
+    return first.image.shape[1], first.image.shape[0]
 
 
 def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generator[Tick, None, None]:
@@ -115,6 +145,8 @@ def on_control_clock(frames: Iterable[CameraFrame], notes: list[str]) -> Generat
 def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
     """Yield the images of a video file with their own stamps; a damaged file ends where notes get to know.
 
+    They are upright as a player shows them, such as those of a telephone that was held upright.
+
     Raises:
         PerceptionError: If this is no video, or none of its images can be read.
     """
@@ -126,7 +158,8 @@ def video_frames(path: Path, notes: list[str]) -> Iterator[CameraFrame]:
             period = 1.0 / float(container.streams.video[0].average_rate or 30)
             for frame in container.decode(video=0):
                 stamp = float(frame.time) if frame.time is not None else stamp + period
-                yield CameraFrame(image=frame.to_ndarray(format="rgb24"), stamp=stamp)
+                turned = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90))
+                yield CameraFrame(image=np.ascontiguousarray(turned), stamp=stamp)
                 num_frames += 1
     except (FFmpegError, ValueError, OverflowError) as error:
         reason = getattr(error, "strerror", error)
