@@ -137,8 +137,8 @@ class Track:
         if fit.changes:
             (width, height), (wide, high) = fit.own, fit.size
             notes.append(
-                f"images of {width} by {height} px were scaled and framed in black to {wide} by {high}, the "
-                "pixels of the boxes in the table; --box, --point, --region and --truth are in the file's own."
+                f"images of {width} by {height} px were scaled and framed in black to {wide} by {high}: the "
+                "table has boxes in these pixels; --box, --point, --region and --truth are in the file's."
             )
         return fit, camera
 

@@ -1,0 +1,182 @@
+"""Throws painted into images of real or rendered rooms, with exact truth, and what can go wrong with images.
+
+A fault is a pure function of images and truths; chance comes from a generator that it gets.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from pixel2catch.perception.labels import Box, Truth
+from pixel2catch.perception.segmenter import Image
+
+WIDTH, HEIGHT = 640, 480
+GRAVITY = 0.55  #: Of a flight in the image [px per image²]: 4 m/s², 3 m away, at 30 Hz. Source: ours.
+EXPOSURE, NUM_BLURS = 0.25, 6  #: Share of an image's period, and instants in it that are averaged.
+MARGIN = 2  #: Of the patch that is painted [px].
+SUBPIXEL = 4  #: Bits of the fraction of a painted coordinate.
+
+Color = tuple[int, int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thing:
+    """What is thrown: a ball, or a box that turns and shows other faces."""
+
+    colors: tuple[Color, ...]  #: One for a ball, several for the faces of a box.
+    is_box: bool = False
+    spin: float = 0.35  #: Turn of a box between two images [rad].
+    contrast: float | None = None  #: It has the colours of what is behind it, brighter by so many levels.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """Where a thing is: held, then in the air."""
+
+    start: tuple[float, float]  #: [px]
+    velocity: tuple[float, float]  #: After the release [px per image].
+    sizes: tuple[float, float]  #: Radius at the release and at the end [px].
+    num_held: int = 15
+    num_flying: int = 26
+
+    def at(self, time: float) -> tuple[float, float, float]:
+        """Middle and radius [px] so many images after the release; held before it."""
+        after = max(time, 0.0)
+        share = min(after / self.num_flying, 1.0)
+        radius = self.sizes[0] + share * (self.sizes[1] - self.sizes[0])
+        u = self.start[0] + self.velocity[0] * after
+        return u, self.start[1] + self.velocity[1] * after + 0.5 * GRAVITY * after**2, radius
+
+
+def outline(thing: Thing, flight: Flight, time: float) -> tuple[np.ndarray, Color]:
+    """Corners (n, 2) [px] of a thing as it is seen, and its colour."""
+    u, v, radius = flight.at(time)
+    turn = thing.spin * max(time, 0.0)
+    if not thing.is_box:
+        angles = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+        return np.stack([u + radius * np.cos(angles), v + radius * np.sin(angles)], axis=1), thing.colors[0]
+    wide, high = radius * (0.45 + 0.55 * abs(np.cos(1.7 * turn))), radius * 0.8
+    corners = np.array([(-wide, -high), (wide, -high), (wide, high), (-wide, high)])
+    cos, sin = np.cos(turn), np.sin(turn)
+    face = int(1.7 * turn / (0.5 * np.pi)) % len(thing.colors)
+    return corners @ np.array([[cos, sin], [-sin, cos]]) + (u, v), thing.colors[face]
+
+
+def paint(image: Image, thing: Thing, flight: Flight, time: float) -> Image:
+    """An image with the thing in it, blurred by its motion during the exposure."""
+    canvas = image.astype(np.float32)
+    cover = np.zeros(image.shape[:2], dtype=np.float32)
+    paint_sum = np.zeros_like(canvas)
+    for instant in np.linspace(-0.5, 0.5, NUM_BLURS):
+        corners, color = outline(thing, flight, time + EXPOSURE * float(instant))
+        mask = np.zeros(image.shape[:2], dtype=np.uint8)
+        points = np.round((corners - 0.5) * (1 << SUBPIXEL)).astype(np.int32)
+        cv2.fillPoly(mask, [points], 255, cv2.LINE_AA, SUBPIXEL)
+        share = mask.astype(np.float32) / (255.0 * NUM_BLURS)
+        cover += share
+        paint_sum += share[..., None] * np.array(color, dtype=np.float32)
+    if thing.contrast is not None:
+        painted = canvas + cover[..., None] * thing.contrast
+    else:
+        painted = canvas * (1.0 - cover[..., None]) + paint_sum * _shade(image.shape[:2], flight.at(time))
+    return np.clip(np.rint(painted), 0, 255).astype(np.uint8)
+
+
+def _shade(shape: tuple[int, int], place: tuple[float, float, float]) -> np.ndarray:
+    """Light from above: brighter on the upper half of the thing, darker below, as a factor."""
+    _, v, radius = place
+    rows = np.arange(shape[0], dtype=np.float32)[:, None, None]
+    return 1.0 - 0.3 * np.clip((rows - v) / max(radius, 1.0), -0.6, 1.0)
+
+
+def true_box(thing: Thing, flight: Flight, time: float) -> Box | None:
+    """The box of the part of a thing that is on the image; None where less than two pixels of it are."""
+    corners, _ = outline(thing, flight, time)
+    (xmin, ymin), (xmax, ymax) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+    box = max(xmin, 0.0), max(ymin, 0.0), min(xmax, float(WIDTH)), min(ymax, float(HEIGHT))
+    return box if min(box[2] - box[0], box[3] - box[1]) >= 2.0 else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Film:
+    """Images and what they show; None for images in which nothing is held yet."""
+
+    images: tuple[Image, ...]
+    truths: tuple[Truth | None, ...]
+
+
+def film(backgrounds: Sequence[Image], thing: Thing, flight: Flight, num_empty: int, *others: Flight) -> Film:
+    """A throw before backgrounds, which repeat; others of the same thing fly at the same time."""
+    images, truths = [], []
+    for number in range(num_empty + flight.num_held + flight.num_flying):
+        time = float(number - num_empty - flight.num_held)
+        image = backgrounds[number % len(backgrounds)]
+        for other in others:
+            image = paint(image, thing, other, time) if time > 0 else image
+        if number < num_empty:
+            images.append(image)
+            truths.append(None)
+            continue
+        images.append(paint(image, thing, flight, time))
+        phase = "flight" if time > 0 else "held"
+        truths.append(Truth(phase=phase, box=true_box(thing, flight, time)))
+    return Film(images=tuple(images), truths=tuple(truths))
+
+
+Fault = Callable[[Film, np.random.Generator], Film]
+
+
+def scaled(image: Image, gain: float) -> Image:
+    """An image with another exposure."""
+    return cv2.convertScaleAbs(image, alpha=gain)
+
+
+def flicker(film: Film, rng: np.random.Generator, amplitude: float = 0.06) -> Film:
+    """Lamps at 100 Hz seen at 30 Hz: a third of a period from image to image, and some chance."""
+    phases = 2.0 * np.pi * (np.arange(len(film.images)) / 3.0 + rng.uniform()) + rng.normal(
+        0.0, 0.2, len(film.images)
+    )
+    images = (
+        scaled(image, 1.0 + amplitude * float(np.sin(p)))
+        for image, p in zip(film.images, phases, strict=True)
+    )
+    return replace(film, images=tuple(images))
+
+
+def exposure_step(film: Film, rng: np.random.Generator, step: float = 0.15) -> Film:
+    """The camera's exposure changes in flight, and stays so."""
+    flying = [i for i, truth in enumerate(film.truths) if truth and truth.phase == "flight"]
+    begin = flying[int(rng.integers(3, 8))]
+    gain = 1.0 + step * (1.0 if rng.uniform() < 0.5 else -1.0)
+    images = (scaled(image, gain) if i >= begin else image for i, image in enumerate(film.images))
+    return replace(film, images=tuple(images))
+
+
+def jpeg(film: Film, _: np.random.Generator, quality: int = 30) -> Film:
+    """Images as a camera compresses them that is short of bandwidth."""
+
+    def coded(image: Image) -> Image:
+        _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+        return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
+
+    return replace(film, images=tuple(map(coded, film.images)))
+
+
+def shake(film: Film, rng: np.random.Generator, amplitude: float = 2.0) -> Film:
+    """The camera's stand trembles: every image is moved by up to so many pixels, and the truth with it."""
+    images, truths = [], []
+    for image, truth in zip(film.images, film.truths, strict=True):
+        dx, dy = rng.uniform(-amplitude, amplitude, 2).tolist()
+        shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])
+        images.append(cv2.warpAffine(image, shift, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE))
+        box = truth and truth.box and tuple(e + d for e, d in zip(truth.box, (dx, dy, dx, dy), strict=True))
+        truths.append(truth and replace(truth, box=box))
+    return Film(images=tuple(images), truths=tuple(truths))
+
+
+def noisy(image: Image, rng: np.random.Generator, sigma: float = 2.5) -> Image:
+    """An image with a sensor's noise. Source: ours, as `rendering.camera` at its middle levels."""
+    noise = rng.normal(0.0, sigma, image.shape).astype(np.float32)
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)

@@ -1,0 +1,177 @@
+"""How methods to follow an object stand faults, one at a time, with exact truth: a table by fault and method.
+
+Throws are painted into images of rendered rooms, or of videos that show only a room.
+
+nice python benchmarks/perception_on_composites.py --out composites.json
+python benchmarks/perception_on_composites.py --backgrounds room.mp4 --faults "plain,shake 2 px" --throws 4
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from composites import WIDTH, Fault, Film, Flight, Thing, exposure_step, film, flicker, jpeg, noisy, shake
+from peers import follow, methods
+
+from pixel2catch.evaluation.box_scores import Score, summary
+from pixel2catch.files import write_atomically
+from pixel2catch.perception.image_fit import camera_for
+from pixel2catch.perception.segmenter import Image
+from pixel2catch.perception.sources import video_frames
+from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
+from pixel2catch.rendering.room import Bystanders
+from pixel2catch.scene.scene import SceneCfg, build_model
+from pixel2catch.workcells import find_workcell
+
+NUM_EMPTY, FEW = 40, 6  #: Images of the room before the object; how many are few.
+RELEASE = (2.6, 0.1, 0.8)  #: Where the thrower in a rendered room holds nothing [m].
+NUM_BACKGROUNDS = 100  #: Images of a video of a room that are used.
+
+RED = Thing(colors=((205, 40, 45),))
+GREY, WHITE = Thing(colors=((150, 148, 145),)), Thing(colors=((236, 236, 232),))
+TUMBLING = Thing(colors=((200, 60, 50), (60, 90, 180), (225, 205, 80), (230, 230, 230)), is_box=True)
+FAINT = Thing(colors=((0, 0, 0),), contrast=14.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """What is thrown how, and what is wrong with the images."""
+
+    thing: Thing = RED
+    fault: Fault | None = None
+    num_empty: int = NUM_EMPTY
+    change: Callable[[Flight], Flight] = field(default=lambda flight: flight)
+    others: Callable[[Flight], tuple[Flight, ...]] = field(default=lambda _: ())
+
+
+def tossed(flight: Flight) -> Flight:
+    """A flight that leaves the image at the top, and comes back."""
+    return replace(
+        flight, velocity=(0.5 * flight.velocity[0], -14.0), start=(flight.start[0], 190.0), num_flying=50
+    )
+
+
+def crossing(flight: Flight) -> tuple[Flight, ...]:
+    """Another flight from the other side, that crosses this one."""
+    start = (WIDTH - flight.start[0], flight.start[1] + 20.0)
+    return (replace(flight, start=start, velocity=(-flight.velocity[0], flight.velocity[1])),)
+
+
+CASES: dict[str, Case] = {
+    "plain": Case(),
+    "grey on grey": Case(thing=GREY),
+    "white": Case(thing=WHITE),
+    "tumbling, many colours": Case(thing=TUMBLING),
+    "low contrast": Case(thing=FAINT),
+    "flicker 6 %": Case(fault=flicker),
+    "exposure step 15 %": Case(fault=exposure_step),
+    "JPEG 30": Case(fault=jpeg),
+    "shake 2 px": Case(fault=shake),
+    "two fly": Case(others=crossing),
+    "held 1.2 s": Case(thing=GREY, change=lambda flight: replace(flight, num_held=36)),
+    "leaves and comes back": Case(change=tossed),
+    "few background images": Case(num_empty=FEW),
+    "grey, flicker 6 %": Case(thing=GREY, fault=flicker),
+    "grey, shake 2 px": Case(thing=GREY, fault=shake),
+    "tumbling, few background images": Case(thing=TUMBLING, num_empty=FEW),
+}
+
+
+def main() -> None:
+    options = _options()
+    begin = time.perf_counter()
+    names = options.faults.split(",") if options.faults else list(CASES)
+    scores: dict[str, dict[str, list[Score]]] = {name: {} for name in names}
+    for throw in range(options.throws):
+        rng = np.random.default_rng([options.seed, throw])
+        room, flight = backgrounds(options.backgrounds, throw, rng), drawn(rng)
+        for name in names:
+            case = CASES[name]
+            shown = made(case, room, flight, np.random.default_rng([options.seed, throw, 1]))
+            hue = (350.0, 16.0) if case.thing is RED else None
+            for method, make in methods(hue).items():
+                if options.methods and method not in options.methods.split(","):
+                    continue
+                found = follow(make(), list(shown.images), list(shown.truths), throw)
+                scores[name].setdefault(method, []).extend(found)
+        print(f"throw {throw}: {time.perf_counter() - begin:.0f} s", flush=True)
+    report = {name: {method: summary(rows) for method, rows in each.items()} for name, each in scores.items()}
+    print(table(report))
+    if options.out:
+        write_atomically({options.out: json.dumps(report, indent=1).encode()})
+
+
+def made(case: Case, room: list[Image], flight: Flight, rng: np.random.Generator) -> Film:
+    """The images of a case."""
+    changed = case.change(flight)
+    shown = film(room, case.thing, changed, case.num_empty, *case.others(changed))
+    if len(room) == 1:  # one that was drawn has no noise
+        shown = replace(shown, images=tuple(noisy(image, rng) for image in shown.images))
+    return case.fault(shown, rng) if case.fault else shown
+
+
+def drawn(rng: np.random.Generator) -> Flight:
+    """A flight from one side of the image towards the other, and nearer."""
+    side = 1.0 if rng.uniform() < 0.5 else -1.0
+    start = (320.0 - side * float(rng.uniform(160, 230)), float(rng.uniform(170, 230)))
+    velocity = (side * float(rng.uniform(9, 15)), float(rng.uniform(-9, -5)))
+    radius = float(rng.uniform(8, 12))
+    return Flight(start=start, velocity=velocity, sizes=(radius, radius * float(rng.uniform(1.4, 2.2))))
+
+
+def backgrounds(paths: list[Path], throw: int, rng: np.random.Generator) -> list[Image]:
+    """Images of a room without an object: one that is drawn, or those of one of the videos."""
+    if not paths:
+        scene, people = SceneCfg(), Bystanders(release_pos=np.array(RELEASE), phase=0.3)
+        model, joints = build_model(scene), find_workcell(scene.workcell).joints
+        qpos = model.qpos0.copy()
+        qpos[: len(joints)] = [joint.home for joint in joints]
+        moment = Moment(qpos=qpos, qvel=np.zeros(model.nv), time=0.0)
+        empty = Exposure(moment=moment, object_name=None, thrower=people.joint_pos)
+        camera_cfg = replace(CameraCfg(), read_noise=0.0, shot_noise=0.0)
+        with RoomCamera(scene, throw, camera_cfg, room=int(rng.integers(1000)), shadows=True) as camera:
+            return [camera.image(empty)]
+    frames = islice(video_frames(paths[throw % len(paths)], []), NUM_BACKGROUNDS)
+    images = [frame.image for frame in frames]
+    fit, _ = camera_for((images[0].shape[1], images[0].shape[0]), None)
+    return [fit.image(image) for image in images]
+
+
+def table(report: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
+    """Share within 5 px in flight, and false boxes, by fault and method."""
+    names = list(dict.fromkeys(method for each in report.values() for method in each))
+    lines = [f"{'in flight: within 5 px, false boxes':34s}" + "".join(f"{name:>22s}" for name in names)]
+    for fault, each in report.items():
+        cells = [_cell(each[name]["flight"]) if name in each else "" for name in names]
+        lines.append(f"{fault:34s}" + "".join(f"{cell:>22s}" for cell in cells))
+    return "\n".join(lines)
+
+
+def _cell(flight: dict[str, float]) -> str:
+    if not flight["images"]:
+        return "-"
+    return f"{100 * flight['within_5px']:.0f} % of {flight['images']}, {flight['false_boxes']}"
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--throws", type=int, default=6, help="of every case")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--backgrounds", type=Path, nargs="*", default=[], help="videos of rooms without objects"
+    )
+    parser.add_argument("--faults", default="", help="some of the table's rows, by commas")
+    parser.add_argument("--methods", default="", help="some of its columns, likewise")
+    parser.add_argument("--out", type=Path, help="JSON file")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
