@@ -66,29 +66,32 @@ def outline(thing: Thing, flight: Flight, time: float) -> tuple[np.ndarray, Colo
 
 def paint(image: Image, thing: Thing, flight: Flight, time: float) -> Image:
     """An image with the thing in it, blurred by its motion during the exposure."""
-    canvas = image.astype(np.float32)
-    cover = np.zeros(image.shape[:2], dtype=np.float32)
-    paint_sum = np.zeros_like(canvas)
-    for instant in np.linspace(-0.5, 0.5, NUM_BLURS):
-        corners, color = outline(thing, flight, time + EXPOSURE * float(instant))
-        mask = np.zeros(image.shape[:2], dtype=np.uint8)
-        points = np.round((corners - 0.5) * (1 << SUBPIXEL)).astype(np.int32)
+    instants = [time + EXPOSURE * share for share in np.linspace(-0.5, 0.5, NUM_BLURS).tolist()]
+    shapes = [outline(thing, flight, instant) for instant in instants]
+    corners = np.concatenate([shape for shape, _ in shapes])
+    low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - MARGIN, 0)
+    high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + MARGIN, (image.shape[1], image.shape[0]))
+    if (high <= low).any():
+        return image
+    window = slice(low[1], high[1]), slice(low[0], high[0])
+    behind = image[window].astype(np.float32)
+    cover, light = np.zeros((*behind.shape[:2], 1), np.float32), np.zeros_like(behind)
+    for shape, color in shapes:
+        mask = np.zeros(behind.shape[:2], dtype=np.uint8)
+        points = np.round((shape - low - 0.5) * (1 << SUBPIXEL)).astype(np.int32)
         cv2.fillPoly(mask, [points], 255, cv2.LINE_AA, SUBPIXEL)
-        share = mask.astype(np.float32) / (255.0 * NUM_BLURS)
+        share = mask[..., None].astype(np.float32) / (255.0 * NUM_BLURS)
         cover += share
-        paint_sum += share[..., None] * np.array(color, dtype=np.float32)
+        light += share * np.array(color, dtype=np.float32)
+    _, v, radius = flight.at(time)
+    rows = np.arange(low[1], high[1], dtype=np.float32)[:, None, None]
+    shade = 1.0 - 0.3 * np.clip((rows - v) / max(radius, 1.0), -0.6, 1.0)  # light from above
+    painted = behind * (1.0 - cover) + light * shade
     if thing.contrast is not None:
-        painted = canvas + cover[..., None] * thing.contrast
-    else:
-        painted = canvas * (1.0 - cover[..., None]) + paint_sum * _shade(image.shape[:2], flight.at(time))
-    return np.clip(np.rint(painted), 0, 255).astype(np.uint8)
-
-
-def _shade(shape: tuple[int, int], place: tuple[float, float, float]) -> np.ndarray:
-    """Light from above: brighter on the upper half of the thing, darker below, as a factor."""
-    _, v, radius = place
-    rows = np.arange(shape[0], dtype=np.float32)[:, None, None]
-    return 1.0 - 0.3 * np.clip((rows - v) / max(radius, 1.0), -0.6, 1.0)
+        painted = behind + cover * thing.contrast
+    result = image.copy()
+    result[window] = np.clip(np.rint(painted), 0, 255).astype(np.uint8)
+    return result
 
 
 def true_box(thing: Thing, flight: Flight, time: float) -> Box | None:
@@ -171,9 +174,12 @@ def shake(film: Film, rng: np.random.Generator, amplitude: float = 2.0) -> Film:
         dx, dy = rng.uniform(-amplitude, amplitude, 2).tolist()
         shift = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]])
         images.append(cv2.warpAffine(image, shift, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE))
-        box = truth and truth.box and tuple(e + d for e, d in zip(truth.box, (dx, dy, dx, dy), strict=True))
-        truths.append(truth and replace(truth, box=box))
+        truths.append(truth and replace(truth, box=truth.box and _moved(truth.box, dx, dy)))
     return Film(images=tuple(images), truths=tuple(truths))
+
+
+def _moved(box: Box, dx: float, dy: float) -> Box:
+    return box[0] + dx, box[1] + dy, box[2] + dx, box[3] + dy
 
 
 def noisy(image: Image, rng: np.random.Generator, sigma: float = 2.5) -> Image:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from math import hypot, inf
+from math import hypot
 from typing import Final, final
 
 import cv2
@@ -150,7 +150,7 @@ def follow(method: Method, images: list[Image], truths: list[Truth | None], seed
     scores: list[Score] = []
     first = next(i for i, truth in enumerate(truths) if truth and truth.box)
     errors = np.random.default_rng(seed).uniform(-CLICK_ERROR, CLICK_ERROR, 4).tolist()
-    last: Box = (inf, inf, inf, inf)
+    last: Box = (0.0, 0.0, 0.0, 0.0)
     for number, (image, truth) in enumerate(zip(images, truths, strict=True)):
         if number < first:
             method.learn(image)
@@ -159,7 +159,8 @@ def follow(method: Method, images: list[Image], truths: list[Truth | None], seed
             assert truth is not None
             assert truth.box is not None
             a, b, c, d = (edge + error for edge, error in zip(truth.box, errors, strict=True))
-            found = method.start(image, (a, b, max(c, a + 3.0), max(d, b + 3.0)))
+            last = (a, b, max(c, a + 3.0), max(d, b + 3.0))
+            found = method.start(image, last)
         else:
             found = method.see(image)
             if truth is not None:

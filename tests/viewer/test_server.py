@@ -14,8 +14,7 @@ from websockets.typing import Origin, Subprotocol
 from domains import PATIENCE, free_port
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.viewer.config import PageCfg
-from pixel2catch.viewer.operator_page import page_files
-from pixel2catch.viewer.server import OwnPage, PageServer, open_server
+from pixel2catch.viewer.server import OwnPage, PageServer, open_server, page_files
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
@@ -95,7 +94,7 @@ async def talk(visitor: Any) -> None:
 
 def test_a_page_of_our_own_is_as_closed_as_the_other():
     server = open_server(
-        PageCfg(port=free_port()), "ours", OwnPage(path="/operate", files=page_files(), talk=talk)
+        PageCfg(port=free_port()), "ours", OwnPage(path="/operate", files=page_files("/operate"), talk=talk)
     )
     root = server.address.removesuffix("/operate")
     assert root != server.address
@@ -118,7 +117,7 @@ def test_a_page_of_our_own_is_as_closed_as_the_other():
 
 
 def test_a_page_of_our_own_needs_the_token_too():
-    own = OwnPage(path="/operate", files=page_files(), talk=talk)
+    own = OwnPage(path="/operate", files=page_files("/operate"), talk=talk)
     server = open_server(PageCfg(port=free_port(), host="0.0.0.0"), "ours", own)
     plain, _, token = server.address.replace("localhost", "127.0.0.1").partition("?token=")
     root = plain.removesuffix("/operate")

@@ -20,6 +20,7 @@ from pixel2catch.cli.excite import Excite
 from pixel2catch.cli.export import Export
 from pixel2catch.cli.help import plain_help
 from pixel2catch.cli.identify import Identify
+from pixel2catch.cli.label import Label
 from pixel2catch.cli.operate import Operate
 from pixel2catch.cli.play import Play
 from pixel2catch.cli.record import Record
@@ -47,6 +48,7 @@ COMMANDS = (
     Identify,
     Calibrate,
     Track,
+    Label,
     Deploy,
     Operate,
     Twin,

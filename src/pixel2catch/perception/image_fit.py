@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 
 import cv2
+import numpy as np
+from jaxtyping import UInt8
 
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.labels import Box
@@ -44,7 +46,7 @@ class ImageFit:
         """Where the scaled image is in the frame: column and row of its first pixel."""
         return (self.size[0] - self._inner[0]) // 2, (self.size[1] - self._inner[1]) // 2
 
-    def image(self, image: Image) -> Image:
+    def image(self, image: Image) -> UInt8[np.ndarray, "rows columns 3"]:
         """Return an image as it is made; one of yet another size as it is."""
         if not self.changes or (image.shape[1], image.shape[0]) != self.own:
             return image

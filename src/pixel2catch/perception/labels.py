@@ -45,7 +45,6 @@ class Labels:
     width: int  #: Of its images [px].
     height: int  #: Of its images [px].
     rate: float  #: Images a second.
-    num_images: int  #: In the whole video.
     object: str = ""  #: What is thrown, such as "white ball".
     source: str = ""  #: Where the video is from, and under which licence.
     images: tuple[Label, ...] = ()  #: In the order of the video; those that are not here are not labelled.
@@ -53,12 +52,8 @@ class Labels:
     def __post_init__(self) -> None:
         """Refuse labels that no video of this size can have."""
         numbers = [label.image for label in self.images]
-        if numbers != sorted(set(numbers)) or (
-            numbers and not 0 <= numbers[0] <= numbers[-1] < self.num_images
-        ):
-            raise InvalidValueError(
-                f"images must be in order, each once, numbered from 0 to {self.num_images - 1}"
-            )
+        if numbers != sorted(set(numbers)) or min(numbers, default=0) < 0:
+            raise InvalidValueError("images must be in order, each once, numbered from 0")
         for label in self.images:
             if label.box is not None and not self._holds(label.box):
                 raise InvalidValueError(
@@ -116,3 +111,27 @@ class Labels:
             if version != FORMAT_VERSION:
                 raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
             return decoded(cls, content)
+
+
+def suggested(labels: Labels, image: int) -> Box | None:
+    """Where the object should be in an image by its boxes in others; None where they say nothing.
+
+    Between two of them as if it moved evenly, after them as it moved last.
+    """
+    seen = [(label.image, label.box) for label in labels.images if label.box is not None]
+    before = [each for each in seen if each[0] <= image]
+    after = [each for each in seen if each[0] > image]
+    if not before:
+        return None
+    (start, box), (end, other) = before[-1], (after or before)[0]
+    if not after:
+        if len(before) < 2:
+            return box
+        end, other = before[-2]
+    if start == image:
+        return box
+    share = (image - start) / (end - start)
+    moved = [edge + share * (later - edge) for edge, later in zip(box, other, strict=True)]
+    xmin, xmax = sorted(min(max(edge, 0.0), float(labels.width)) for edge in moved[0::2])
+    ymin, ymax = sorted(min(max(edge, 0.0), float(labels.height)) for edge in moved[1::2])
+    return (xmin, ymin, xmax, ymax) if xmin < xmax and ymin < ymax else None

@@ -26,10 +26,10 @@ DARK = 40  #: Level of an image where nothing can be drawn but the box.
 QUALITY = 80  #: Of the JPEG images of a page.
 
 
-def jpeg(image: np.ndarray) -> bytes:
+def jpeg(image: np.ndarray, quality: int = QUALITY) -> bytes:
     """An image, red, green, blue, as pages get it."""
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "jpeg", quality=QUALITY)
+    Image.fromarray(image).save(buffer, "jpeg", quality=quality)
     return buffer.getvalue()
 
 

@@ -6,7 +6,6 @@ page falls as soon as there is doubt whether anybody holds it, and the hardware 
 
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.resources import files
 from math import isfinite
 from threading import Event
 from typing import Any, final
@@ -21,12 +20,11 @@ from pixel2catch.ros2.transport import Clock, Transport
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.images import jpeg
-from pixel2catch.viewer.server import OwnPage, open_server
+from pixel2catch.viewer.server import OwnPage, open_server, page_files
 from pixel2catch.viewer.visitors import HeldButton, Visitor, Visitors
 from pixel2catch.viewer.wire import StatusDetails, WireScene
 
 PATH = "/operate"  #: Where the page is on its server.
-KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}  #: Types of its files.
 
 PERIOD = 0.02  #: Real time between two looks at network and page [s]. Source: ours, half of the switch's.
 PICTURE_TIME = (
@@ -74,7 +72,7 @@ class OperatorPage:
         self._button, self._more, self._title = button, more, title
         self._images = transport.subscription(profile.camera.image)
         self._visitors = Visitors(self._heed, self._part)
-        own = OwnPage(path=PATH, files=page_files(), talk=self._visitors.talk)
+        own = OwnPage(path=PATH, files=page_files(PATH), talk=self._visitors.talk)
         self._server = open_server(cfg, title, own)
         self._server.viser.gui.main_panel.minimize()
         self.scene = WireScene(self._server.viser, scene, profile, transport, clock)  #: What is in the frame.
@@ -208,18 +206,6 @@ class OperatorPage:
         if self._button:
             self._button.let_go(visitor)
             self._is_switched.set()
-
-
-def page_files() -> dict[str, tuple[str, bytes]]:
-    """The page's files by their paths, with their types."""
-    folder = files("pixel2catch.viewer") / "operate"
-    found = {file.name: file.read_bytes() for file in folder.iterdir()}
-    contents = {f"{PATH}/{name}": (f"{_kind(name)}; charset=utf-8", data) for name, data in found.items()}
-    return contents | {PATH: contents[f"{PATH}/operate.html"]}
-
-
-def _kind(name: str) -> str:
-    return KINDS[f".{name.rpartition('.')[2]}"]
 
 
 def box_in_image(box: Any, camera: CameraProfile) -> list[float]:

@@ -15,7 +15,9 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from http.cookies import CookieError, SimpleCookie
+from importlib.resources import files
 from ipaddress import ip_address
+from pathlib import PurePath
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -27,6 +29,8 @@ from websockets.http11 import Request, Response
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.viewer.config import PageCfg
+
+KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}  #: Types of a page's files.
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")  #: What this machine's own browser calls it.
 
@@ -161,6 +165,17 @@ def open_server(cfg: PageCfg, title: str, own: OwnPage | None = None) -> PageSer
     path = own.path if own else "/" if check.token else ""
     token = f"?token={check.token}" if check.token else ""
     return PageServer(viser=server, address=f"http://{place}:{server.get_port()}{path}{token}")
+
+
+def page_files(path: str) -> dict[str, tuple[str, bytes]]:
+    """Files of a page of our own by their paths, with their types; they are in the folder of its name."""
+    name = path.removeprefix("/")
+    found = {file.name: file.read_bytes() for file in (files("pixel2catch.viewer") / name).iterdir()}
+    contents = {
+        f"{path}/{each}": (f"{KINDS[PurePath(each).suffix]}; charset=utf-8", data)
+        for each, data in found.items()
+    }
+    return contents | {path: contents[f"{path}/{name}.html"]}
 
 
 def is_loopback(host: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, final
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from pixel2catch.errors import DeploymentError
+from pixel2catch.errors import DeploymentError, Pixel2CatchError
 
 BEAT_AGE = 0.4
 """Real time for which a browser that says nothing still holds the switch [s]. Source: ours: it says so every
@@ -19,7 +19,7 @@ BEAT_AGE = 0.4
 LONGEST = 1000  #: Characters of a request; ours have a hundred.
 
 Visitor = ServerConnection  #: One browser, as long as it is connected.
-Heed = Callable[[Visitor, dict[str, Any]], None]  #: Does what a browser asks for, or raises DeploymentError.
+Heed = Callable[[Visitor, dict[str, Any]], None]  #: Does what a browser asks for, or raises Pixel2CatchError.
 
 
 @final
@@ -126,7 +126,7 @@ class Visitors:
             return await visitor.close(1008, "not a request")
         try:
             self._heed(visitor, asked)
-        except DeploymentError as error:
+        except Pixel2CatchError as error:
             await visitor.send(json.dumps({"error": str(error)}))
 
     async def _send(self, visitor: Visitor, news: asyncio.Event) -> None:

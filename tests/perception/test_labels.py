@@ -1,0 +1,210 @@
+"""Label files, and images of other sizes than the policies' against them: laws, and `track --truth`."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+from filmed import DISC, HELD, PATH, save_video, throw
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.cli.main import main
+from pixel2catch.cli.track import SUMMARY
+from pixel2catch.errors import InvalidValueError, PerceptionError
+from pixel2catch.perception.image_fit import ImageFit, camera_for
+from pixel2catch.perception.labels import Box, Label, Labels, suggested
+from pixel2catch.perception.sources import video_frames
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+
+SIZES = st.tuples(st.integers(160, 2000), st.integers(160, 2000))
+
+
+def label(image: int, box: Box | None, phase: Any = "flight") -> Label:
+    return Label(image=image, time=image / 30.0, phase=phase, box=box)
+
+
+LABELS = Labels(
+    video="throw.mp4",
+    width=320,
+    height=240,
+    rate=30.0,
+    object="white ball",
+    images=(label(3, (10.0, 20.0, 30.0, 40.0), "held"), label(5, None), label(7, (50.0, 20.0, 74.0, 44.0))),
+)
+
+
+def test_a_label_file_is_read_as_it_was_written(tmp_path: Path):
+    LABELS.save(tmp_path / "labels.json")
+    assert Labels.load(tmp_path / "labels.json") == LABELS
+    written = json.loads((tmp_path / "labels.json").read_text())
+    assert written["images"][1] == {"phase": "flight", "box": None, "image": 5, "time": 5 / 30.0}
+    replace(LABELS, images=()).save(tmp_path / "none.json")
+    assert Labels.load(tmp_path / "none.json").images == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"format_version": 2}, "format_version is 2"),
+        ({"width": "wide"}, "width"),
+        ({"images": [{"image": 1, "time": 0.0, "phase": "thrown", "box": None}]}, "phase"),
+        ({"images": [{"image": 1, "time": 0.0, "phase": "held", "box": [1.0, 2.0, 1.0, 4.0]}]}, "image 1"),
+        (
+            {"images": [{"image": 1, "time": 0.0, "phase": "held", "box": [1.0, 2.0, 321.0, 4.0]}]},
+            "320 by 240",
+        ),
+        ({"images": 2 * [{"image": 1, "time": 0.0, "phase": "held", "box": None}]}, "each once"),
+    ],
+)
+def test_a_bad_label_file_is_refused(changes: dict[str, Any], words: str, tmp_path: Path):
+    path = tmp_path / "labels.json"
+    LABELS.save(path)
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    with pytest.raises(InvalidValueError, match=words):
+        Labels.load(path)
+
+
+def test_the_suggestion_moves_evenly_between_boxes_and_on_after_them():
+    assert suggested(LABELS, 0) is None
+    assert suggested(LABELS, 3) == (10.0, 20.0, 30.0, 40.0)
+    assert suggested(LABELS, 5) == (30.0, 20.0, 52.0, 42.0)
+    assert suggested(LABELS, 8) == (60.0, 20.0, 85.0, 45.0)  # (40, 0, 44, 4) in four images, so a quarter on
+    assert suggested(LABELS, 300) is None  # off the image
+    assert suggested(LABELS.without(7), 9) == (10.0, 20.0, 30.0, 40.0)
+
+
+def test_a_label_is_found_by_its_stamp_and_exchanged_by_its_image():
+    assert LABELS.at(7 / 30.0 + 0.001) == LABELS.images[2]
+    assert LABELS.at(7 / 30.0 + 0.01) is None
+    assert LABELS.with_label(label(5, (1.0, 1.0, 9.0, 9.0))).images[1].box == (1.0, 1.0, 9.0, 9.0)
+    assert [each.image for each in LABELS.with_label(label(4, None)).images] == [3, 4, 5, 7]
+
+
+def test_an_image_of_another_shape_is_scaled_and_framed():
+    fit, camera = camera_for((1280, 720), None)
+    assert camera == RGB_CAMERA
+    assert fit.box((0.0, 0.0, 1280.0, 720.0)) == (0.0, 60.0, 640.0, 420.0)
+    assert fit.point((640.0, 360.0)) == (320.0, 240.0)
+    image = np.full((720, 1280, 3), 200, np.uint8)
+    made = fit.image(image)
+    assert made.shape == (480, 640, 3)
+    assert (made[60:420] == 200).all()
+    assert not made[:60].any()
+    assert not made[420:].any()
+    other = np.zeros((100, 100, 3), np.uint8)
+    assert fit.image(other) is other  # one that the stream should not have: whoever looks refuses it
+
+
+@given(own=SIZES)
+def test_what_a_camera_projects_is_where_the_scaled_image_has_it(own: tuple[int, int]):
+    """A point in space, through the camera and the fit, or through the camera of the fitted images."""
+    width, height = own
+    camera = replace(RGB_CAMERA, width=width, height=height, fx=0.9 * width, fy=0.9 * width, cx=0.4 * width)
+    fit = ImageFit(own=own, size=(640, 480))
+    made = fit.camera(camera)
+    for x, y in ((0.1, -0.2), (-0.3, 0.25)):
+        seen = (camera.fx * x + camera.cx, camera.fy * y + camera.cy)
+        assert fit.point(seen) == pytest.approx((made.fx * x + made.cx, made.fy * y + made.cy))
+    assert (made.width, made.height) == (640, 480)
+
+
+def test_a_calibrated_camera_keeps_its_size_or_shrinks_with_the_images():
+    small = replace(RGB_CAMERA, width=320, height=240)
+    assert camera_for((320, 240), small) == (ImageFit(own=(320, 240), size=(320, 240)), small)
+    twice = replace(RGB_CAMERA, width=1280, height=960, fx=1200.0, cx=600.0)
+    _, camera = camera_for((1280, 960), twice)
+    assert (camera.width, camera.fx, camera.cx) == (640, 600.0, 300.0)
+    _, camera = camera_for((1280, 960), RGB_CAMERA)  # calibrated at another resolution, of the same view
+    assert (camera.fx, camera.cy) == (RGB_CAMERA.fx, RGB_CAMERA.cy)
+    with pytest.raises(PerceptionError, match="another shape"):
+        camera_for((1280, 720), RGB_CAMERA)
+
+
+def test_a_video_that_was_taken_upright_is_shown_upright(tmp_path: Path):
+    image = np.zeros((64, 128, 3), np.uint8)
+    image[:16, :, 0] = 250  # red above
+    path = tmp_path / "turned.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30, width=128, height=64, pix_fmt="yuv420p")
+        for _ in range(3):
+            for packet in stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")):
+                container.mux(packet)
+        for packet in stream.encode():
+            container.mux(packet)
+    plain = next(video_frames(path, []))
+    assert plain.image.shape == (64, 128, 3)
+    data = bytearray(
+        path.read_bytes()
+    )  # a quarter turn clockwise in the track header, as telephones write it
+    matrix = np.array([65536, 0, 0, 0, 65536, 0, 0, 0, 1 << 30], ">i4").tobytes()
+    turned = np.array([0, 65536, 0, -65536, 0, 0, 0, 0, 1 << 30], ">i4").tobytes()
+    place = data.index(matrix, data.index(b"tkhd"))
+    data[place : place + len(matrix)] = turned
+    path.write_bytes(data)
+    upright = next(video_frames(path, []))
+    assert upright.image.shape == (128, 64, 3)
+    assert upright.image[:, -10:, 0].mean() > 200  # what was above is at the right
+    assert upright.image[:, :40, 0].mean() < 30
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The painted throw, twice as large and on a wider image, with labels by its own numbers."""
+    folder = tmp_path_factory.mktemp("wide")
+    pictures = (np.pad(cv2.resize(each, (640, 480)), ((0, 0), (0, 214), (0, 0)), "edge") for each in throw())
+    save_video(folder / "throw.mp4", pictures)
+    reach = 2.0 * DISC.radius + 1.0
+    images = []
+    for step in range(HELD, len(PATH)):
+        u, v = (2.0 * value for value in PATH[step])
+        box = (max(u - reach, 0.0), max(v - reach, 0.0), u + reach, v + reach)
+        seen = box if u < 640 and v < 480 else None
+        images.append(
+            Label(image=step, time=step / 30.0, phase="held" if step < HELD + 3 else "flight", box=seen)
+        )
+    labels = Labels(video="throw.mp4", width=854, height=480, rate=30.0, images=tuple(images))
+    labels.save(folder / "throw.json")
+    return folder
+
+
+def test_track_compares_with_labels_in_the_pixels_of_the_file(
+    wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    u, v = (2.0 * value for value in PATH[HELD])
+    box = [f"{edge:g}" for edge in (u - 15, v - 15, u + 15, v + 15)]
+    options = ["--at", f"{HELD * CONTROL_DT:.3f}", "--box", *box, "--truth", str(wide / "throw.json")]
+    assert main(["track", str(wide / "throw.mp4"), "--out", str(tmp_path / "out"), *options]) == 0
+    summary = json.loads((tmp_path / "out" / SUMMARY).read_text())
+    flight = summary["truth"]["flight"]
+    assert flight["images"] >= 12
+    assert flight["within_5px"] > 0.8
+    low, high = flight["within_5px_interval"]
+    assert low < flight["within_5px"] <= high
+    assert flight["error_p50"] < 3.0
+    assert summary["notes"][0].startswith("images of 854 by 480 px were scaled")
+    printed = capsys.readouterr().out
+    for words in ("boxes against the labels", "within 5 px", "false boxes", "flight"):
+        assert words in printed
+
+
+def test_track_refuses_what_does_not_belong_together(
+    wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    CameraFile(camera=RGB_CAMERA).save(tmp_path / "camera.json")
+    replace(LABELS, images=()).save(tmp_path / "labels.json")
+    for options, words in (
+        (["--camera", str(tmp_path / "camera.json")], "another shape"),
+        (["--truth", str(tmp_path / "labels.json")], "the labels are for images of 320 by 240 px"),
+        (["--box", "800", "100", "900", "200"], "is not on the image of 854 by 480 px"),
+    ):
+        assert main(["track", str(wide / "throw.mp4"), "--out", str(tmp_path / "out"), *options]) == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
+        assert not (tmp_path / "out").exists()
