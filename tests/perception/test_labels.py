@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import av
-import cv2
 import numpy as np
 import pytest
 from filmed import DISC, HELD, PATH, save_video, throw
@@ -155,20 +154,20 @@ def test_a_video_that_was_taken_upright_is_shown_upright(tmp_path: Path):
 
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The painted throw, twice as large and on a wider image, with labels by its own numbers."""
+    """The painted throw on a wider image, with labels by its own numbers."""
     folder = tmp_path_factory.mktemp("wide")
-    pictures = (np.pad(cv2.resize(each, (640, 480)), ((0, 0), (0, 214), (0, 0)), "edge") for each in throw())
+    pictures = (np.pad(each, ((0, 0), (0, 106), (0, 0)), "edge") for each in throw())
     save_video(folder / "throw.mp4", pictures)
-    reach = 2.0 * DISC.radius + 1.0
+    reach = DISC.radius + 0.5
     images = []
     for step in range(HELD, len(PATH)):
-        u, v = (2.0 * value for value in PATH[step])
+        u, v = PATH[step]
         box = (max(u - reach, 0.0), max(v - reach, 0.0), u + reach, v + reach)
-        seen = box if u < 640 and v < 480 else None
+        seen = box if u < 320 and v < 240 else None
         images.append(
             Label(image=step, time=step / 30.0, phase="held" if step < HELD + 3 else "flight", box=seen)
         )
-    labels = Labels(video="throw.mp4", width=854, height=480, rate=30.0, images=tuple(images))
+    labels = Labels(video="throw.mp4", width=426, height=240, rate=30.0, images=tuple(images))
     labels.save(folder / "throw.json")
     return folder
 
@@ -176,8 +175,8 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_track_compares_with_labels_in_the_pixels_of_the_file(
     wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    u, v = (2.0 * value for value in PATH[HELD])
-    box = [f"{edge:g}" for edge in (u - 15, v - 15, u + 15, v + 15)]
+    u, v = PATH[HELD]
+    box = [f"{edge:g}" for edge in (u - 8, v - 8, u + 8, v + 8)]
     options = ["--at", f"{HELD * CONTROL_DT:.3f}", "--box", *box, "--truth", str(wide / "throw.json")]
     assert main(["track", str(wide / "throw.mp4"), "--out", str(tmp_path / "out"), *options]) == 0
     summary = json.loads((tmp_path / "out" / SUMMARY).read_text())
@@ -187,7 +186,7 @@ def test_track_compares_with_labels_in_the_pixels_of_the_file(
     low, high = flight["within_5px_interval"]
     assert low < flight["within_5px"] <= high
     assert flight["error_p50"] < 3.0
-    assert summary["notes"][0].startswith("images of 854 by 480 px were scaled")
+    assert summary["notes"][0].startswith("images of 426 by 240 px were scaled")
     printed = capsys.readouterr().out
     for words in ("boxes against the labels", "within 5 px", "false boxes", "flight"):
         assert words in printed
@@ -201,7 +200,7 @@ def test_track_refuses_what_does_not_belong_together(
     for options, words in (
         (["--camera", str(tmp_path / "camera.json")], "another shape"),
         (["--truth", str(tmp_path / "labels.json")], "the labels are for images of 320 by 240 px"),
-        (["--box", "800", "100", "900", "200"], "is not on the image of 854 by 480 px"),
+        (["--box", "400", "100", "500", "200"], "is not on the image of 426 by 240 px"),
     ):
         assert main(["track", str(wide / "throw.mp4"), "--out", str(tmp_path / "out"), *options]) == 2
         error = capsys.readouterr().err

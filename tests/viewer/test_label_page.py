@@ -1,9 +1,11 @@
 """The page for labels: what browsers ask for, saved at once, and a person who labels in a real one."""
 
+import _thread
 import json
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,8 @@ from websockets.sync.connection import Connection
 from websockets.typing import Origin
 
 from domains import PATIENCE, free_port
-from pixel2catch.cli.label import Label as LabelCommand
 from pixel2catch.cli.main import main
-from pixel2catch.perception.labels import Labels
+from pixel2catch.perception.labels import Label, Labels
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.images import jpeg
@@ -171,24 +172,48 @@ def test_a_person_labels_in_a_browser(page: LabelPage, browser_page: Any, tmp_pa
     assert wrong == []
 
 
-def test_the_command_goes_on_with_a_file_and_ends_in_order(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_the_command_goes_on_with_a_file_and_ends_with_ctrl_c(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     with VideoWriter(tmp_path / "throw.mp4", fps=30) as video:
         for number in range(NUM):
             video.write(picture(number))
-    EMPTY.save(tmp_path / "throw.json")
-    command = LabelCommand(
-        video=tmp_path / "throw.mp4", at=0.1, seconds=0.2, object="ball", page=PageCfg(port=free_port())
-    )
-    images, labels = command._read(Labels.load(tmp_path / "throw.json"))
-    assert sorted(images) == [3, 4, 5, 6, 7, 8, 9]
-    assert (labels.object, labels.width) == ("ball", WIDTH)
-    monkeypatch.setattr("pixel2catch.cli.label.POLL", 0.01)
-    threading.Timer(0.0, lambda: None).start()
+    EMPTY.with_label(Label(image=4, time=4 / 30.0, phase="held", box=None)).save(tmp_path / "throw.json")
+    port = free_port()
+
+    def visit() -> None:
+        """Label an image, and do what Ctrl-C does."""
+        until(lambda: "open http://" in "".join(said))
+        with connect(f"ws://127.0.0.1:{port}/label/link", origin=Origin(f"http://127.0.0.1:{port}")) as link:
+            visitor = Browser(link)
+            assert (visitor.state["first"], visitor.state["last"], visitor.state["image"]) == (3, 9, 4)
+            visitor.ask("label", image=6, phase="flight", box=true_box(6))
+        _thread.interrupt_main()
+
+    said: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pixel2catch.cli.console.say", said.append)
+        visiting = threading.Thread(target=visit, daemon=True)
+        visiting.start()
+        options = ["--at", "0.1", "--seconds", "0.2", "--object", "square", "--port", str(port)]
+        assert main(["label", str(tmp_path / "throw.mp4"), *options]) == 0
+        visiting.join()
+    saved = Labels.load(tmp_path / "throw.json")
+    assert [each.image for each in saved.images] == [4, 6]
+    assert saved.object == "square"
+
+
+def test_a_video_that_cannot_be_labelled_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    with VideoWriter(tmp_path / "throw.mp4", fps=30) as video:
+        video.write(picture(0))
+    replace(EMPTY, width=640, height=480).save(tmp_path / "other.json")
     for args, words in (
         (["nothing.mp4"], "there is no file 'nothing.mp4'"),
         ([str(tmp_path / "throw.mp4"), "--at", "9"], "has no image after 9 s"),
+        (
+            [str(tmp_path / "throw.mp4"), "--out", str(tmp_path / "other.json")],
+            "are for images of 640 by 480",
+        ),
     ):
         assert main(["label", *args]) == 2
         assert words in capsys.readouterr().err
