@@ -162,7 +162,9 @@ def jpeg(film: Film, _: np.random.Generator, quality: int = 30) -> Film:
 
     def coded(image: Image) -> Image:
         _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-        return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
+        decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
+        assert decoded is not None
+        return np.ascontiguousarray(decoded[..., ::-1])
 
     return replace(film, images=tuple(map(coded, film.images)))
 

@@ -1,4 +1,4 @@
-"""Images of any size made as large as those of the policies' camera, and boxes to and fro."""
+"""Images of any size made as large as those of the policies' camera, and boxes, points, cameras likewise."""
 
 from dataclasses import dataclass, replace
 
