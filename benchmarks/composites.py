@@ -17,6 +17,7 @@ GRAVITY = 0.55  #: Of a flight in the image [px per image²]: 4 m/s², 3 m away,
 EXPOSURE, NUM_BLURS = 0.25, 6  #: Share of an image's period, and instants in it that are averaged.
 MARGIN = 2  #: Of the patch that is painted [px].
 SUBPIXEL = 4  #: Bits of the fraction of a painted coordinate.
+RIM = 0.55  #: By how much OpenCV paints smooth polygons too large [px]. Source: ours, the area of discs.
 
 Color = tuple[int, int, int]
 
@@ -78,7 +79,9 @@ def paint(image: Image, thing: Thing, flight: Flight, time: float) -> Image:
     cover, light = np.zeros((*behind.shape[:2], 1), np.float32), np.zeros_like(behind)
     for shape, color in shapes:
         mask = np.zeros(behind.shape[:2], dtype=np.uint8)
-        points = np.round((shape - low - 0.5) * (1 << SUBPIXEL)).astype(np.int32)
+        spokes = shape - shape.mean(axis=0)
+        inner = shape - RIM * spokes / np.linalg.norm(spokes, axis=1, keepdims=True)
+        points = np.round((inner - low - 0.5) * (1 << SUBPIXEL)).astype(np.int32)
         cv2.fillPoly(mask, [points], 255, cv2.LINE_AA, SUBPIXEL)
         share = mask[..., None].astype(np.float32) / (255.0 * NUM_BLURS)
         cover += share

@@ -1,0 +1,139 @@
+"""The benchmarks of trackers: painted truth against pixels, faults against their laws, a whole run."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import perception_on_clips
+import pytest
+from composites import (
+    HEIGHT,
+    WIDTH,
+    Film,
+    Flight,
+    Thing,
+    exposure_step,
+    film,
+    flicker,
+    jpeg,
+    noisy,
+    paint,
+    shake,
+    true_box,
+)
+from filmed import save_video
+from peers import NearestBlob, follow, methods
+
+from pixel2catch.evaluation.box_scores import summary
+from pixel2catch.perception.labels import Label, Labels, Truth
+
+ROOM = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
+BALL = Thing(colors=((220, 60, 40),))
+BOX = Thing(colors=((220, 60, 40), (40, 60, 220)), is_box=True)
+FLIGHT = Flight(start=(150.0, 200.0), velocity=(11.0, -7.0), sizes=(9.0, 16.0), num_held=3, num_flying=8)
+
+
+@pytest.fixture(scope="module")
+def plain() -> Film:
+    return film([ROOM], BALL, FLIGHT, 2)
+
+
+def changed_box(image: np.ndarray) -> np.ndarray:
+    rows, columns = np.nonzero(np.abs(image.astype(int) - ROOM).max(axis=-1) > 40)
+    return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+
+
+@pytest.mark.parametrize("thing", [BALL, BOX])
+@pytest.mark.parametrize("time", [-1.0, 4.0])
+def test_the_true_box_is_that_of_the_painted_pixels(thing: Thing, time: float):
+    """Blur adds a few pixels along the motion, half of them at each end."""
+    speed = 0.0 if time < 0.0 else 12.0
+    truth = true_box(thing, FLIGHT, time)
+    assert truth is not None
+    assert np.abs(changed_box(paint(ROOM, thing, FLIGHT, time)) - truth).max() < 1.5 + 0.125 * speed
+
+
+def test_a_thing_that_has_left_the_image_has_no_box(plain: Film):
+    away = replace(FLIGHT, velocity=(300.0, 0.0))
+    assert true_box(BALL, away, 3.0) is None
+    assert np.array_equal(paint(ROOM, BALL, away, 3.0), ROOM)
+    assert plain.truths[:2] == (None, None)
+    assert [truth.phase for truth in plain.truths if truth] == 4 * ["held"] + 7 * ["flight"]
+
+
+def test_what_has_little_contrast_is_brighter_by_so_much():
+    image = paint(ROOM, Thing(colors=((0, 0, 0),), contrast=14.0), FLIGHT, -1.0)
+    assert (image[200, 150] == 134).all()
+
+
+def test_faults_do_what_they_say(plain: Film):
+    levels = np.array([image[5, 5, 0] for image in flicker(plain, np.random.default_rng(0)).images])
+    assert 120 * 0.94 - 1 <= levels.min() < 117
+    assert 123 < levels.max() <= 120 * 1.06 + 1
+    stepped = [image[5, 5, 0] for image in exposure_step(plain, np.random.default_rng(1)).images]
+    assert stepped[:5] == 5 * [120]
+    assert stepped[-1] in (102, 138)
+    coded = jpeg(plain, np.random.default_rng(0)).images[6].astype(int) - plain.images[6]
+    assert 0 < np.abs(coded).mean() < 10
+    assert noisy(ROOM, np.random.default_rng(0)).std() == pytest.approx(2.5, abs=0.1)
+
+
+def test_a_shake_moves_image_and_truth_alike(plain: Film):
+    shaken = shake(plain, np.random.default_rng(2))
+    for image, truth, still in zip(shaken.images[2:6], shaken.truths[2:6], plain.truths[2:6], strict=True):
+        assert truth is not None
+        assert still is not None
+        assert truth.box is not None
+        assert still.box is not None
+        moved = np.array(truth.box) - still.box
+        assert 0.0 < np.abs(moved).max() <= 2.0
+        assert np.abs(changed_box(image) - truth.box).max() < 1.6
+
+
+def test_a_disc_has_its_area():
+    radius = 9.5
+    still = Flight(start=(150.3, 200.6), velocity=(0.0, 0.0), sizes=(radius, radius))
+    image = paint(np.zeros_like(ROOM), Thing(colors=((0, 0, 0),), contrast=200.0), still, -1.0)
+    assert image[..., 0].sum() / 200.0 == pytest.approx(np.pi * radius**2, rel=0.03)
+
+
+def test_every_method_gets_each_image_once_and_is_scored_after_its_first():
+    shown = film([noisy(ROOM, np.random.default_rng(i)) for i in range(4)], BALL, FLIGHT, 34)
+    for name, make in methods((350.0, 16.0)).items():
+        if name == "MIL":
+            continue  # slow
+        scores = follow(make(), list(shown.images), list(shown.truths), 0)
+        assert len(scores) == sum(truth is not None for truth in shown.truths) - 1
+        assert summary(scores)["flight"]["within_5px"] > 0.7, name
+    unknown: list[Truth | None] = [
+        truth if truth and truth.phase == "held" else None for truth in shown.truths
+    ]
+    assert len(follow(NearestBlob(), list(shown.images), unknown, 0)) == 3
+
+
+def test_clips_in_a_folder_are_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    shown = film([ROOM], BALL, FLIGHT, 20)
+    save_video(tmp_path / "throw.mp4", shown.images)
+    images = tuple(
+        Label(image=i, time=i / 30.0, phase=truth.phase, box=truth.box)
+        for i, truth in enumerate(shown.truths)
+        if truth
+    )
+    labels = Labels(
+        video="throw.mp4", width=WIDTH, height=HEIGHT, rate=30.0, object="red ball", images=images
+    )
+    labels.save(tmp_path / "throw.json")
+    out = tmp_path / "out" / "clips.json"
+    out.parent.mkdir()
+    arguments: list[Any] = ["", str(tmp_path), "--methods", "nearest blob,color", "--out", str(out)]
+    monkeypatch.setattr(sys, "argv", arguments)
+    perception_on_clips.main()
+    assert "throw (red ball): nearest blob" in capsys.readouterr().out
+    report = json.loads(out.read_text())
+    assert set(report["all"]) == {"nearest blob", "color"}
+    assert report["throw"]["nearest blob"]["flight"]["images"] == 7
