@@ -27,6 +27,7 @@ from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.methods import find_method
 from pixel2catch.perception.calibration.intrinsics import read_intrinsics
 from pixel2catch.perception.calibration.target import CharucoBoard, read_image
+from pixel2catch.perception.labels import Label, Labels
 from pixel2catch.perception.sources import SourceCfg, ticks_of
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.onnx_policy import to_onnx
@@ -227,6 +228,13 @@ def _camera(folder: Path) -> Path:
     return folder / "camera.json"
 
 
+def _labels(folder: Path) -> Path:
+    boxes = ((1.0, 2.0, 3.0, 4.0), None)
+    images = tuple(Label(image=i, time=0.1 * i, phase="held", box=box) for i, box in enumerate(boxes))
+    Labels(video="a.mp4", width=64, height=48, rate=30.0, images=images).save(folder / "labels.json")
+    return folder / "labels.json"
+
+
 def _run(folder: Path) -> Path:
     cfg = TrainCfg(device="cpu", num_envs=4, mini_batches=2)
     content = {"train": cfg.to_dict(), "env": asdict(CatchEnvCfg()), "policy": {"method": cfg.method}}
@@ -242,6 +250,7 @@ KINDS = {
     "onnx": Kind(write=_onnx, read=load_policy),
     "dynamics": Kind(write=_dynamics, read=DynamicsFile.load, change=changed_json),
     "camera": Kind(write=_camera, read=CameraFile.load, change=changed_json),
+    "labels": Kind(write=_labels, read=Labels.load, change=changed_json),
     "profile": Kind(write=_profile, read=Profile.load, change=changed_yaml),
     "recording": Kind(write=_recording, read=lambda file: read_recording(file, "ur5e"), change=changed_npz),
     "trajectory": Kind(write=_trajectory, read=Trajectory.load, change=changed_npz),

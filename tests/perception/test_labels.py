@@ -52,6 +52,7 @@ def test_a_label_file_is_read_as_it_was_written(tmp_path: Path):
     [
         ({"format_version": 2}, "format_version is 2"),
         ({"width": "wide"}, "width"),
+        ({"height": 10**9}, "from 1 to 8192"),
         ({"images": [{"image": 1, "time": 0.0, "phase": "thrown", "box": None}]}, "phase"),
         ({"images": [{"image": 1, "time": 0.0, "phase": "held", "box": [1.0, 2.0, 1.0, 4.0]}]}, "image 1"),
         (

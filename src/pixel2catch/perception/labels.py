@@ -5,6 +5,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Literal, get_args
 
+from pixel2catch.camera.camera_file import LARGEST_IMAGE
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
 
@@ -51,6 +52,8 @@ class Labels:
 
     def __post_init__(self) -> None:
         """Refuse labels that no video of this size can have."""
+        if not (1 <= min(self.width, self.height) and max(self.width, self.height) <= LARGEST_IMAGE):
+            raise InvalidValueError(f"width and height must be from 1 to {LARGEST_IMAGE}")
         numbers = [label.image for label in self.images]
         if numbers != sorted(set(numbers)) or min(numbers, default=0) < 0:
             raise InvalidValueError("images must be in order, each once, numbered from 0")
