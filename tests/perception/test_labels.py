@@ -193,6 +193,21 @@ def test_track_compares_with_labels_in_the_pixels_of_the_file(
         assert words in printed
 
 
+def test_a_phase_in_which_nothing_is_visible_has_no_rates(
+    wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    truth = Labels.load(wide / "throw.json")
+    hidden = tuple(replace(each, box=None) for each in truth.images[-4:])
+    replace(truth, images=hidden).save(tmp_path / "hidden.json")
+    options = ["--truth", str(tmp_path / "hidden.json"), "--segmenter", "color", "--color", "340", "20"]
+    assert main(["track", str(wide / "throw.mp4"), "--out", str(tmp_path / "out"), *options]) == 0
+    flight = json.loads((tmp_path / "out" / SUMMARY).read_text())["truth"]["flight"]
+    assert (flight["images"], flight["hidden"]) == (0, 4)
+    assert flight["false_boxes"] == flight["seen_though_hidden"] >= 1
+    row = next(line for line in capsys.readouterr().out.splitlines() if "flight" in line)
+    assert row.count("-") >= 3
+
+
 def test_track_refuses_what_does_not_belong_together(
     wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -121,6 +121,8 @@ class Track:
                 self._write(takewhile(lambda sighting: sighting.time <= end, rest), camera, tally)
             if stop.is_set:
                 notes.append("stopped by Ctrl-C.")
+        if labels and not scores:
+            notes.append(f"no image from --at on is labelled: {len(labels.images)} labels were not used.")
         return scores
 
     def _fit(self, source: "SourceCfg", notes: list[str]) -> "tuple[ImageFit, CameraSpec]":
@@ -214,12 +216,15 @@ def _truth_table(truth: dict[str, Any]) -> Table:
     ):
         table.add_column(name, justify="right")
     for phase, row in truth.items():
-        if not row["images"]:
+        if row["images"] + row["hidden"] == 0:
             continue
-        low, high = row["within_5px_interval"]
-        error = f"{row['error_p50']:.1f} px" if "error_p50" in row else "-"
-        rates = (f"{100 * row['within_5px']:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %", error)
-        counts = (row["false_boxes"], row["losses"], row["reacquisitions"])
+        rates = ["-", "-", "-"]
+        if row["images"]:
+            low, high = row["within_5px_interval"]
+            rates[:2] = f"{100 * row['within_5px']:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %"
+        if "error_p50" in row:
+            rates[2] = f"{row['error_p50']:.1f} px"
+        counts = (row["false_boxes"], row.get("losses", 0), row.get("reacquisitions", 0))
         table.add_row(phase, str(row["images"]), *rates, *map(str, counts))
     return table
 

@@ -52,7 +52,7 @@ class Labels:
 
     def __post_init__(self) -> None:
         """Refuse labels that no video of this size can have."""
-        if not (1 <= min(self.width, self.height) and max(self.width, self.height) <= LARGEST_IMAGE):
+        if min(self.width, self.height) < 1 or max(self.width, self.height) > LARGEST_IMAGE:
             raise InvalidValueError(f"width and height must be from 1 to {LARGEST_IMAGE}")
         numbers = [label.image for label in self.images]
         if numbers != sorted(set(numbers)) or min(numbers, default=0) < 0:
