@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from pixel2catch.perception.labels import Box, Label, Labels, suggested
 from pixel2catch.perception.sources import video_frames
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 
+CLIPS = Path(__file__).parents[2] / "benchmarks" / "clips"
 SIZES = st.tuples(st.integers(160, 2000), st.integers(160, 2000))
 
 
@@ -223,3 +225,17 @@ def test_track_refuses_what_does_not_belong_together(
         assert words in error
         assert error.count("\n") == 1
         assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("path", sorted(CLIPS.glob("*.json")), ids=lambda path: path.stem)
+def test_labels_of_public_videos_say_whose_they_are_and_move_as_things_do(path: Path):
+    labels = Labels.load(path)
+    assert labels.source.startswith("github.com/")
+    assert "commit " in labels.source
+    assert labels.object
+    boxes = [(each.image, each.box) for each in labels.images if each.box]
+    for (number, box), (later, other) in pairwise(boxes):
+        step = max(
+            abs(a + c - b - d) / 2 for a, b, c, d in zip(box[:2], other[:2], box[2:], other[2:], strict=True)
+        )
+        assert step < 0.1 * labels.width * (later - number)
