@@ -50,10 +50,9 @@ class Case:
 
 
 def tossed(flight: Flight) -> Flight:
-    """A flight that leaves the image at the top, and comes back."""
-    return replace(
-        flight, velocity=(0.5 * flight.velocity[0], -14.0), start=(flight.start[0], 190.0), num_flying=50
-    )
+    """A flight that leaves the image at the top for about half a second, and comes back."""
+    start, velocity = (flight.start[0], 190.0), (0.5 * flight.velocity[0], -15.5)
+    return replace(flight, start=start, velocity=velocity, num_flying=60)
 
 
 def crossing(flight: Flight) -> tuple[Flight, ...]:
