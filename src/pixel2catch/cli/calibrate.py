@@ -127,8 +127,8 @@ class Calibrate:
         import numpy as np
         import torch
 
-        from pixel2catch.identification.importers import read_table
         from pixel2catch.identification.recording import require_motion
+        from pixel2catch.identification.tables import read_table
         from pixel2catch.perception.calibration.extrinsics import HandView
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
