@@ -163,7 +163,7 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_fit(
 
 
 def test_tables_and_steps_are_printed(run: Run):
-    for part in ("0 of 24 checks failed", "held out:", "Tracking error, RMS [mrad]", "latency [ms]"):
+    for part in ("0 of 25 checks failed", "held out:", "Tracking error, RMS [mrad]", "latency [ms]"):
         assert part in " ".join(run.stdout.split())
     for step in ("reading", "checking the data", "fitting damping, latency", "drawing", "report.html"):
         assert step in run.stderr

@@ -170,7 +170,7 @@ def read_recording(
         )
     if path.is_dir() and (pieces := [each.name for each in sorted(path.iterdir())]):
         raise RecordingError(
-            f"{path}: a folder with {', '.join(pieces[:MOST_NAMED])}, which is no recording; one is "
+            f"{path}: unknown format, a folder with {', '.join(pieces[:MOST_NAMED])}; a recording is "
             f"{FORMATS}. Pieces of a bag need its {METADATA} ('ros2 bag reindex'), or are given file by file."
         )
     raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")

@@ -38,7 +38,7 @@ themselves to the last bit at rest; hand: its maker's driver, 333.3° in 65,536 
 """
 
 ENCODER_NOISE = 0.3
-"""Standard deviation of a position before it is rounded [steps]. Source: ours; most repeat themselves at rest."""
+"""Standard deviation of a position before it is rounded [steps]. Source: ours; at rest most repeat."""
 
 LATENCY = 0.015
 """Time from the middle of the exposure to the image on the wire [s].
