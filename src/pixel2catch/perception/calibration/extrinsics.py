@@ -8,9 +8,9 @@ where the policies look for it: in the world frame, as the robot's kinematics ha
 The first guess is in closed form (A X = Z B of robotics): with B the board in the camera, A Y = X B in every
 image. Some wrong images do not disturb it.
 
-What all images have in common is fitted, too, as far as they tell it: the size of the squares, which the arm's
-own motion measures, and constant errors of its joints. What they leave open of that, and what the lens leaves
-open, is a part of the stated uncertainty.
+What all images have in common is fitted, too, as far as they tell it: the size of the squares, which the
+arm's own motion measures, and constant errors of its joints. What they leave open of that, and what the lens
+leaves open, is a part of the stated uncertainty.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ from pixel2catch.scene.constants import CameraSpec
 
 Pose = Float[np.ndarray, "4 4"]  #: A homogeneous matrix [m].
 Common = Float[np.ndarray, " num_common"]
-"""What all images have in common: relative error of the square's edge, and of each joint a constant one [rad]."""
+"""What images have in common: relative error of the square's edge, and of each joint a constant one [rad]."""
 
 NUM_DRAWS = 40
 """First guesses from a few images each: where a third of the images is wrong, 12 are from right ones only."""
@@ -53,8 +53,8 @@ SQUARE_ERROR = 0.005
 """Standard deviation of the edge of a square as measured, relative. Source: ours, 0.3 mm of 60."""
 
 LARGEST_SQUARE_ERROR = 0.03
-"""Relative error of the edge of a square from which nothing is calibrated. Source: ours, six times what a ruler
-may be off; 3 % move the camera by 14 mm."""
+"""Relative error of the edge of a square from which nothing is calibrated. Source: ours, six times what a
+ruler may be off; 3 % move the camera by 14 mm."""
 
 SURE = 3.0  #: Standard deviations from which an error of the square is one. Source: ours.
 
