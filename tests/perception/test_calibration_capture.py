@@ -17,7 +17,7 @@ from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.cli.main import main
 from pixel2catch.deployment.recorder import BagRecorder
 from pixel2catch.perception.calibration.capture import Capture, Taken, blur, covered, located, wants
-from pixel2catch.perception.calibration.target import CharucoBoard, View
+from pixel2catch.perception.calibration.target import CharucoBoard, View, read_image
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.ros2 import messages
@@ -71,8 +71,7 @@ def test_a_view_is_taken_when_it_rests_and_only_once(tmp_path: Path, pose: np.nd
     with open(tmp_path / "views" / "views.csv", newline="", encoding="utf-8") as file:
         (row,) = csv.DictReader(file)
     assert [float(row[joint]) for joint in JOINTS] == pose.tolist()
-    kept = cv2.imread(str(tmp_path / "views" / row["image"]))
-    assert np.array_equal(cv2.cvtColor(kept, cv2.COLOR_BGR2RGB), picture)
+    assert np.array_equal(read_image(tmp_path / "views" / row["image"]), picture)
     assert b"<svg" in (tmp_path / "views" / "coverage.svg").read_bytes()
 
 
@@ -127,6 +126,7 @@ def bag_of(path: Path, num: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_recorded_session_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     CameraFile(camera=RGB_CAMERA).save(tmp_path / "lens.json")
     bag, views = bag_of(tmp_path / "bag", 6), tmp_path / "views"

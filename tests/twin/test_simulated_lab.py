@@ -147,10 +147,9 @@ def test_encoders_follow_between_physics_steps(lab: SimulatedLab):
     """In an even motion they foretell where the joints are at the next step."""
     start = lab.joints.position
     for _ in range(10):
-        goal = start + 0.02
-        control_step(lab, start, goal)
-        start = goal
-    goal = goal + 0.02 / DECIMATION
+        control_step(lab, start, start + 0.02)
+        start = start + 0.02
+    goal = start + 0.02 / DECIMATION
     foretold = lab.encoders(lab.time + lab.physics_dt).position
     now, way = lab.joints.position, np.abs(lab.joints.velocity[:6]).min() * lab.physics_dt
     lab.step(goal)

@@ -1,6 +1,6 @@
 """Reading a recording, whatever wrote it: our npz files, logs of RTDE, bags of ROS 2."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -176,7 +176,7 @@ def read_recording(
     raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")
 
 
-def _wanted(joints: tuple[str, ...], recorded: Sequence[str], *, is_partial: bool) -> tuple[str, ...]:
+def _wanted(joints: tuple[str, ...], recorded: Collection[str], *, is_partial: bool) -> tuple[str, ...]:
     """Those of the joints that are asked for: all, or those that were recorded, if there are any."""
     found = tuple(joint for joint in joints if joint in recorded)
     return found if is_partial and found else joints

@@ -217,7 +217,9 @@ def recorded_in_step(
     operator = OperatorConsole(twin.broker.node(clock), twin.profile.operator, clock)
     with closing(twin.lab), BagRecorder(out) as recorder, ExitStack() as stack:
         recording = DeploymentRecorder(recorder, node, twin.profile, clock, "none")
-        loop_end, servo_end = (stack.enter_context(closing(end)) for end in link())
+        loop_end, servo_end = link()
+        for end in (loop_end, servo_end):
+            stack.callback(end.close)
         setup = ServoSetup(profile=twin.profile, limits=limits)
         servo, is_armed = Servo(servo_end, twin.broker.node(clock), setup, clock), False
 
