@@ -293,9 +293,15 @@ def _fit(
 
 
 def _fit_with_common(corners: _Corners, poses: _Fit, square_error: float) -> _Fit:
-    """Fit what is common to all images beside the poses; the square is known that well, or not at all: ∞."""
+    """Fit what is common to all images beside the poses; the square is known that well, or not at all: ∞.
+
+    Where corners of an image err together, images tell less than their corners do one by one: as much less as
+    the poses scatter more than corners alone would make them.
+    """
     spare = max(len(poses.residuals) - poses.num_poses, 1)
     noise = max(float(np.linalg.norm(poses.residuals)) / np.sqrt(spare), LEAST_NOISE)
+    alone = noise**2 * np.diagonal(np.linalg.inv(poses.jacobian.T @ poses.jacobian))
+    noise *= max(np.sqrt(float(np.median(_deviations(poses, corners.owner) ** 2 / alone))), 1.0)
     stds = np.array([square_error, *(JOINT_ERROR,) * corners.palm_rates.shape[1]])
     is_free = poses.num_poses == 12
     start = (poses.camera, poses.board)
