@@ -12,6 +12,8 @@ from pixel2catch.cli.extras import needs_extra
 from pixel2catch.cli.link import Link
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pixel2catch.deployment.follower import TrajectoryFollower
     from pixel2catch.deployment.recorder import Connection
     from pixel2catch.identification.recording import Trajectory
@@ -24,6 +26,8 @@ FOLLOWING = {
     "run": "running: follows the trajectory.",
 }
 """What is said of modes in which a deployment would speak of its policy."""
+
+PATIENCE = 10.0  #: Time of a twin in this process, beside the motion, after which it was not armed [s].
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +65,9 @@ class Record:
             targets = whole_robot(trajectory)
             follower = TrajectoryFollower(targets, trajectory.duration, ServoLimits.ramp_time, connection)
             say(f"{trajectory.duration:.0f} s of motion; waiting to be armed")
-            self._follow(follower)
+            limit = connection.clock.now() + trajectory.duration + PATIENCE
+            is_over = (lambda: connection.clock.now() > limit) if self.lockstep else (lambda: False)
+            self._follow(follower, is_over)
         if connection.recording:
             connection.recording.require_whole()
         done = "followed to its end" if follower.is_done else "not followed to its end"
@@ -101,8 +107,8 @@ class Record:
         twin = recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out)
         return stack.enter_context(twin)
 
-    def _follow(self, follower: "TrajectoryFollower") -> None:
-        """Follow until the end or Ctrl-C, and say when something changes."""
+    def _follow(self, follower: "TrajectoryFollower", is_over: "Callable[[], bool]") -> None:
+        """Follow until the end, until it is over, or Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
         from pixel2catch.deployment.status_words import sentence
         from pixel2catch.interruption import StopRequest
@@ -116,7 +122,7 @@ class Record:
                 say(line)
 
         with StopRequest() as stop:
-            follower.run(lambda: stop.is_set, report)
+            follower.run(lambda: stop.is_set or is_over(), report)
 
 
 def whole_robot(trajectory: "Trajectory"):
