@@ -15,10 +15,10 @@ import numpy as np
 from rich.console import Console
 
 from pixel2catch.identification.checks import check_recording
-from pixel2catch.identification.importers import read_table
 from pixel2catch.identification.joints import joints_of
 from pixel2catch.identification.recording import Recording, require_motion
 from pixel2catch.identification.report_tables import check_grid
+from pixel2catch.identification.tables import read_table
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 ARM = joints_of(UR5E_ALLEGRO, "ur5e")

@@ -81,7 +81,7 @@ def test_another_network_is_joined(network: str):
 def test_only_the_twin_needs_no_identified_dynamics():
     """Where a robot may be heard, commands are no faster than its joints may be."""
     profile = Profile.load("ur5e_allegro_v4")
-    twin = Link()._limits(profile).joints
+    twin = Link().limits(profile).joints
     for link in (Link(network=ANY), Link(transport="ros")):
         assert not link.is_twin
-        assert (link._limits(profile).joints.speed < twin.speed).all()
+        assert (link.limits(profile).joints.speed < twin.speed).all()

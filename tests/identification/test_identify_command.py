@@ -163,7 +163,7 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_fit(
 
 
 def test_tables_and_steps_are_printed(run: Run):
-    for part in ("0 of 24 checks failed", "held out:", "Tracking error, RMS [mrad]", "latency [ms]"):
+    for part in ("0 of 25 checks failed", "held out:", "Tracking error, RMS [mrad]", "latency [ms]"):
         assert part in " ".join(run.stdout.split())
     for step in ("reading", "checking the data", "fitting damping, latency", "drawing", "report.html"):
         assert step in run.stderr
@@ -232,3 +232,42 @@ def test_unsound_data_show_their_table_first(tmp_path: Path, capsys: pytest.Capt
     streams = capsys.readouterr()
     assert re.search(r"follows its command +│ wrist_1_joint +│ BAD", streams.out)
     assert "stuck.npz cannot be used:\n- follows its command of wrist_1_joint" in streams.err
+
+
+def exit_status(*args: str) -> int | str | None:
+    try:
+        return main(["identify", "--check", *args])
+    except SystemExit as ending:
+        return ending.code
+
+
+def test_data_alone_are_checked(recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Of one joint, too; the exit status says whether they can be fitted."""
+    assert exit_status(*recordings) == 0
+    assert "first.npz: 0 of 25 checks failed" in " ".join(capsys.readouterr().out.split())
+    elbow, still = tmp_path / "elbow.npz", tmp_path / "still.npz"
+    clean((ARM[2],)).save(elbow)
+    assert exit_status(str(elbow), "--json") == 0
+    checks = json.loads(capsys.readouterr().out)[str(elbow)]
+    assert {check["joint"] for check in checks} == {None, ARM[2]}
+    recording = clean()
+    replace(recording, q=np.repeat(recording.q[:1], len(recording.q), axis=0)).save(still)
+    assert exit_status(str(elbow), str(still)) == 1
+    assert "at a standstill: no joint moved more than 0 mrad" in " ".join(capsys.readouterr().out.split())
+    assert exit_status() == 2
+    assert exit_status(str(tmp_path / "gone.npz")) == 2
+
+
+def test_what_a_fit_needs_is_asked_for(recordings: list[str], capsys: pytest.CaptureFixture[str]):
+    assert main(["identify", *recordings, "--robot", "ur5e"]) == 2
+    assert "where to write, --out; or --check" in capsys.readouterr().err
+    assert exit_status(*recordings, "--profile", "ur5e_allegro_v4", "--rename", "elbow_joint=e") == 2
+    assert "--profile says what --command-topic and --rename do" in capsys.readouterr().err
+
+
+def test_columns_are_told(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit):
+        main(["identify", "--help"])
+    said = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
+    for name in ("timestamp", "actual_q_0", "actual_qd_5", "t_cmd", "q_cmd", "t_meas", "effort"):
+        assert name in said

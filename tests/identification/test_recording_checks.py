@@ -14,7 +14,9 @@ from pixel2catch.identification.checks import (
     Check,
     check_recording,
     command_lag,
+    encoder_step,
     excess_time,
+    position_noise,
     progress,
     smoothed,
 )
@@ -22,7 +24,8 @@ from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.report_tables import check_grid
 from pixel2catch.workcells import find_workcell
 
-WHOLE = ["measurement times", "command times", "speeds", "stalls", "repeated samples", "clock offset"]
+CLOCKS = ["measurement times", "command times"]
+WHOLE = [*CLOCKS, "motion", "speeds", "stalls", "repeated samples", "clock offset"]
 EACH = ["follows its command", "saturation", "excitation"]
 
 
@@ -120,7 +123,7 @@ def test_bad_clock_is_found_and_ends_the_checks(
     spoil: Callable[[Recording], Recording], name: str, detail: str
 ):
     checks = check_recording(spoil(clean()))
-    assert [check.name for check in checks] == WHOLE[:2]
+    assert [check.name for check in checks] == CLOCKS
     assert find(checks, name).is_good is False
     assert detail in find(checks, name).detail
 
@@ -162,13 +165,59 @@ def test_swapped_and_stopped_joints_are_found():
     assert {(name, ARM[2]), ("excitation", ARM[2])} == failures(replace(recording, q=q))
 
 
-def test_what_does_not_move_cannot_be_told():
+@pytest.mark.parametrize("noise", [0.0, 9.5e-6, 2e-4])
+def test_a_standstill_is_named_as_that(noise: float):
     recording = clean()
-    still = replace(recording, q=0 * recording.q, q_cmd=0 * recording.q_cmd)
-    checks = check_recording(still)
-    for name, joint in (("repeated samples", None), ("clock offset", None), ("follows its command", ARM[0])):
-        assert find(checks, name, joint).is_good is None, name
-    assert failures(still) == {("excitation", joint) for joint in ARM}
+    q = recording.q[:1] + noise * np.random.default_rng(0).standard_normal(recording.q.shape)
+    checks = check_recording(replace(recording, q=q))
+    assert [check.name for check in checks if check.is_good is False] == ["motion"]
+    assert re.search(r"no joint moved more than \S+ mrad: let the robot follow an exc", checks[-1].detail)
+    assert find(check_recording(recording), "motion").detail.endswith("moved most, by 0.49 rad")
+
+
+def test_a_joint_that_is_not_commanded_cannot_be_told():
+    recording = clean()
+    still = np.where(np.arange(6) == 2, recording.q[0], recording.q)
+    command = np.where(np.arange(6) == 2, recording.q_cmd[0], recording.q_cmd)
+    checks = check_recording(replace(recording, q=still, q_cmd=command))
+    assert find(checks, "follows its command", ARM[2]).is_good is None
+    assert {(check.name, check.joint) for check in checks if check.is_good is False} == {
+        ("excitation", ARM[2])
+    }
+
+
+ENCODERS = {"UR5": 9.5e-6, "Allegro hand": 8.9e-5, "a tenth of a degree": np.radians(0.1)}
+
+
+@pytest.mark.parametrize("step", ENCODERS.values(), ids=ENCODERS)
+@pytest.mark.parametrize("has_speed", [False, True])
+def test_rounded_positions_are_neither_stalled_nor_repeated(step: float, has_speed: bool):
+    """At a tenth of the speed, too, where a coarse encoder says the same for several samples."""
+    for slowness in (1.0, 10.0):
+        recording = clean(noise=0.3 * step)
+        path, ordered = position((recording.t_meas - LAG) / slowness), position(recording.t_cmd / slowness)
+        rounded = step * np.rint((path + recording.q - position(recording.t_meas - LAG)) / step)
+        qd = speed((recording.t_meas - LAG) / slowness) / slowness if has_speed else None
+        checks = check_recording(replace(recording, q=rounded, q_cmd=ordered, qd=qd))
+        for name in ("stalls", "repeated samples"):
+            assert find(checks, name).is_good is not False, (slowness, find(checks, name).detail)
+
+
+def test_stalls_of_a_rounded_recording_are_found():
+    recording = stalled(150)
+    rounded = replace(recording, q=8.9e-5 * np.rint(recording.q / 8.9e-5), qd=None)
+    assert find(check_recording(rounded), "stalls").is_good is False
+
+
+def test_step_and_noise_are_read_from_the_positions():
+    recording = clean(noise=1e-3)
+    assert position_noise(recording.q) == pytest.approx(np.full(6, 1e-3), rel=0.05)
+    assert encoder_step(0.25 * np.rint(4.0 * recording.q)) == pytest.approx(np.full(6, 0.25))
+
+
+def test_one_joint_alone_is_checked():
+    recording = clean((ARM[2],))
+    assert all(check.is_good is not False for check in check_recording(recording))
 
 
 def test_saturation_is_the_share_at_the_limit():

@@ -11,6 +11,9 @@ from recorded import ARM, ROBOTS, assert_same, short
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.importers import Names, read_recording
 from pixel2catch.identification.recording import Recording
+from pixel2catch.ros2.messages import read_float_array
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 FINGERS = ROBOTS["allegro"]
 SPARE = ("spare_1", "spare_2", "spare_3")
@@ -105,3 +108,59 @@ def test_a_labs_names_are_translated(tmp_path: Path):
     renames = [f"{ours}={lab}" for ours, lab in zip(ARM, theirs, strict=True)]
     path = write_bag(tmp_path / "bag", messages + commands(recording, ARRAY))
     assert_same(read_recording(path, "ur5e", Names.parse([], "/lab/states", renames)), recording, NANOSECOND)
+
+
+def test_a_profile_says_topics_and_names(tmp_path: Path):
+    """Its hand begins with the thumb, and calls joints otherwise; three fingers' spread is none of ours."""
+    profile = Profile.load("ur5e_allegro_v4")
+    recording = with_hand(short())
+    names = [theirs.name_in_state for part in profile.robots for theirs in part.joints.values()]
+    ours = [joint for part in profile.robots for joint in part.joints]
+    part = recording.select(tuple(joint for joint in recording.joints if joint in ours))
+    columns = [part.joints.index(joint) for joint in ours]
+    messages = []
+    for time, row in zip(part.t_meas, part.q, strict=True):
+        at = nanoseconds(time)
+        messages.append(("/joint_states", at, joint_state(at, names, row[columns])))
+    order = [joint.name for joint in UR5E_ALLEGRO.joints]
+    for time, row in zip(part.t_cmd, part.q_cmd, strict=True):
+        target = np.array([row[part.joints.index(joint)] for joint in order])
+        for robot in profile.robots:
+            sent = read_float_array(robot.command(target))
+            messages.append((robot.command_topic.name, nanoseconds(time), array(sent)))
+    path = write_bag(tmp_path / "bag", messages)
+    read = read_recording(path, "ur5e_allegro", Names.of(profile, order))
+    assert_same(read, part, 1e-6)
+
+
+def test_joint_states_without_names_are_refused(tmp_path: Path):
+    recording = short()
+    messages = [
+        ("/joint_states", nanoseconds(time), joint_state(nanoseconds(time), (), position))
+        for time, position in zip(recording.t_meas, recording.q, strict=True)
+    ]
+    path = write_bag(tmp_path / "bag", messages + commands(recording, ARRAY))
+    with pytest.raises(RecordingError, match=r"a joint state without names of joints.* fill in 'name'"):
+        read_recording(path, "ur5e")
+
+
+def test_pieces_of_a_bag_without_their_description_are_named(tmp_path: Path):
+    for number in (0, 1):
+        (tmp_path / f"run_{number}.mcap").write_bytes(b"")
+    with pytest.raises(RecordingError, match=r"run_0.mcap, run_1.mcap; .* need its metadata.yaml"):
+        read_recording(tmp_path, "ur5e")
+
+
+def test_a_bag_of_one_joint_is_read_if_that_will_do(tmp_path: Path):
+    recording = short().select((ARM[2],))
+    messages = []
+    for time, position in zip(recording.t_meas, recording.q, strict=True):
+        at = nanoseconds(time)
+        messages.append(("/joint_states", at, joint_state(at, recording.joints, position)))
+    for time, target in zip(recording.t_cmd, recording.q_cmd, strict=True):
+        at = nanoseconds(time)
+        messages.append(("/command", at, trajectory(at, recording.joints, target)))
+    path = write_bag(tmp_path / "bag", messages)
+    assert read_recording(path, "ur5e", is_partial=True).joints == (ARM[2],)
+    with pytest.raises(RecordingError, match="no joint shoulder_pan_joint"):
+        read_recording(path, "ur5e")

@@ -91,6 +91,38 @@ def hand_views(
     return views
 
 
+def troubled_views(
+    num: int,
+    seed: int,
+    *,
+    noise: float = 0.15,
+    shift: float = 0.0,
+    shaking: float = 0.0,
+    offset: float = 0.0,
+    square: float = 0.0,
+    focal: float = 0.0,
+    true_size: float = 1.0,
+) -> list[HandView]:
+    """Corners as a laboratory has them, with standard deviations of what is wrong.
+
+    Of each corner [px]; of all corners of an image together [px]; of the joints anew in each image, and of
+    their constant offsets [rad]; of the squares' size and of the focal length, relative.
+    """
+    rng = np.random.default_rng(1000 + seed)
+    offsets, zoom = rng.normal(0, offset, len(HOME)), 1.0 + rng.normal(0, focal)
+    corners, center = true_size * (1.0 + rng.normal(0, square)) * CORNERS, lens().matrix[:2, 2]
+    views = []
+    for i, joint_pos in enumerate(poses(num, seed)):
+        pixels = center + zoom * (pixels_of(board_in_camera(joint_pos), corners, lens()) - center)
+        pixels += rng.normal(0, noise, pixels.shape) + rng.normal(0, shift, 2)
+        said = joint_pos + offsets + rng.normal(0, shaking, len(HOME))
+        steps = 1e-4 * np.eye(len(HOME))
+        rates = np.stack([(palm(said + step) - palm(said - step)) / 2e-4 for step in steps])
+        view = View(points=CORNERS, pixels=pixels)
+        views.append(HandView(name=f"view{i}", view=view, palm=palm(said), palm_rates=rates))
+    return views
+
+
 @cache
 def texture() -> tuple[np.ndarray, float]:
     """The printed board with its white edge, and its pixels a metre."""

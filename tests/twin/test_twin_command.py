@@ -14,7 +14,9 @@ import pytest
 
 from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeviceUnavailableError
+from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.rendering.renderer import find_gl_backend
+from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
@@ -25,13 +27,14 @@ DOMAIN = own_domain()
 
 
 @pytest.fixture
-def twin(monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
+def twin(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     try:
         find_gl_backend()
     except DeviceUnavailableError as error:
         pytest.skip(str(error))
     monkeypatch.setenv("ROS_DOMAIN_ID", DOMAIN)
     command = [sys.executable, "-m", "pixel2catch", "twin", "--clock", str(RATE), "--objects", "cube_s"]
+    command += ["--draw-dynamics", str(tmp_path / "truth.json")]
     environment = {name: value for name, value in os.environ.items() if name != "ROS_DOMAIN_ID"}
     process = subprocess.Popen(
         [*command, "--domain", DOMAIN], env=environment, stderr=subprocess.PIPE, text=True
@@ -43,7 +46,7 @@ def twin(monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
     process.stderr.close()
 
 
-def test_it_throws_when_asked_and_ends_with_ctrl_c(twin: subprocess.Popen[str]):
+def test_it_throws_when_asked_and_ends_with_ctrl_c(twin: subprocess.Popen[str], tmp_path: Path):
     clock, profile = RealClock(RATE), Profile.load("ur5e_allegro_v4")
     with make_transport("dds", "operator", LOOPBACK, clock) as node:
         states, requests = node.subscription(STATE, depth=100_000), node.publisher(COMMAND)
@@ -79,6 +82,10 @@ def test_it_throws_when_asked_and_ends_with_ctrl_c(twin: subprocess.Popen[str]):
     assert "cube_s held; program runs" in said
     assert "throw 1: cube_s flying" in said
     assert "cycles" in said.splitlines()[-1]
+    truth = DynamicsFile.load(tmp_path / "truth.json")
+    assert set(truth.gains.stiffness_scale) == {(1.0, 1.0)}  # known exactly
+    factors = truth.dynamics.stiffness / JointDynamics.nominal().stiffness
+    assert 0.7 <= factors.min() < 0.9 < 1.1 < factors.max() <= 1.4
 
 
 def test_a_killed_twin_leaves_no_process_behind(twin: subprocess.Popen[str]):

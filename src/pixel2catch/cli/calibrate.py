@@ -1,28 +1,37 @@
 """`pixel2catch calibrate`: where the camera stands, how well that is known, what it means for a policy."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
 from math import degrees
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional
 
-from pixel2catch.checks import InputFile, OutputFile, Positive
+from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, Within
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.extras import needs_extra
+from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, require_free_file, write_atomically
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
+    from pixel2catch.perception.calibration.capture import Capture
     from pixel2catch.perception.calibration.comparison import Comparison
     from pixel2catch.perception.calibration.extrinsics import Calibration, HandView, Pose
     from pixel2catch.perception.calibration.intrinsics import Intrinsics
+    from pixel2catch.perception.extractor import CameraFrame
+    from pixel2catch.robots.workcell import WorkcellSpec
 
 IMAGE_COLUMN = "image"  #: Column with the names of the images, relative to the folder of the table.
+STEP = 1e-4  #: Angle by which joints are turned to see how the palm moves [rad].
 NUM_THROWS = 200  #: Throws whose paths are compared.
 
 LARGEST_RMS = 1.5
@@ -35,7 +44,8 @@ class Calibrate:
     """Find the camera's pose from images of a printed board in the hand, and compare it with the policies'.
 
     First print the board (--print-marker) and fix it to the hand, rigidly; where does not matter. Then move
-    the arm to 15 poses or more, take an image at each, and write down its name and the joints' positions.
+    the arm to 15 poses or more: with --live images and positions of the joints are taken as you go, and you
+    are told what to show next; or take an image at each, and write down its name and the joints' positions.
     """
 
     #: Table (CSV) with a column image and one for each joint of the arm, as wrist_1_joint [rad].
@@ -49,6 +59,16 @@ class Calibrate:
     out: Annotated[Path, OutputFile(is_new=True)] = Path(
         "camera.json"
     )  #: Where to write the camera; nothing is overwritten.
+    #: Take the images first, from the camera of --profile or from --source, and then calibrate; Ctrl-C ends
+    #: the taking.
+    live: bool = False
+    #: With --live: a rosbag2 with images and joint states, or a video or camera (number, /dev/videoN), which
+    #: give a lens only.
+    source: str | None = None
+    image_topic: str | None = None  #: With --source: topic of the images in a rosbag. Default: the only one.
+    num_views: Annotated[int, Within(6, 200)] = 15  #: With --live: images that are wanted.
+    capture: NewFolder = Path("views")  #: With --live: new folder for images, views.csv and coverage.svg.
+    link: Network = field(default_factory=Network)  #: With --live: how the robot is reached.
     print_marker: Annotated[Path, OutputFile((".png", ".pdf"), is_new=True)] | None = (
         None  #: Only write the board to print, a .png or .pdf of A4.
     )
@@ -68,8 +88,93 @@ class Calibrate:
             import pixel2catch.perception.calibration.extrinsics  # noqa: F401
         if self.print_marker is not None:
             _print_board(self.print_marker)
-        else:
+            return
+        require_free_file(self.out)
+        if self.live and (taken := self._take()):
+            taken._calibrate()
+        elif not self.live:
             self._calibrate()
+
+    def _take(self) -> "Calibrate | None":
+        """Take the images; return what is to be done with them, or None if there is no pose in them.
+
+        Without --intrinsics, the lens is found from the same images.
+        """
+        from pixel2catch.files import require_free_folder
+        from pixel2catch.perception.calibration.capture import PICTURE, TABLE, Capture
+        from pixel2catch.perception.calibration.target import CharucoBoard
+        from pixel2catch.workcells import find_workcell
+
+        require_free_folder(self.capture, "--capture")
+        lens = self._lens(self.intrinsics) if self.intrinsics else None
+        workcell = find_workcell(self.workcell)
+        joints = workcell.joint_names[workcell.palms[0].carriers]
+        matrix = np.array(RGB_CAMERA.matrix) if lens is None else lens.matrix
+        notes: list[str] = []
+        with self._frames(joints, notes) as (frames, has_joints):
+            capture = Capture(
+                self.capture, CharucoBoard(self.square), matrix, joints if has_joints else (), self.num_views
+            )
+            self._look_at(capture, frames, workcell)
+        capture.draw()
+        for note in notes:
+            say(note)
+        say(f"wrote {self.capture}: {len(capture.taken)} images, {TABLE}, and what they cover, {PICTURE}")
+        lens_folder = self.intrinsics or self.capture
+        if not has_joints:
+            found = self._lens(lens_folder)
+            say(f"a lens of {found.rms:.2f} px RMS, without a robot: give --intrinsics {self.capture}")
+            return None
+        return replace(self, views=self.capture / TABLE, intrinsics=lens_folder)
+
+    @contextmanager
+    def _frames(
+        self, joints: tuple[str, ...], notes: list[str]
+    ) -> "Iterator[tuple[Iterator[CameraFrame | None], bool]]":
+        """The images of the source, and whether they come with positions of joints."""
+        from pixel2catch.perception.calibration.capture import topic_frames
+        from pixel2catch.perception.sources import SourceCfg, ticks_of
+        from pixel2catch.ros2.bags import is_bag
+
+        profile = self.link.robot.load()
+        if self.source is None:
+            with needs_extra("deployment"), self.link.join("pixel2catch_calibrate") as (transport, _):
+                yield topic_frames(transport, profile, joints), True
+            return
+        theirs = {ours: each.name_in_state for part in profile.robots for ours, each in part.joints.items()}
+        names = tuple(theirs.get(joint, joint) for joint in joints)
+        source = SourceCfg(name=self.source, topic=self.image_topic, joints=names)
+        with closing(ticks_of(source, notes)) as ticks:
+            frames = (tick.frame for tick in ticks)
+            new = (next(same) for _, same in groupby(frames, key=attrgetter("stamp")))
+            yield new, is_bag(Path(self.source))
+
+    def _look_at(
+        self, capture: "Capture", frames: "Iterator[CameraFrame | None]", workcell: "WorkcellSpec"
+    ) -> None:
+        """Look at images until all that is wanted is there, or Ctrl-C; say what changes."""
+        import torch
+        from scipy.spatial.transform import Rotation
+
+        from pixel2catch.interruption import StopRequest
+        from pixel2catch.robots.geometry import first_chain
+
+        chain, said = first_chain(workcell), ""
+        with StopRequest() as stop:
+            for frame in frames:
+                if stop.is_set:
+                    break
+                palm, words = None, "no image: does the camera's driver run, on this network?"
+                if frame is not None:
+                    if frame.joint_pos is not None:
+                        links = chain.link_poses(torch.from_numpy(frame.joint_pos)[None])
+                        palm = Rotation.from_matrix(links[0, -1, :3, :3].numpy())
+                    words = capture.look(frame, palm)
+                if words != said:
+                    said = words
+                    say(words)
+                if capture.is_done:
+                    break
 
     def _calibrate(self) -> None:
         from pixel2catch.evaluation.comparison.figures import sample_paths
@@ -77,11 +182,10 @@ class Calibrate:
         from pixel2catch.perception.calibration.comparison import compare
         from pixel2catch.perception.calibration.extrinsics import calibrate
 
-        require_free_file(self.out)
         if self.intrinsics is None or self.views is None:
             raise InvalidValueError(
-                "give a table of images and joint positions, and --intrinsics; or --print-marker FILE.png "
-                "to begin with."
+                "give a table of images and joint positions, and --intrinsics; or --live to take the images; "
+                "or --print-marker FILE.png to begin with."
             )
         intrinsics = self._lens(self.intrinsics)
         result = calibrate(self._hand_views(self.views, intrinsics), intrinsics, self._board())
@@ -124,11 +228,10 @@ class Calibrate:
 
         It is a RecordingError if the table lacks a column, or has positions that no arm can have.
         """
-        import numpy as np
         import torch
 
-        from pixel2catch.identification.importers import read_table
         from pixel2catch.identification.recording import require_motion
+        from pixel2catch.identification.tables import read_table
         from pixel2catch.perception.calibration.extrinsics import HandView
         from pixel2catch.perception.calibration.target import CharucoBoard, read_image
         from pixel2catch.perception.segmenter import check_image
@@ -142,12 +245,19 @@ class Calibrate:
         require_motion(table.place, joints, np.arange(float(len(joint_pos))), joint_pos)
         names = table.texts(IMAGE_COLUMN)
         board, views, blank = CharucoBoard(self.square), [], []
-        palms = first_chain(workcell).link_poses(torch.from_numpy(joint_pos))[:, -1].numpy()
-        for name, palm in zip(names, palms, strict=True):
+        chain = first_chain(workcell)
+
+        def palms(positions: np.ndarray) -> np.ndarray:
+            return chain.link_poses(torch.from_numpy(positions))[:, -1].numpy()
+
+        steps = STEP * np.eye(len(joints))
+        rates = [(palms(joint_pos + step) - palms(joint_pos - step)) / (2.0 * STEP) for step in steps]
+        poses = zip(names, palms(joint_pos), np.stack(rates, axis=1), strict=True)
+        for name, palm, palm_rates in poses:
             image = read_image(path.parent / name)
             check_image(image, *intrinsics.size)
             if view := board.find(image):
-                views.append(HandView(name=name, view=view, palm=palm))
+                views.append(HandView(name=name, view=view, palm=palm, palm_rates=palm_rates))
             else:
                 blank.append(name)
         if blank:
@@ -178,6 +288,7 @@ def _print_result(
         content: dict[str, Any] = {
             "rms": result.rms,
             "lens_rms": intrinsics.rms,
+            "square_ratio": result.square_ratio,
             "camera": asdict(result.file),
         }
         content |= {"views": [asdict(view) for view in result.views], "comparison": asdict(comparison)}
@@ -206,6 +317,8 @@ def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Com
     yield f"and turned with {turns} about x, y, z (one standard deviation)."
     worst = max(used, key=lambda view: view.rms)
     yield f"Reprojection error: {result.rms:.2f} px RMS, worst image {worst.name} with {worst.rms:.2f} px."
+    ratio, std = result.square_ratio
+    yield f"By the arm's motion the squares are {ratio:.3f} ± {std:.3f} times as large as --square says."
     if intrinsics.rms is not None:
         yield f"Reprojection error of the lens: {intrinsics.rms:.2f} px RMS."
     if result.rms > LARGEST_RMS:

@@ -8,31 +8,49 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, OutputFolder, PhysicsRate
+from pixel2catch.errors import InvalidValueError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from pixel2catch.identification.checks import Check
     from pixel2catch.identification.fit import FitCfg
-    from pixel2catch.identification.identify import CheckedRecording, Identification
+    from pixel2catch.identification.identify import Identification
+    from pixel2catch.identification.importers import Names
+    from pixel2catch.identification.recording import Recording
     from pixel2catch.robots.workcell import WorkcellSpec
+
+EXIT_UNFIT = 1  #: Exit status of --check if data cannot be fitted.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identify:
-    """Fit the simulator's joints to recorded motion: data checks, dynamics file, report."""
+    """Fit the simulator's joints to recorded motion: data checks, dynamics file, report.
+
+    A recording is a rosbag2 (its folder, .mcap or .db3 file) with the joint states and the topics of the
+    commands; or a folder with rtde.csv (columns timestamp, actual_q_0 to actual_q_5, if recorded actual_qd_0
+    to actual_qd_5) and commands.csv (t, q_0 to q_5); or an .npz file with the arrays joints (names), t_cmd,
+    q_cmd (a row a command), t_meas, q (a row a measurement), if recorded qd and effort. Times are in s,
+    positions in rad, speeds in rad/s, efforts in N·m; each of the two times has a clock of its own.
+    """
 
     #: Files or folders: rosbag2 (.mcap, .db3), a folder with rtde.csv and commands.csv, or .npz.
     recordings: Positional[tuple[Path, ...]]
     #: Whose joints to fit: ur5e, allegro, ur5e_allegro; of another work cell, its arms and hands by their
-    #: names, or arm, hand, or its own name.
-    robot: str
-    out: Annotated[
-        Path, OutputFolder(is_empty=True)
-    ]  #: New or empty folder for dynamics.json, report.html and result.json.
+    #: names, or arm, hand, or its own name. With --check it may be left out: what was recorded is checked.
+    robot: str | None = None
+    #: New or empty folder for dynamics.json, report.html and result.json.
+    out: Annotated[Path, OutputFolder(is_empty=True)] | None = None
+    #: Only check the data, of one joint or more, and fit nothing; the exit status is 1 if they cannot be
+    #: fitted.
+    check: bool = False
     workcell: str = "ur5e_allegro"  #: The robots: a name, or a Python file that defines WORKCELLS.
     #: The recording that is not fitted, to judge the fit: its name or number (from 1), or none. Default: the
     #: last of several.
     hold_out: str | None = None
+    #: Robot profile, shipped or a .yaml, whose topics and joint names a bag has, as `record` writes it; in
+    #: place of --command-topic, --joint-states-topic and --rename.
+    profile: str | None = None
     #: Topics of the commands in a bag, each TOPIC, TOPIC=ROBOT or TOPIC=JOINT,JOINT,... where messages name
     #: no joints. Default: the only one that can be it.
     command_topic: tuple[str, ...] = ()
@@ -52,21 +70,28 @@ class Identify:
     def run(self) -> None:
         """Check, fit, and write the report."""
         from pixel2catch.circumstances import circumstances
-        from pixel2catch.cli.console import results_console, say, working
+        from pixel2catch.cli.console import say, working
         from pixel2catch.files import json_text, require_free_folder
-        from pixel2catch.identification.identify import identify, start_of_fit
+        from pixel2catch.identification.identify import checked, identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
-        from pixel2catch.identification.report_tables import check_grid
         from pixel2catch.workcells import find_workcell
 
-        require_free_folder(self.out)
         workcell = find_workcell(self.workcell)
+        if self.check:
+            self._check(workcell)
+            return
+        if self.robot is None or self.out is None:
+            raise InvalidValueError(
+                "say whose joints to fit, --robot, and where to write, --out; or --check to look at the data."
+            )
+        require_free_folder(self.out)
         cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter, workcell)
         with working() as report:
-            sources = self._sources(workcell, report)
-        for source in () if self.json else sources:
-            table = check_grid(source.recording.name, source.checks).for_terminal()
-            results_console().print(table)
+            recordings = self._read(workcell, report)
+            report("checking the data")
+            sources = checked(recordings, self.hold_out)
+        if not self.json:
+            _print_checks([(source.recording, source.checks) for source in sources])
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
@@ -79,6 +104,24 @@ class Identify:
             _print_result(result)
         say(f"wrote {self.out / DYNAMICS}, and the report for people, {self.out / PAGE}")
 
+    def _check(self, workcell: "WorkcellSpec") -> None:
+        """Print what the checks of the data say; the exit status is 1 if one forbids a fit."""
+        from dataclasses import asdict
+
+        from pixel2catch.cli.console import working
+        from pixel2catch.files import json_text
+        from pixel2catch.identification.checks import check_recording
+
+        with working() as report:
+            found = [(each, check_recording(each)) for each in self._read(workcell, report)]
+        if self.json:
+            content = {each.name: [asdict(check) for check in checks] for each, checks in found}
+            print(json_text(content), end="")
+        else:
+            _print_checks(found)
+        if any(check.forbids_fit for _, checks in found for check in checks):
+            raise SystemExit(EXIT_UNFIT)
+
     def _fit_cfg(self) -> "FitCfg":
         """How to fit; the rate is one that a training can have."""
         from pixel2catch.identification.fit import FILTER_PARAMETERS, SERVO_PARAMETERS, FitCfg
@@ -88,21 +131,42 @@ class Identify:
         physics_dt = SceneCfg(physics_hz=self.physics_hz).physics_dt
         return FitCfg(free=self.free or default, physics_dt=physics_dt)
 
-    def _sources(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[CheckedRecording]":
-        """Read and check the recordings."""
+    def _read(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[Recording]":
+        """Read the recordings."""
         from dataclasses import replace
 
-        from pixel2catch.identification.identify import checked
-        from pixel2catch.identification.importers import Names, read_recording
+        from pixel2catch.identification.importers import read_recording
 
-        names = Names.parse(self.command_topic, self.joint_states_topic, self.rename, workcell)
-        recordings = []
+        if not self.recordings:
+            raise InvalidValueError("there is no recording; give at least one.")
+        part, names, found = self.robot or workcell.name, self._names(workcell), []
         for path in self.recordings:
             report(f"reading {path}")
-            recording = read_recording(path, self.robot, names, workcell)
-            recordings.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
-        report("checking the data")
-        return checked(recordings, self.hold_out)
+            recording = read_recording(path, part, names, workcell, is_partial=self.check)
+            found.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
+        return found
+
+    def _names(self, workcell: "WorkcellSpec") -> "Names":
+        """What the recordings call topics and joints."""
+        from pixel2catch.identification.importers import Names
+        from pixel2catch.identification.joints import joints_of
+
+        if self.profile is None:
+            return Names.parse(self.command_topic, self.joint_states_topic, self.rename, workcell)
+        from pixel2catch.ros2.profile import Profile
+
+        if self.command_topic or self.rename:
+            raise InvalidValueError("--profile says what --command-topic and --rename do; leave them out.")
+        return Names.of(Profile.load(self.profile), joints_of(workcell, self.robot or workcell.name))
+
+
+def _print_checks(found: "Sequence[tuple[Recording, Sequence[Check]]]") -> None:
+    """Print the checks of each recording."""
+    from pixel2catch.cli.console import results_console
+    from pixel2catch.identification.report_tables import check_grid
+
+    for recording, checks in found:
+        results_console().print(check_grid(recording.name, checks).for_terminal())
 
 
 def _print_result(result: "Identification") -> None:

@@ -92,7 +92,7 @@ class Link(Network):
         from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
         from pixel2catch.servo.process import ServoSetup, start_servo
 
-        limits = self._limits(profile)
+        limits = self.limits(profile)
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=self.dry_run)
         join = partial(make_transport, self.transport, f"{NODE}_servo", self.network)
         recorder = stack.enter_context(BagRecorder(record)) if record else None
@@ -103,7 +103,7 @@ class Link(Network):
             transport=transport, servo=servo.link, servo_dt=limits.dt, clock=clock, recording=recording
         )
 
-    def _limits(self, profile: "Profile") -> "ServoLimits":
+    def limits(self, profile: "Profile") -> "ServoLimits":
         """What the servo keeps to with this robot."""
         from pixel2catch.cli.console import say
         from pixel2catch.mdp.dynamics_file import DynamicsFile

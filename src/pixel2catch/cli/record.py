@@ -7,13 +7,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import InputFile, OutputFolder
+from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
+from pixel2catch.cli.extras import needs_extra
 from pixel2catch.cli.link import Link
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pixel2catch.deployment.follower import TrajectoryFollower
+    from pixel2catch.deployment.recorder import Connection
     from pixel2catch.identification.recording import Trajectory
     from pixel2catch.ros2.profile import Profile, RobotPart
+
+
+FOLLOWING = {
+    "armed": "armed: goes to the start pose.",
+    "ramp": "armed: goes to the start pose.",
+    "run": "running: follows the trajectory.",
+}
+"""What is said of modes in which a deployment would speak of its policy."""
+
+PATIENCE = 10.0  #: Time of a twin in this process, beside the motion, after which it was not armed [s].
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,36 +43,72 @@ class Record:
         Path, OutputFolder(is_empty=True)
     ]  #: New folder for the rosbag2 (MCAP): joint states and commands as they were on the network.
     link: Link = field(default_factory=Link)  #: How the robot is reached, and how fast it may be.
+    #: Follow with a twin in this process that is the robot of this dynamics file: without a network, an
+    #: operator, graphics or real time.
+    lockstep: DynamicsPath | None = None
 
     def run(self) -> None:
         """Wait for the operator, follow, record."""
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.cli.extras import needs_extra
         from pixel2catch.identification.recording import Trajectory
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.follower import TrajectoryFollower
             from pixel2catch.servo.limits import ServoLimits
         prepare("cpu")
-        trajectory, profile = Trajectory.load(self.trajectory), self.link.robot.load()
+        trajectory = Trajectory.load(self.trajectory)
+        profile = self._profile(trajectory)
         profile.require(trajectory.joints)
         with ExitStack() as stack:
-            connection = self.link.connect(profile, self.out, "none", stack)
+            connection = self._connection(trajectory, profile, stack)
             targets = whole_robot(trajectory)
             follower = TrajectoryFollower(targets, trajectory.duration, ServoLimits.ramp_time, connection)
             say(f"{trajectory.duration:.0f} s of motion; waiting to be armed")
-            self._follow(follower)
+            limit = connection.clock.now() + trajectory.duration + PATIENCE
+            is_over = (lambda: connection.clock.now() > limit) if self.lockstep else (lambda: False)
+            self._follow(follower, is_over)
         if connection.recording:
             connection.recording.require_whole()
         done = "followed to its end" if follower.is_done else "not followed to its end"
-        print(f"{self.trajectory}: {done}; wrote {self.out}; several of them are identified with")
+        print(f"{self.trajectory}: {done}; wrote {self.out}. Identify several such recordings:")
         for part in profile.robots:
-            options = " ".join(identify_options(profile, part))
-            print(f"pixel2catch identify {self.out} ... --out identified-{part.name} {options}")
+            if {*part.joints} & {*trajectory.joints}:
+                print(self._next_command(profile, part))
 
-    def _follow(self, follower: "TrajectoryFollower") -> None:
-        """Follow until the end or Ctrl-C, and say when something changes."""
+    def _next_command(self, profile: "Profile", part: "RobotPart") -> str:
+        """How to identify a part of the robot; the twin of another work cell has no profile by a name."""
+        words = ["pixel2catch identify", str(self.out), f"... --robot {part.name}"]
+        if self.lockstep is None:
+            words.append(f"--profile {self.link.robot.profile}")
+        elif profile.name != f"twin_of_{profile.workcell}":
+            words.append(f"--profile {profile.name}")
+        else:
+            words.append(
+                f"--workcell {profile.workcell} --command-topic {part.command_topic.name}={part.name}"
+            )
+        return " ".join([*words, f"--out identified-{part.name}"])
+
+    def _profile(self, trajectory: "Trajectory") -> "Profile":
+        """The drivers of the robot, or of the twin in this process."""
+        if self.lockstep is None:
+            return self.link.robot.load()
+        with needs_extra("twin"):
+            from pixel2catch.twin.lab_node import twin_profile
+        return twin_profile(trajectory.workcell)
+
+    def _connection(self, trajectory: "Trajectory", profile: "Profile", stack: ExitStack) -> "Connection":
+        """The robot, or the twin in this process, with the servo that guards it."""
+        if self.lockstep is None:
+            return self.link.connect(profile, self.out, "none", stack)
+        from pixel2catch.twin.stepped import recorded_in_step
+
+        limits = self.link.limits(profile)
+        twin = recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out)
+        return stack.enter_context(twin)
+
+    def _follow(self, follower: "TrajectoryFollower", is_over: "Callable[[], bool]") -> None:
+        """Follow until the end, until it is over, or Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
         from pixel2catch.deployment.status_words import sentence
         from pixel2catch.interruption import StopRequest
@@ -67,25 +117,12 @@ class Record:
 
         def report(status: dict[str, Any]) -> None:
             nonlocal said
-            if (line := sentence(status)) != said:
+            if (line := FOLLOWING.get(str(status["mode"])) or sentence(status)) != said:
                 said = line
                 say(line)
 
         with StopRequest() as stop:
-            follower.run(lambda: stop.is_set, report)
-
-
-def identify_options(profile: "Profile", part: "RobotPart") -> list[str]:
-    """What `identify` must be told of the topics and names of a part of a robot."""
-    names = {place: f"{part.name}_{place}" for place in part.held}
-    names |= {theirs.index_in_command: theirs.name_in_state for theirs in part.joints.values()}
-    order = ",".join(names[place] for place in sorted(names))
-    theirs = {ours: joint.name_in_state for ours, joint in part.joints.items()}
-    renames = [f"{ours}={name}" for ours, name in theirs.items() if ours != name]
-    robot = ["--workcell", profile.workcell, "--robot", part.name]
-    topics = ["--joint-states-topic", part.state_topic.name]
-    topics += ["--command-topic", f"{part.command_topic.name}={order}"]
-    return [*robot, *topics, *(["--rename", *renames] if renames else [])]
+            follower.run(lambda: stop.is_set or is_over(), report)
 
 
 def whole_robot(trajectory: "Trajectory"):

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import correlate, correlation_lags, savgol_filter
 
 from pixel2catch.identification.joints import specs_of
@@ -23,7 +23,9 @@ STALL_TIME = 0.01
 Source: ours; a real recording with a nominal clock of 2 ms had stalls of 40 ms."""
 
 LONG_STEP = 1.5  # a step is long from this multiple of the median on (ours)
-STALL_ANGLE = 2e-3  # a stall is seen from this much motion on [rad] (ours, ten times a UR5e's noise)
+STALL_ANGLE = 2e-3  # a stall is seen from this much motion on, beyond what is uncertain [rad] (ours)
+NOISE_FACTOR = 4.0  # standard deviations of noise that are no motion (ours)
+REPEATED_STEPS = 2.0  # a moving joint changes by so many of its encoder's steps from sample to sample (ours)
 MAX_STALL_SHARE = 5e-3  # of all steps (ours, a tenth of that recording's; a jerk can look like one)
 PROGRESS_RANGE = (0.8, 1.25)  # change of positions over that by speeds (ours; degrees would give 0.017)
 MOVING_SPEED = 0.02  # a joint that is slower stands still [rad/s] (ours, 0.7 % of the arm's largest speed)
@@ -47,6 +49,7 @@ SMOOTHING = 0.1
 noise at 500 Hz become 0.07 rad/s², and motion up to about 5 Hz passes."""
 
 NEIGHBOURS = 7  # steps whose median speed stands for that of the middle one, where none was recorded (ours)
+ROUNDING = 1e-9  # a change of positions that is none [rad]
 REFINEMENTS = 10  # steps of Gauss and Newton for the lag (ours; three are enough for sines)
 ADVICE = ("saturation", "excitation")  # checks that motion may fail and still be fitted
 
@@ -75,8 +78,10 @@ class Check:
 
 
 def check_recording(recording: Recording) -> list[Check]:
-    """All checks of a recording, or those of its clocks alone if one of them failed."""
+    """All checks of a recording, or those of its clocks and motion alone if one of them failed."""
     clocks = [_measurement_times(recording), _command_times(recording)]
+    if all(clock.is_good for clock in clocks):
+        clocks.append(_motion(recording))
     if not all(clock.is_good for clock in clocks):
         return clocks
     lag = command_lag(recording)
@@ -119,6 +124,19 @@ def _command_times(recording: Recording) -> Check:
     return _clock("command times", recording.t_cmd, "", faults)
 
 
+def _motion(recording: Recording) -> Check:
+    """Whether anything moved at all, beyond the noise of the encoders."""
+    window = max(1, round(SMOOTHING / time_step(recording.t_meas)))
+    spans = np.ptp(uniform_filter1d(recording.q, window, axis=0), axis=0)
+    most = int(np.argmax(spans))
+    is_good = bool(spans[most] >= MOVED_ANGLE)
+    found = f"{recording.joints[most]} moved most, by {spans[most]:.2f} rad"
+    if not is_good:
+        found = f"at a standstill: no joint moved more than {1e3 * spans[most]:.2g} mrad"
+    remedy = ": let the robot follow an excitation ('pixel2catch excite', 'pixel2catch record')"
+    return _judged("motion", is_good, found, remedy)
+
+
 def _speeds(recording: Recording) -> Check:
     """Whether the recorded speeds are the change of the positions, in rad/s."""
     if recording.qd is None:
@@ -132,11 +150,13 @@ def _speeds(recording: Recording) -> Check:
 def _stalls(recording: Recording) -> Check:
     """Whether steps lasted longer than their times say: Δq against q̇·Δt.
 
-    Not judged is a step whose own time is long: its clock did see the stall.
+    Not judged is a step whose own time is long: its clock did see the stall. What rounding and noise of the
+    positions may feign is no motion.
     """
     excess, angle = excess_time(recording)
     step = time_step(recording.t_meas)
-    is_stall = (excess > STALL_TIME + step) & (angle > STALL_ANGLE)
+    unsure = encoder_step(recording.q) + NOISE_FACTOR * np.sqrt(2.0) * position_noise(recording.q)
+    is_stall = (excess > STALL_TIME + step) & (angle > STALL_ANGLE + float(np.linalg.norm(unsure)))
     is_stall &= np.diff(recording.t_meas) < LONG_STEP * step
     num_stalls, share = int(is_stall.sum()), float(is_stall.mean())
     found = f"{num_stalls} steps ({100 * share:.2f} %) lasted longer than their times say"
@@ -147,9 +167,13 @@ def _stalls(recording: Recording) -> Check:
 
 
 def _repeated_samples(recording: Recording) -> Check:
-    """How often a sample is the one before although the robot moves, judged by five samples on each side."""
-    change = np.abs(recording.q[10:] - recording.q[:-10]).max(1)
-    is_moving = change > MOVING_SPEED * (recording.t_meas[10:] - recording.t_meas[:-10])
+    """How often a sample is the one before although the robot moves, judged by five samples on each side.
+
+    A joint that moves by less than its encoder tells may well repeat itself.
+    """
+    change = np.abs(recording.q[10:] - recording.q[:-10])
+    least = MOVING_SPEED * (recording.t_meas[10:] - recording.t_meas[:-10])[:, None]
+    is_moving = (change > np.maximum(least, 10 * REPEATED_STEPS * encoder_step(recording.q))).any(1)
     is_repeated = (np.diff(recording.q, axis=0) == 0).all(1)[5:-4]
     if not is_moving.any():
         return Check(name="repeated samples", is_good=None, detail="the robot does not move")
@@ -219,6 +243,22 @@ def _excitation(spec: JointSpec, speed: np.ndarray, acceleration: np.ndarray) ->
         f"{acceleration.max():.1f} rad/s², {reversals} reversals"
     )
     return _judged("excitation", not lacking, found, f"; needs {lacking}", spec.name)
+
+
+def encoder_step(positions: np.ndarray) -> np.ndarray:
+    """Least change of each joint's positions [rad], of shape (joints,): they are rounded to that."""
+    changes = np.abs(np.diff(positions, axis=0))
+    least = np.where(changes > ROUNDING, changes, np.inf).min(axis=0)
+    return np.where(np.isfinite(least), least, 0.0)
+
+
+def position_noise(positions: np.ndarray) -> np.ndarray:
+    """Standard deviation of each joint's noise [rad], of shape (joints,), from its third differences.
+
+    Those of motion are small, and a few stalls do not change their median. White noise σ has √20 σ there.
+    """
+    third = np.abs(np.diff(positions, 3, axis=0))
+    return 1.4826 * np.median(third, axis=0) / np.sqrt(20.0)
 
 
 def num_reversals(speed: np.ndarray) -> int:

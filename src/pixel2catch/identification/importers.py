@@ -1,6 +1,6 @@
 """Reading a recording, whatever wrote it: our npz files, logs of RTDE, bags of ROS 2."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
-from pixel2catch.files import read_text, reading, shown
 from pixel2catch.identification.joints import find_part, joints_of, specs_of
 from pixel2catch.identification.recording import REMEDY, Place, Recording, held, require_motion
+from pixel2catch.identification.tables import COMMAND_FILE, MEASURED_FILE, MOST_NAMED, read_rtde
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.bags import (
+    METADATA,
     MOTION_FIELDS,
     MOTION_TYPES,
     BagMessage,
@@ -22,23 +23,13 @@ from pixel2catch.ros2.bags import (
     joint_motion,
     opened_bag,
 )
+from pixel2catch.ros2.profile import Profile
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
 
 MEASURED_TOPIC = "/joint_states"  # topic of the measurements. Source: ROS 2, `joint_state_broadcaster`.
-
-MOST_NAMED = 30  #: Columns of a table that a message names.
-MOST_TABLE, MOST_ROWS = 2**27, 2**21
-"""Bytes and lines of a text table: an hour at 500 Hz. Source: ours."""
-
-MEASURED_FILE = "rtde.csv"
-"""Measurements: `timestamp, actual_q_0` … `actual_q_5`, perhaps `actual_qd_*`. Source: the names of RTDE."""
-
-COMMAND_FILE = "commands.csv"
-"""Commands: `t, q_0` … `q_5`, written by whoever sent them. RTDE's `target_q` is what the controller made of
-them, with hardly any lag, and not the command."""
 
 FORMATS = (
     f"an .npz file in the canonical layout, a folder with {MEASURED_FILE} and {COMMAND_FILE}, "
@@ -71,6 +62,34 @@ class Names:
         renamed = {theirs: ours for ours, theirs in self.theirs.items()}
         shadowed = {ours: f"recorded {ours}" for ours in self.theirs}
         return tuple((shadowed | renamed).get(name, name) for name in names)
+
+    @classmethod
+    def of(cls, profile: Profile, joints: Sequence[str]) -> "Names":
+        """What the drivers of a profile call some joints, and the topics on which they are.
+
+        Raises:
+            RecordingError: If their states are on several topics.
+        """
+        parts = [part for part in profile.robots if {*part.joints} & {*joints}]
+        measured = sorted({part.state_topic.name for part in parts})
+        if len(measured) != 1:
+            raise RecordingError(
+                f"profile '{profile.name}': the states of these joints are on {len(measured)} topics "
+                f"({', '.join(measured)}), and one is read: identify arm and hand apart, by --robot."
+            )
+        theirs, topics = {}, []
+        for part in parts:
+            theirs |= {ours: joint.name_in_state for ours, joint in part.joints.items()}
+            order = {place: f"{part.name}_{place}" for place in part.held}
+            order |= {joint.index_in_command: ours for ours, joint in part.joints.items()}
+            topics.append(
+                CommandTopic(name=part.command_topic.name, joints=tuple(order[i] for i in sorted(order)))
+            )
+        return cls(
+            command_topics=tuple(topics),
+            measured_topic=measured[0],
+            theirs={ours: name for ours, name in theirs.items() if ours != name},
+        )
 
     @classmethod
     def parse(
@@ -118,9 +137,16 @@ def _require_once(option: str, names: Sequence[str]) -> None:
 
 
 def read_recording(
-    path: Path, part: str, names: Names | None = None, workcell: WorkcellSpec = UR5E_ALLEGRO
+    path: Path,
+    part: str,
+    names: Names | None = None,
+    workcell: WorkcellSpec = UR5E_ALLEGRO,
+    *,
+    is_partial: bool = False,
 ) -> Recording:
     """Read the motion of a work cell's part, in joint order; what the file or folder is chooses the reader.
+
+    A partial recording needs no more than one of the part's joints.
 
     Raises:
         RecordingError: If it is of no known format, lacks a joint, or says what cannot be.
@@ -130,110 +156,30 @@ def read_recording(
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder.")
     if is_bag(path):
-        return read_rosbag(path, joints, names, workcell)
+        return read_rosbag(path, joints, names, workcell, is_partial=is_partial)
     if path.is_dir() and any((path / name).exists() for name in (MEASURED_FILE, COMMAND_FILE)):
-        return _read_rtde(path, workcell).select(joints)
+        whole = read_rtde(path, workcell, is_partial=is_partial)
+        return whole.select(_wanted(joints, whole.joints, is_partial=is_partial))
     if path.suffix == ".npz":
-        return Recording.load(path, names.ours, workcell).select(joints)
+        whole = Recording.load(path, names.ours, workcell)
+        return whole.select(_wanted(joints, whole.joints, is_partial=is_partial))
     if path.suffix == ".parquet":
         raise RecordingError(
             f"{path}: parquet is not read; save its columns with numpy.savez as an .npz file of the arrays "
             "joints, t_cmd, q_cmd, t_meas and q."
         )
+    if path.is_dir() and (pieces := [each.name for each in sorted(path.iterdir())]):
+        raise RecordingError(
+            f"{path}: unknown format, a folder with {', '.join(pieces[:MOST_NAMED])}; a recording is "
+            f"{FORMATS}. Pieces of a bag need its {METADATA} ('ros2 bag reindex'), or are given file by file."
+        )
     raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """A text table: cells become numbers when a column is asked for."""
-
-    path: Path
-    names: tuple[str, ...]  #: names of the columns
-    lines: tuple[str, ...]  #: of the rows
-    place: Place  #: what rows are called in messages: lines of the file, counted from 1
-
-    def texts(self, name: str) -> list[str]:
-        """The cells of a column.
-
-        Raises:
-            RecordingError: If there is no such column.
-        """
-        if name not in self.names:
-            raise RecordingError(
-                f"{self.path}: no column {name}; it has {', '.join(self.names[:MOST_NAMED])}. "
-                "Record this column, or give it this name in the first line."
-            )
-        column = self.names.index(name)
-        return [_cells(line)[column] for line in self.lines]
-
-    def column(self, name: str) -> np.ndarray:
-        """The numbers of a column.
-
-        Raises:
-            RecordingError: If there is no such column, or a cell is no number.
-        """
-        numbers = np.empty(len(self.lines))
-        for i, cell in enumerate(self.texts(name)):
-            try:
-                numbers[i] = float(cell)
-            except ValueError:
-                where = f"{self.place.at(i)}, column {name}"
-                raise RecordingError(
-                    f"{where}: {shown(cell)} is no number; correct or cut this line."
-                ) from None
-        return numbers
-
-    def columns(self, names: Iterable[str]) -> np.ndarray:
-        """The numbers of several columns, shape (rows, columns); raises as `column` does."""
-        return np.stack([self.column(name) for name in names], axis=-1)
-
-
-def read_table(path: Path, names: tuple[str, ...] = ()) -> Table:
-    """Read cells between commas, or spaces where no comma is; line 1 names the columns, unless names do.
-
-    Raises:
-        RecordingError: If the file cannot be read, is empty or too long, or a line has too few or too many
-            cells.
-    """
-    with reading("table", path, "Record again, or cut it.", RecordingError):
-        text = read_text(path, MOST_TABLE).strip()
-        if text.count("\n") > MOST_ROWS:
-            raise RecordingError(f"it has more than {MOST_ROWS:,} lines")
-    lines = text.split("\n")
-    first = 0 if names else 1
-    if len(lines) <= first or not text:
-        raise RecordingError(f"{path}: empty, there is no line of numbers; record again.")
-    place = Place(source=str(path), row="line", first_row=1 + first)
-    table = Table(path=path, names=names or tuple(_cells(lines[0])), lines=tuple(lines[first:]), place=place)
-    for i, line in enumerate(table.lines):
-        if (num_cells := len(_cells(line))) != len(table.names):
-            raise RecordingError(
-                f"{place.at(i)}: {num_cells} columns instead of {len(table.names)}; "
-                "correct or cut this line (the last one may have been cut off while recording)."
-            )
-    return table
-
-
-def _cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.split(",")] if "," in line else line.split()
-
-
-def _read_rtde(folder: Path, workcell: WorkcellSpec) -> Recording:
-    """Two logs of the first arm. RTDE's currents are in ampere, its moments targets: there is no effort."""
-    arms = [group.name for group in workcell.groups if group.role == "arm"]
-    if not arms:
-        raise RecordingError(f"{folder}: logs of an arm; '{workcell.name}' has none, choose a --workcell.")
-    joints = joints_of(workcell, arms[0])
-    command, measured = read_table(folder / COMMAND_FILE), read_table(folder / MEASURED_FILE)
-    numbers = range(len(joints))
-    t_cmd, q_cmd = command.column("t"), command.columns(f"q_{i}" for i in numbers)
-    require_motion(command.place, joints, t_cmd, q_cmd, workcell=workcell)
-    t_meas, q = measured.column("timestamp"), measured.columns(f"actual_q_{i}" for i in numbers)
-    has_speed = any(name.startswith("actual_qd_") for name in measured.names)
-    qd = measured.columns(f"actual_qd_{i}" for i in numbers) if has_speed else None
-    require_motion(measured.place, joints, t_meas, q, *([] if qd is None else [qd]), workcell=workcell)
-    motion = {"t_cmd": t_cmd, "q_cmd": q_cmd, "t_meas": t_meas, "q": q, "qd": qd}
-    return Recording(name=str(folder), workcell=workcell, joints=joints, **motion)
+def _wanted(joints: tuple[str, ...], recorded: Collection[str], *, is_partial: bool) -> tuple[str, ...]:
+    """Those of the joints that are asked for: all, or those that were recorded, if there are any."""
+    found = tuple(joint for joint in joints if joint in recorded)
+    return found if is_partial and found else joints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,7 +204,12 @@ class _Bag:
 
 
 def read_rosbag(
-    path: Path, joints: tuple[str, ...], names: Names, workcell: WorkcellSpec = UR5E_ALLEGRO
+    path: Path,
+    joints: tuple[str, ...],
+    names: Names,
+    workcell: WorkcellSpec = UR5E_ALLEGRO,
+    *,
+    is_partial: bool = False,
 ) -> Recording:
     """Read the motion of some joints from a rosbag2 (MCAP or SQLite), its folder or file.
 
@@ -271,15 +222,17 @@ def read_rosbag(
     """
     with opened_bag(path, RecordingError, "identification") as reader:
         bag = _Bag(path=path, reader=reader, workcell=workcell, joints=joints, names=names)
+        if is_partial:
+            bag = replace(bag, joints=_wanted(joints, _measured_joints(bag), is_partial=True))
         topics = names.command_topics or (CommandTopic(name=_only_command_topic(bag)),)
         command_ns, q_cmd = _merged(bag, topics)
         measured = _read_topic(bag, CommandTopic(name=names.measured_topic))
-    _require_all(f"{path}, topic {names.measured_topic}", joints, [measured])
+    _require_all(f"{path}, topic {names.measured_topic}", bag.joints, [measured])
     start = min(command_ns[0], measured.times[0])
     return Recording(
         name=str(path),
         workcell=workcell,
-        joints=joints,
+        joints=bag.joints,
         t_cmd=(command_ns - start) / 1e9,
         q_cmd=q_cmd,
         t_meas=(measured.times - start) / 1e9,
@@ -287,6 +240,13 @@ def read_rosbag(
         qd=measured.fields.get("velocity"),
         effort=measured.fields.get("effort"),
     )
+
+
+def _measured_joints(bag: _Bag) -> set[str]:
+    """All joints that the measurements name."""
+    topic = bag.names.measured_topic
+    place = Place(source=f"{bag.path}, topic {topic}", row="message")
+    return {name for _, motion in _messages(bag, place, topic) for name in motion.joints}
 
 
 def _only_command_topic(bag: _Bag) -> str:
@@ -297,7 +257,8 @@ def _only_command_topic(bag: _Bag) -> str:
     if len(found) != 1:
         raise RecordingError(
             f"{bag.path}: {len(found)} topics could carry the commands ({', '.join(found) or 'none'}); "
-            f"record one of type {', '.join(MOTION_TYPES)}, or name those that do with --command-topic."
+            f"record one of type {', '.join(MOTION_TYPES)}, or name those that do with --profile or "
+            "--command-topic."
         )
     return found[0]
 
@@ -345,6 +306,11 @@ def _read_topic(bag: _Bag, topic: CommandTopic) -> _Stream:
             f"{place.source}: its messages name the joints {', '.join(first.joints)}; "
             f"leave out '=...' behind --command-topic {topic.name}."
         )
+    if not first.joints and topic.name == bag.names.measured_topic:
+        raise RecordingError(
+            f"{place.at(0)}: a joint state without names of joints, so that nobody knows whose positions "
+            "these are; let the driver fill in 'name', and record again."
+        )
     recorded = first.joints or topic.joints or bag.joints
     for i, motion in enumerate(motions):
         _require_same_order(place.at(i), motion, first, len(recorded))
@@ -379,7 +345,8 @@ def _require_same_order(where: str, motion: JointMotion, first: JointMotion, num
     if motion.joints != first.joints:
         raise RecordingError(
             f"{where}: joints {', '.join(motion.joints)}, but the first message has "
-            f"{', '.join(first.joints)}; two publishers share the topic: record them on topics of their own."
+            f"{', '.join(first.joints)}; two publishers share the topic: choose the --robot whose joints "
+            "one of them has, or record them on topics of their own."
         )
     for name, values in motion.fields.items():
         if len(values) != num_joints:

@@ -19,6 +19,7 @@ from pixel2catch.identification.joints import groups_of, hanging_on, recorded_mo
 from pixel2catch.identification.recording import Recording, Trajectory
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, friction_torque, is_settled
 from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -114,7 +115,15 @@ def rehearse(
     folder.mkdir(parents=True, exist_ok=True)
     for number, recording in enumerate(recordings, start=1):
         recording.save(folder / f"recording-{number}.npz")
-    DynamicsFile(dynamics=truth, workcell=trajectories[0].workcell).save(folder / "truth.json")
+    exact_file(truth, trajectories[0].workcell).save(folder / "truth.json")
+
+
+def exact_file(truth: JointDynamics, workcell: WorkcellSpec) -> DynamicsFile:
+    """The dynamics file of a robot that is known exactly: whatever is simulated with it is that robot."""
+    one = ((1.0, 1.0),)
+    return DynamicsFile(
+        dynamics=truth, gains=GainRanges(stiffness_scale=one, damping_scale=one), workcell=workcell
+    )
 
 
 def unlike_nominal(rng: Generator, nominal: JointDynamics, latency: float = 0.012) -> JointDynamics:

@@ -30,6 +30,16 @@ seen; a sender whose commands stand still may go.
 
 DECELERATION = 4.0  #: Deceleration of a halt, here of every stop [rad/s²]. Source: UR driver, its `stopj`.
 
+ENCODER_STEP = {"arm": 9.5e-6, "hand": 8.9e-5}
+"""Step of measured positions by the role of a joint group [rad].
+
+Source: arm: recorded positions of a real UR5 are multiples of it (of 8.1e-6 at its wrists), and repeat
+themselves to the last bit at rest; hand: its maker's driver, 333.3° in 65,536 counts.
+"""
+
+ENCODER_NOISE = 0.3
+"""Standard deviation of a position before it is rounded [steps]. Source: ours; at rest most repeat."""
+
 LATENCY = 0.015
 """Time from the middle of the exposure to the image on the wire [s].
 

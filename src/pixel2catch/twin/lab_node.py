@@ -176,7 +176,7 @@ class LabNode:
         self._info = transport.publisher(profile.camera.info) if profile.camera.info else None
         self._requests = transport.subscription(COMMAND, DEPTH)
         self._state = transport.publisher(STATE)
-        self._aim = position
+        self._num_joints = len(position)
         self._refused = ""
         self.num_cycles = 0
 
@@ -200,20 +200,17 @@ class LabNode:
                 self._info.publish(messages.camera_info(self._lens, start + time))
         for message in self._requests.take():
             self._heed(message.data)
-        before, aim = self._aim, self._aim.copy()
-        joints = self.lab.joints
+        joints, aim = self.lab.joints, np.empty(self._num_joints)
         for part in self._parts:
             aim[part.ids] = part.cycle(joints, num_late)
-        self._simulate(before, aim)
-        self._aim = aim
+        self._simulate(aim)
         self.num_cycles += 1
 
-    def _simulate(self, before: Joints, aim: Joints) -> None:
-        """Simulate the physics steps that end in this cycle, in which what is aimed at moves evenly [rad]."""
+    def _simulate(self, aim: Joints) -> None:
+        """Simulate the physics steps that end in this cycle, with servos that aim here [rad]."""
         end = self.time + CYCLE
-        while (time := self.lab.time + self.lab.physics_dt) <= end + ROUNDING:
-            share = 1.0 - (end - time) / CYCLE
-            if self.lab.step(before + share * (aim - before)):
+        while self.lab.time + self.lab.physics_dt <= end + ROUNDING:
+            if self.lab.step(aim):
                 self.camera.expose(self.lab.exposure())
                 self._state.publish(messages.text(json.dumps(self.state())))
 
@@ -260,6 +257,6 @@ class LabNode:
 
     def _hold(self) -> None:
         """Let the drivers hold the robot where it is, and the program run again."""
-        self._aim = self.lab.joints.position
+        position = self.lab.joints.position
         for part in self._parts:
-            part.driver.reset(self._aim[part.ids])
+            part.driver.reset(position[part.ids])

@@ -25,7 +25,7 @@ from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.servo.limits import steady_lag
-from pixel2catch.twin.drivers import Motion
+from pixel2catch.twin.drivers import ENCODER_NOISE, ENCODER_STEP, Motion
 from pixel2catch.workcells import find_workcell
 
 ARM = BYSTANDER_JOINTS.index("thrower_arm")
@@ -81,6 +81,12 @@ class ThrowScorer:
 
 EMPTY_TIME = 0.5  #: How long the room is empty between throws [s]: what lay there is removed. Source: ours.
 
+BEYOND_LIMITS = torch.tensor((-0.3, 0.3))
+"""What is added to the limits of the arm's joints, where commands end and the joint does not [rad].
+
+Source: ours, as far as the servo believes a measured position.
+"""
+
 Joints = Float[np.ndarray, " num_joints"]
 
 _YES = torch.ones(1, dtype=torch.bool)
@@ -99,8 +105,9 @@ class Phase(StrEnum):
 class SimulatedLab(AbstractContextManager["SimulatedLab"]):
     """The simulation in steps of its physics; nothing here knows real time.
 
-    Throws, dynamics and the noise of the encoders are those of the task. Its errors of actions and its delays
-    are not applied: what is late in a lab is late on the wires.
+    Throws, dynamics and the offsets of the encoders are those of the task. Its noise of encoders, its errors
+    of actions and its delays are not applied: encoders are as a driver's, and what is late in a lab is late
+    on the wires. Drives read the same encoders as everybody: an offset moves the joint, and no reading.
     """
 
     def __init__(self, task: CatchEnvCfg, seed: int) -> None:
@@ -119,10 +126,16 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
         self._object_ids = torch.tensor([names.index(name) for name in task.objects])
         qpos, qvel = (self._world.simulation.bind(name)[0].numpy() for name in ("qpos", "qvel"))
         self._qpos, self._qvel = qpos, qvel
+        for field in ("jnt_range", "actuator_ctrlrange"):
+            for arm in workcell.of_role("arm"):
+                self._world.simulation.expand(field)[:, arm] += BEYOND_LIMITS
         self._log: StepExtremes | None = None
         self._steps, self._is_thrown, self._scorer = 0, False, None
         self.num_throws = 0
         self.max_joint_speed = 0.0  #: Largest speed of an arm joint so far [rad/s].
+        steps = [ENCODER_STEP[group.role] for group in workcell.groups for _ in group.joints]
+        self._encoder_step = np.array(steps)
+        self._velocity_before = np.zeros(num_joints)
         nominal = JointDynamics.nominal(specs=workcell.joints)
         dynamics = task.dynamics.over(nominal) if task.dynamics else nominal
         self.lag: Joints = steady_lag(dynamics)  #: How far joints are behind in a steady motion [s].
@@ -165,15 +178,20 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
 
     @property
     def joints(self) -> Motion:
-        """The true joints now."""
-        return Motion(position=self._qpos[self._robot].copy(), velocity=self._qvel[self._robot].copy())
+        """The joints now, as exact encoders would have them."""
+        position = self._qpos[self._robot] + self._encoder_offset
+        return Motion(position=position, velocity=self._qvel[self._robot].copy())
 
     def encoders(self, time: float) -> Motion:
-        """What the encoders say at a time up to a physics step from now [s]."""
-        joints, parameters = self.joints, self.episode.parameters
-        noise = self._task.sensing.joint_noise * self._rng.standard_normal(len(joints.position))
-        position = joints.position + (time - self.time) * joints.velocity
-        return replace(joints, position=position + parameters.joint_bias[0].numpy() + noise)
+        """What the encoders say at a time up to a physics step from now [s]; read them once a cycle.
+
+        The next step's speed, with which the joints move meanwhile, is taken to change as it did before.
+        """
+        joints, step = self.joints, self._encoder_step
+        velocity = 2.0 * joints.velocity - self._velocity_before
+        noise = ENCODER_NOISE * self._rng.standard_normal(len(step))
+        counts = np.rint((joints.position + (time - self.time) * velocity) / step + noise)
+        return Motion(position=step * counts, velocity=velocity)
 
     def prepare(self, seed: int) -> None:
         """Put the robot at the start of the throw of a seed; the object follows after `EMPTY_TIME`.
@@ -184,6 +202,8 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
         self.episode: Episode = draw_episode(self._task, self._action_bias, self._object_ids, 1, generator)
         self._world.reset(_YES, self.episode.parameters, self.episode.throw)
         self._world.simulation.forward(_YES)
+        self._encoder_offset = self.episode.parameters.joint_bias[0].double().numpy()
+        self._velocity_before = self._qvel[self._robot].copy()
         release_pos = self.episode.throw.pos[0].double().numpy()
         phase = float(self._rng.uniform(0.0, 2.0 * pi))
         self._thrower = Thrower(bystanders=Bystanders(release_pos=release_pos, phase=phase))
@@ -204,7 +224,9 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
 
     def step(self, joint_pos_target: Joints) -> bool:
         """Simulate a physics step with servos that aim here [rad]; return whether it ended a control step."""
-        log = self._world.run(torch.from_numpy(joint_pos_target)[None], num_steps=1)
+        self._velocity_before = self._qvel[self._robot].copy()
+        target = torch.from_numpy(joint_pos_target - self._encoder_offset)
+        log = self._world.run(target[None], num_steps=1)
         self._log = log if self._log is None else self._log.merged(log)
         self._steps += 1
         is_end = self._steps % self._task.scene.decimation == 0

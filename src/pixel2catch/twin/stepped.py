@@ -4,12 +4,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, closing, contextmanager
 from functools import cache, cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, final
 
 import numpy as np
 
+from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
-from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
+from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
 from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
@@ -19,10 +21,13 @@ from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Image
 from pixel2catch.policy import LoadedPolicy
 from pixel2catch.rendering.camera import Exposure, RoomCamera
+from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.process import ServoSetup
+from pixel2catch.servo.link import link
+from pixel2catch.servo.process import Servo, ServoSetup
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, Camera
 from pixel2catch.twin.lab_node import ROUNDING, LabNode, twin_profile
@@ -39,6 +44,32 @@ Source: ours, for DDS between two processes.
 Draw = Callable[[SimulatedLab, Exposure], Image]  #: Draws what the camera sees.
 
 
+@final
+class SteppedTwin:
+    """The twin on a network in memory, whose time goes on, cycle by cycle, while somebody waits."""
+
+    def __init__(self, task: CatchEnvCfg, seed: int, draw: Draw, clock_error: float = 0.0) -> None:
+        """Put it in place; nothing happens yet. The camera's clock is late by its error [s]."""
+        self.clock, self.broker = StepClock(self._wait), Broker()
+        self.profile, self._num_cycles = twin_profile(find_workcell(task.scene.workcell)), 0
+        self.lab = SimulatedLab(task, seed)
+        camera = Camera(lambda exposure: _done(draw(self.lab, exposure)), clock_error=clock_error)
+        self._node = LabNode(self.lab, self.profile, self.broker.node(self.clock), camera)
+        #: What happens after every cycle of the drivers, each `HOP` later than the one before.
+        self.followers: tuple[Callable[[], None], ...] = ()
+
+    def _wait(self, moment: float) -> None:
+        """Let happen what happens until a moment [s], or shortly after."""
+        while self.clock.time < moment - ROUNDING:
+            begin = self._num_cycles * CYCLE
+            self._num_cycles += 1
+            self.clock.time = begin
+            self._node.cycle(start=0.0)
+            for number, follow in enumerate(self.followers, start=1):
+                self.clock.time = begin + number * HOP
+                follow()
+
+
 class SteppedRehearsal:
     """The twin, a deployment, and an operator."""
 
@@ -51,26 +82,24 @@ class SteppedRehearsal:
         limits: ServoLimits | None,
     ) -> None:
         """Put everybody in place; nothing happens yet."""
-        self.clock, self.broker = clock, broker = StepClock(self._wait), Broker()
-        workcell = find_workcell(task.scene.workcell)
-        profile, self._num_cycles = twin_profile(workcell), 0
-        self.lab = SimulatedLab(task, cfg.seed)
-        error = 1e-3 * cfg.clock_error_ms
-        camera = Camera(lambda exposure: _done(draw(self.lab, exposure)), clock_error=error)
-        self._lab_node = LabNode(self.lab, profile, broker.node(clock), camera)
+        twin = SteppedTwin(task, cfg.seed, draw, 1e-3 * cfg.clock_error_ms)
+        clock, broker = twin.clock, twin.broker
+        self.clock, self.broker, self.lab = clock, broker, twin.lab
         self._open = ExitStack()
         node = broker.node(clock)
         self._recording = recording = None
         if cfg.record:
             self._recording = recording = DeploymentRecorder(
-                self._open.enter_context(BagRecorder(cfg.record)), node, profile, clock, "jpeg"
+                self._open.enter_context(BagRecorder(cfg.record)), node, twin.profile, clock, "jpeg"
             )
         nodes = Nodes(servo=broker.node(clock), loop=node, clock=clock, recording=recording)
-        setup = ServoSetup(profile=profile, limits=limits or ServoLimits.of(workcell))
+        limits = limits or ServoLimits.of(find_workcell(task.scene.workcell))
+        setup = ServoSetup(profile=twin.profile, limits=limits)
         time = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
         self._robot = SteppedDeployment(setup, self.lab.camera, nodes, pipeline, time)
         self.control_loop = self._robot.control_loop
-        self._topics = profile.operator
+        self._topics = twin.profile.operator
+        twin.followers = (self._robot.tick, self._robot.look)
 
     @cached_property
     def operator(self) -> RehearsalOperator:
@@ -88,22 +117,6 @@ class SteppedRehearsal:
         self._robot.close()
         if self._recording:
             self._recording.require_whole()
-
-    def _wait(self, moment: float) -> None:
-        """Let happen what happens until a moment [s], or shortly after."""
-        while self.clock.time < moment - ROUNDING:
-            self._cycle()
-
-    def _cycle(self) -> None:
-        """A cycle of the drivers, a tick of the servo, and a look of the control loop, if it is free."""
-        begin = self._num_cycles * CYCLE
-        self._num_cycles += 1
-        self.clock.time = begin
-        self._lab_node.cycle(start=0.0)
-        self.clock.time = begin + HOP
-        self._robot.tick()
-        self.clock.time = begin + 2 * HOP
-        self._robot.look()
 
 
 def _done(image: Image) -> "Future[Image]":
@@ -184,3 +197,44 @@ def _grey(height: int, width: int) -> Image:
     """Grey, with the noise of a sensor."""
     noise = np.random.default_rng(0).integers(-NOISE, NOISE + 1, (height, width, 3))
     return (GREY + noise).astype(np.uint8)
+
+
+ARMING = 0.5  #: When the operator in a process arms [s]; the switch is pressed at half of it. Source: ours.
+PHYSICS_HZ = 600.0  #: Physics steps in a second of a twin that is recorded. Source: ours, as evaluated.
+
+
+@contextmanager
+def recorded_in_step(
+    workcell: WorkcellSpec, dynamics: Path, limits: ServoLimits, out: Path
+) -> Iterator[Connection]:
+    """A twin that is the robot of a dynamics file, its servo, and an operator who arms and holds the switch.
+
+    What is heard of it is recorded into a new folder.
+    """
+    scene = SceneCfg(workcell=workcell.name, physics_hz=PHYSICS_HZ)
+    twin = SteppedTwin(CatchEnvCfg(scene=scene).with_files(dynamics, None), 0, plain_image)
+    clock, node = twin.clock, twin.broker.node(twin.clock)
+    operator = OperatorConsole(twin.broker.node(clock), twin.profile.operator, clock)
+    with closing(twin.lab), BagRecorder(out) as recorder, ExitStack() as stack:
+        recording = DeploymentRecorder(recorder, node, twin.profile, clock, "none")
+        loop_end, servo_end = link()
+        for end in (loop_end, servo_end):
+            stack.callback(end.close)
+        setup = ServoSetup(profile=twin.profile, limits=limits)
+        servo, is_armed = Servo(servo_end, twin.broker.node(clock), setup, clock), False
+
+        def operate() -> None:
+            nonlocal is_armed
+            operator.holds = clock.now() > ARMING / 2
+            operator.watch()
+            if clock.now() > ARMING and not is_armed:
+                operator.arm()
+                is_armed = True
+
+        def tick() -> None:
+            servo.tick()
+            if servo.unforeseen:
+                raise servo.unforeseen
+
+        twin.followers = (tick, operate)
+        yield Connection(transport=node, servo=loop_end, servo_dt=limits.dt, clock=clock, recording=recording)

@@ -1,0 +1,204 @@
+"""Taking the images of a calibration: which are taken, what is asked for, and what comes of it."""
+
+import csv
+import os
+import signal
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from calibration_views import CORNERS, board_in_camera, lens, palm, pixels_of, poses, rendered
+from scipy.spatial.transform import Rotation
+
+from domains import PATIENCE, own_domain
+from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.cli.main import main
+from pixel2catch.deployment.recorder import BagRecorder
+from pixel2catch.perception.calibration.capture import Capture, Taken, blur, covered, located, wants
+from pixel2catch.perception.calibration.target import CharucoBoard, View, read_image
+from pixel2catch.perception.extractor import CameraFrame
+from pixel2catch.robots.ur5e import ARM
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
+from pixel2catch.scene.constants import RGB_CAMERA
+
+JOINTS = [joint.name for joint in ARM.joints]
+MATRIX = np.array(RGB_CAMERA.matrix)
+PROFILE = Profile.load("ur5e_allegro_v4")
+
+
+def image_of(joint_pos: np.ndarray, seed: int = 0) -> np.ndarray:
+    return cv2.cvtColor(rendered(board_in_camera(joint_pos), np.random.default_rng(seed)), cv2.COLOR_BGR2RGB)
+
+
+@pytest.fixture(scope="module")
+def pose() -> np.ndarray:
+    return list(poses(4, seed=2))[3]  # a near one
+
+
+@pytest.fixture(scope="module")
+def picture(pose: np.ndarray) -> np.ndarray:
+    return image_of(pose)
+
+
+class Session:
+    """Images shown to a capture, 0.1 s apart."""
+
+    def __init__(self, folder: Path) -> None:
+        self.capture = Capture(folder, CharucoBoard(), MATRIX, JOINTS, num=6)
+        self._time = 0.0
+
+    def show(self, image: np.ndarray, joint_pos: np.ndarray | None, times: int = 5) -> list[str]:
+        said = []
+        for _ in range(times):
+            self._time += 0.1
+            frame = CameraFrame(image=image, stamp=self._time, joint_pos=joint_pos)
+            turn = None if joint_pos is None else Rotation.from_matrix(palm(joint_pos)[:3, :3])
+            said.append(self.capture.look(frame, turn))
+        return said
+
+
+def test_a_view_is_taken_when_it_rests_and_only_once(tmp_path: Path, pose: np.ndarray, picture: np.ndarray):
+    session = Session(tmp_path / "views")
+    said = session.show(picture, pose)
+    session.capture.draw()
+    assert said[0].startswith("hold still; tilt ")
+    assert said[3].startswith("1 of 6: wrote pose01.png; ")
+    assert said[4].startswith("like pose01.png; ")
+    with open(tmp_path / "views" / "views.csv", newline="", encoding="utf-8") as file:
+        (row,) = csv.DictReader(file)
+    assert [float(row[joint]) for joint in JOINTS] == pose.tolist()
+    assert np.array_equal(read_image(tmp_path / "views" / row["image"]), picture)
+    assert b"<svg" in (tmp_path / "views" / "coverage.svg").read_bytes()
+
+
+def test_what_cannot_be_used_is_named(tmp_path: Path, pose: np.ndarray, picture: np.ndarray):
+    session = Session(tmp_path / "views")
+    assert session.show(np.full_like(picture, 90), pose)[-1].startswith("no board: show all of it")
+    assert session.show(picture, None)[-1].startswith("no positions of the arm's joints")
+    assert session.show(cv2.GaussianBlur(picture, (0, 0), 1.4), pose)[-1].startswith("blurred (")
+    session.show(np.full_like(picture, 90), pose)
+    moving = [session.show(picture, pose + 2e-3 * i, times=1)[0] for i in range(8)]
+    assert all(words.startswith("hold still") for words in moving)
+    assert not session.capture.taken
+
+
+@pytest.mark.parametrize("spread", [0.8, 1.4])
+def test_blur_is_measured_in_pixels(pose: np.ndarray, picture: np.ndarray, spread: float):
+    """The rendered image has a spread of 0.7 px and that of its own pixels; Gaussians add in squares."""
+    view = CharucoBoard().find(picture)
+    assert view is not None
+    sharp = blur(picture, view)
+    assert 0.5 < sharp < 1.2
+    blurred = blur(cv2.GaussianBlur(picture, (0, 0), spread), view)
+    assert blurred == pytest.approx(np.hypot(sharp, spread), rel=0.25)
+
+
+def test_what_is_wanted_follows_from_what_was_taken(tmp_path: Path):
+    session = Session(tmp_path / "views")
+    asked = len(list(wants([], (640, 480))))
+    assert asked == 4 + 9
+    for number, joint_pos in enumerate(poses(4, seed=2)):
+        session.show(image_of(joint_pos, number), joint_pos)
+    assert len(session.capture.taken) == 4
+    left = session.capture.wanted
+    assert not any(words.startswith("turn the hand") for words in left)
+    counts = covered(session.capture.taken, (640, 480))
+    middle = "move the board to the middle of the image"
+    assert (middle in left) == (counts[1, 1] == 0)
+    assert len(left) < asked
+
+
+def bag_of(path: Path, num: int) -> Path:
+    """Images of several poses, three of each, 0.2 s apart, and the states of the arm."""
+    with BagRecorder(path) as recorder:
+        stamp, topic = 100.0, PROFILE.camera.image
+        for number, joint_pos in enumerate(poses(num, seed=2)):
+            picture = image_of(joint_pos, number)
+            for _ in range(3):
+                stamp += 0.2
+                state = messages.joint_state(JOINTS, joint_pos, stamp - 0.01)
+                recorder.record(PROFILE.robots[0].state_topic, state, stamp - 0.01)
+                recorder.record(topic, messages.image(picture, stamp), stamp)
+    return path
+
+
+@pytest.mark.slow
+def test_a_recorded_session_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    CameraFile(camera=RGB_CAMERA).save(tmp_path / "lens.json")
+    bag, views = bag_of(tmp_path / "bag", 6), tmp_path / "views"
+    args = ["--live", "--source", bag, "--intrinsics", tmp_path / "lens.json", "--capture", views]
+    assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "camera.json")]) == 0
+    printed = capsys.readouterr()
+    assert "6 of 15: wrote pose06.png" in printed.err
+    assert "wrote " + str(views) + ": 6 images, views.csv" in printed.err
+    found = CameraFile.load(tmp_path / "camera.json")
+    error = np.abs(np.subtract(found.camera.pos, RGB_CAMERA.pos))
+    assert (error < 3.0 * np.array(found.pos_std)).all()
+    assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "other.json")]) == 2
+    assert "views' is not an empty folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("axis", "tilt"), [((1, 0, 0), (0.0, 0.4)), ((0, -1, 0), (0.4, 0.0))])
+def test_a_tilt_is_that_of_the_image(axis: tuple[int, int, int], tilt: tuple[float, float]):
+    """About x its lower edge goes away from the camera, about -y its right one, however it is turned."""
+    for turned in (0.0, 1.0, 3.0):
+        pose = np.eye(4)
+        turn = Rotation.from_rotvec(0.4 * np.array(axis)) * Rotation.from_rotvec((0, 0, turned))
+        pose[:3, :3], pose[:3, 3] = turn.as_matrix(), (0.0, 0.0, 1.0)
+        view = View(points=CORNERS, pixels=pixels_of(pose, CORNERS, lens()))
+        found = located(view, MATRIX)
+        assert found is not None
+        taken = Taken(name="", view=view, turn=found.turn, distance=1.0, joint_pos=np.zeros(0), palm=None)
+        assert taken.tilt == pytest.approx(tilt, abs=0.01)
+
+
+class Robot(threading.Thread):
+    """A camera and an arm on the network: it shows a pose until its image is there, then the next."""
+
+    def __init__(self, folder: Path, num: int) -> None:
+        super().__init__(daemon=True)
+        self._folder, self.done = folder, threading.Event()
+        self._poses = list(poses(num, seed=2))
+
+    def run(self) -> None:
+        clock = RealClock()
+        with make_transport("dds", "camera_and_arm", LOOPBACK, clock) as node:
+            image, state = (
+                node.publisher(topic) for topic in (PROFILE.camera.image, PROFILE.robots[0].state_topic)
+            )
+            for number, joint_pos in enumerate(self._poses, start=1):
+                picture = image_of(joint_pos, number)
+                while not (self._folder / f"pose{number:02d}.png").exists():
+                    if self.done.wait(0.05):
+                        return
+                    stamp = clock.stamp()
+                    state.publish(messages.joint_state(JOINTS, joint_pos, stamp))
+                    image.publish(messages.image(picture, stamp))
+            os.kill(os.getpid(), signal.SIGINT)  # as an operator who has had enough
+
+
+@pytest.mark.slow
+def test_a_camera_on_the_network_is_calibrated_as_the_arm_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setenv("ROS_DOMAIN_ID", own_domain())
+    CameraFile(camera=RGB_CAMERA).save(tmp_path / "lens.json")
+    robot = Robot(tmp_path / "views", num=8)
+    robot.start()
+    args = ["--live", "--intrinsics", tmp_path / "lens.json", "--capture", tmp_path / "views"]
+    try:
+        assert main(["calibrate", *map(str, args), "--out", str(tmp_path / "camera.json")]) == 0
+    finally:
+        robot.done.set()
+        robot.join(PATIENCE)
+    printed = capsys.readouterr()
+    assert "8 of 15: wrote pose08.png" in printed.err
+    assert "By the arm's motion the squares are" in printed.out
+    found = CameraFile.load(tmp_path / "camera.json")
+    error = np.abs(np.subtract(found.camera.pos, RGB_CAMERA.pos))
+    assert (error < 3.0 * np.array(found.pos_std)).all()
+    assert len(list((tmp_path / "views").glob("*.png"))) == 8

@@ -1,0 +1,104 @@
+"""From the twin's joints to a policy for them: the guide's commands, one after the other, in step."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from paper_robot import JOINTS
+from pixel2catch.cli.main import main
+from pixel2catch.identification.importers import Names, read_recording
+from pixel2catch.identification.recording import Trajectory
+from pixel2catch.identification.rehearsal import exact_file, unlike_nominal
+from pixel2catch.identification.simulation import RecordedMotion
+from pixel2catch.mdp.dynamics_file import DynamicsFile
+from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+ARM = tuple(joint.name for joint in JOINTS[:6])
+NAMES = Names.of(Profile.load("ur5e_allegro_v4"), ARM)
+
+WIRE = (0.0, 2.5e-3)
+"""Least and largest time from a command's stamp to the servos behind the wire [s]: a cycle of the drivers,
+and a physics step."""
+
+
+def run(*args: str | Path) -> None:
+    assert main([*map(str, args)]) == 0
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A robot up to 40 % off the nominal one, and 12 ms late."""
+    path = tmp_path_factory.mktemp("truth") / "truth.json"
+    drawn = unlike_nominal(np.random.default_rng(3), JointDynamics.nominal(specs=UR5E_ALLEGRO.joints))
+    exact_file(drawn, UR5E_ALLEGRO).save(path)
+    return path
+
+
+def swing(path: Path) -> Path:
+    """One swing of the arm in the middle of 2.6 s."""
+    times = np.arange(0.0, 2.6, 0.008)
+    home = np.array([joint.home for joint in JOINTS[:6]])
+    way = np.array([0.15, 0.15, -0.15, 0.15, -0.12, 0.15])
+    phase = np.clip((times - 1.0) / (times[-1] - 2.0), 0.0, 1.0)
+    positions = home + way * np.sin(np.pi * phase)[:, None] ** 2
+    Trajectory(joints=ARM, times=times, positions=positions).save(path)
+    return path
+
+
+def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
+    truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    recording = tmp_path / "recording"
+    run("record", swing(tmp_path / "swing.npz"), "--out", recording, "--lockstep", truth)
+    printed = capsys.readouterr()
+    assert "running: follows the trajectory." in printed.err
+    (line,) = (line for line in printed.out.splitlines() if line.startswith("pixel2catch identify"))
+    options = shlex.split(line)[2:]
+    options[options.index("...")] = "--check"
+    run("identify", *options[: options.index("--out")])
+    checks = capsys.readouterr().out
+    assert "BAD" not in checks
+    assert re.search(r"stalls +│ +│ good", checks)
+
+    read = read_recording(recording, "arm", NAMES)
+    dynamics = DynamicsFile.load(truth).dynamics.select(ARM)
+    motion = RecordedMotion([read])
+    late = np.linspace(*WIRE, 5)
+    simulated = motion.simulate([dynamics.with_values(latency=0.012 + each) for each in late])
+    errors = np.sqrt(((simulated - motion.measured) ** 2).mean(axis=(1, 2)))
+    assert errors.min() < 1e-4
+    assert np.ptp(read.q_cmd, axis=0).min() > 0.1
+
+
+@pytest.mark.slow
+def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    excitation = "excite --robot ur5e --seconds 25 --speed 1 --recordings 2 --out excitation.npz"
+    run(*shlex.split(excitation), "--rehearse", "rehearsal")
+    for number in (1, 2):
+        files = (f"excitation-{number}.npz", "--out", f"recording-{number}")
+        run("record", *files, "--lockstep", "rehearsal/truth.json")
+    recordings = [f"recording-{number}" for number in (1, 2)]
+    run("identify", "--check", *recordings, "--robot", "ur5e", "--profile", "ur5e_allegro_v4")
+    options = shlex.split("--robot ur5e --profile ur5e_allegro_v4 --out identified")
+    run("identify", *recordings, *options)
+    found, true = (
+        DynamicsFile.load(Path(name)).dynamics.select(ARM)
+        for name in ("identified/dynamics.json", "rehearsal/truth.json")
+    )
+    lag = (found.damping / found.stiffness) / (true.damping / true.stiffness)
+    assert lag == pytest.approx(np.ones(6), abs=0.01)
+    assert (found.stiffness / true.stiffness)[:5] == pytest.approx(np.ones(5), abs=0.03)
+    assert WIRE[0] < (found.latency - true.latency).min()
+    assert (found.latency - true.latency).max() < WIRE[1]
+    tiny = "--device cpu --num-envs 8 --rollout-steps 8 --transitions 256 --mini-batches 2 --hidden 32"
+    run("train", *shlex.split(tiny), "--dynamics", "identified/dynamics.json", "--out", "runs/lab")
+    throws = shlex.split("--num-envs 2 --trials 1 --device cpu")
+    run("evaluate", "runs/lab", "--dynamics", "rehearsal/truth.json", *throws)
+    rehearsal = shlex.split("--lockstep --plain --throws 1 --out rehearsed")
+    run("rehearse", "runs/lab", "--dynamics", "identified/dynamics.json", *rehearsal)
