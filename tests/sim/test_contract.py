@@ -19,7 +19,7 @@ DATA_FIELDS = (
 ONLY_FIRST = torch.tensor([True, False, False, False])
 
 
-@pytest.fixture(scope="module", params=["batch", "warp"])
+@pytest.fixture(scope="module", params=["batch", "warp", "physx"])
 def backend(request) -> Simulation:
     return copies.make(request.param)
 
