@@ -100,6 +100,7 @@ class EngineSimulation(Simulation):
         self._fields = {name: self._described.expand(name).numpy() for name in FOLLOWED}
         self._built = {name: values.copy() for name, values in self._fields.items()}  # in the engine
         joints = model.actuator_trnid[:, 0]
+        self._reach = model.actuator_ctrlrange.T
         self._driven = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         world = rigid_world(model)
         self._copies = [make_copy(world) for _ in range(num_envs)]
@@ -122,7 +123,7 @@ class EngineSimulation(Simulation):
         self._rebuild()
         self._push_state()
         self._torque[:] = self._servo_torque()
-        ctrl, qfrc, xfrc = self._inputs
+        ctrl, qfrc, xfrc = np.clip(self._inputs[0], *self._reach), *self._inputs[1:]
         for i, each in enumerate(self._copies):
             each.step(Inputs(ctrl=ctrl[i], qfrc_applied=qfrc[i], xfrc_applied=xfrc[i]))
             each.read_state(self._qpos[i], self._qvel[i])
@@ -168,7 +169,7 @@ class EngineSimulation(Simulation):
         """Torques of the servos in the present state, as MuJoCo has them [N·m]."""
         positions, speeds = self._driven
         gain, bias = self._fields["actuator_gainprm"], self._fields["actuator_biasprm"]
-        torque = gain[..., 0] * self._inputs[0]
+        torque = gain[..., 0] * np.clip(self._inputs[0], *self._reach)
         torque += bias[..., 1] * self._qpos[:, positions] + bias[..., 2] * self._qvel[:, speeds]
         return np.clip(torque, *self.model.actuator_forcerange.T)
 

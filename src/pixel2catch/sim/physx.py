@@ -58,7 +58,7 @@ class PhysxCopy(EngineCopy):
             raise InvalidValueError(
                 f"{len(world.excluded)} pairs of bodies do not collide; PhysX has room for {MOST_EXCLUDED}"
             )
-        sapien = _sapien()
+        sapien = load_sapien()
         self._system = _system(world, cfg)
         self._scene = sapien.Scene([self._system])
         shapes = _Shapes(world, cfg.contact_speed * world.timestep)
@@ -83,7 +83,7 @@ class PhysxCopy(EngineCopy):
             rotation = _rotation(quat)
             angular = rotation @ qvel[body.dof + 3 : body.dof + 6]
             arm = rotation @ body.inertial_pose[:3, 3]
-            component.entity.set_pose(_sapien().Pose(pos, quat))
+            component.entity.set_pose(load_sapien().Pose(pos, quat))
             component.set_linear_velocity(qvel[body.dof : body.dof + 3] + _cross(angular, arm))
             component.set_angular_velocity(angular)
 
@@ -118,7 +118,7 @@ class PhysxCopy(EngineCopy):
             qvel[body.dof + 3 : body.dof + 6] = rotation.T @ angular
 
     def _add(self, component: Component) -> None:
-        entity = _sapien().Entity()
+        entity = load_sapien().Entity()
         entity.add_component(component)
         self._scene.add_entity(entity)
 
@@ -155,7 +155,7 @@ def _trees(bodies: dict[int, tuple[Body, Joint]], components: dict[int, Componen
 
 def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
     """Links and free bodies by number, links with their joints."""
-    physx = _sapien().physx
+    physx = load_sapien().physx
     roots = {}
     for number in world.fixed.keys() - {0}:
         roots[number] = shapes.attached(physx.PhysxArticulationLinkComponent(None), world.fixed[number])
@@ -194,7 +194,7 @@ class _Shapes:
     """Makes shapes of one surface, with the collision filters of their bodies."""
 
     def __init__(self, world: RigidWorld, offset: float) -> None:
-        physx = _sapien().physx
+        physx = load_sapien().physx
         self._material = physx.PhysxMaterial(world.friction, world.friction, world.restitution)
         self._offset = offset
         self._excluded = world.excluded
@@ -216,7 +216,7 @@ class _Shapes:
         Raises:
             InvalidValueError: If PhysX has no such shape.
         """
-        physx, kinds = _sapien().physx, mujoco.mjtGeom
+        physx, kinds = load_sapien().physx, mujoco.mjtGeom
         match geom.type:
             case kinds.mjGEOM_BOX:
                 return physx.PhysxCollisionShapeBox(geom.size, self._material), np.eye(4)
@@ -235,7 +235,7 @@ class _Shapes:
 
 
 def _system(world: RigidWorld, cfg: PhysxCfg) -> Any:
-    physx = _sapien().physx
+    physx = load_sapien().physx
     physx.set_scene_config(gravity=world.gravity, bounce_threshold=cfg.bounce_speed)
     system = physx.PhysxCpuSystem()
     system.timestep = world.timestep
@@ -243,7 +243,7 @@ def _system(world: RigidWorld, cfg: PhysxCfg) -> Any:
 
 
 def _pose(matrix: Pose) -> Any:
-    return _sapien().Pose(matrix[:3, 3], quat_of(matrix))
+    return load_sapien().Pose(matrix[:3, 3], quat_of(matrix))
 
 
 def _cross(first: Float[ndarray, "3"], second: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
@@ -260,7 +260,7 @@ def _rotation(quat: Float[ndarray, "4"]) -> Float[ndarray, "3 3"]:
 
 
 @cache
-def _sapien() -> Any:
+def load_sapien() -> Any:
     """The package, of which a renderer is no part that is needed here.
 
     Raises:

@@ -139,6 +139,8 @@ def _refuse(model: mujoco.MjModel) -> None:
     if not servos.all() or driven != np.flatnonzero(model.jnt_type == hinge).tolist():
         found.append("joints without one servo each")
     found += [f"gravcomp of body '{model.body(i).name}'" for i, g in enumerate(model.body_gravcomp) if g not in (0, 1)]
+    if not (model.actuator_ctrllimited.all() and model.actuator_forcelimited.all()):
+        found.append("servos without limits")
     for name in ("dof_damping", "dof_frictionloss", "jnt_stiffness"):
         if getattr(model, name).any():
             found.append(name)

@@ -126,8 +126,7 @@ def make_simulation(
     kind = device.split(":")[0]
     if kind not in ("cpu", "cuda"):
         raise UnknownNameError("device", device, ("cpu", "cuda", "cuda:0", "cuda:1"))
-    if engine not in ENGINES:
-        raise UnknownNameError("engine", engine, ENGINES)
+    require_engine(engine)
     if engine != ENGINES[0]:
         return _make_engine(model, num_envs, kind, engine)
     if kind == "cpu":
@@ -138,6 +137,21 @@ def make_simulation(
     from pixel2catch.sim.warp import WarpSimulation
 
     return WarpSimulation(model, num_envs, device)
+
+
+def require_engine(engine: str) -> None:
+    """Raise if there is no such engine, or it is not installed.
+
+    Raises:
+        DeviceUnavailableError: With the command that installs it.
+        UnknownNameError: With the engines that there are.
+    """
+    if engine not in ENGINES:
+        raise UnknownNameError("engine", engine, ENGINES)
+    if engine == "physx":
+        from pixel2catch.sim.physx import load_sapien
+
+        load_sapien()
 
 
 def _make_engine(model: mujoco.MjModel, num_envs: int, kind: str, engine: str) -> Simulation:
