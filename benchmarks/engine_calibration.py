@@ -84,7 +84,9 @@ class Engine:
         return made
 
 
-def place(simulation: Simulation, pos: tuple[float, ...] | Tensor, vel: tuple[float, ...] = (0.0,) * 6) -> None:
+def place(
+    simulation: Simulation, pos: tuple[float, ...] | Tensor, vel: tuple[float, ...] = (0.0,) * 6
+) -> None:
     """The objects upright, at one position or at one each, with linear and angular speed."""
     pose = torch.zeros(simulation.num_envs, 7, dtype=torch.float64)
     pose[:, :3], pose[:, 3] = torch.as_tensor(pos), 1.0
@@ -242,11 +244,15 @@ def engines() -> list[Engine]:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", default="", help="engines whose name begins so")
     chosen = [each for each in engines() if each.name.startswith(parser.parse_args().only)]
-    print("| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
-          "| slide 0.5, 1 | creep mm/s | grip % |")
+    print(
+        "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
+        "| slide 0.5, 1 | creep mm/s | grip % |"
+    )
     print("| --- |" + " ---: |" * 9)
     for each in chosen:
         way, change = flight(each)
@@ -261,7 +267,10 @@ def main() -> None:
         for name in ("sphere_l", "cube_l"):
             for speed in (1.0, 4.0):
                 cells = ["{:.2f} ± {:.2f}".format(*rebound(each, name, speed, e)) for e in RESTITUTIONS]
-                print(f"| {each.name} | {each.hz:g} | {name}, {speed:g} | " + " | ".join(cells) + " |", flush=True)
+                print(
+                    f"| {each.name} | {each.hz:g} | {name}, {speed:g} | " + " | ".join(cells) + " |",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -24,9 +24,10 @@ Share = Annotated[float, Within(0.0, 1.0)]
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
-    """Evaluate policies in several physics engines, the same throws in all. Goes on where it was interrupted."""
+    """Evaluate policies in several physics engines, the same throws in all. Goes on where it stopped."""
 
-    #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default: catch_alone+fit.
+    #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default:
+    #: catch_alone+fit.
     policies: Positional[tuple[PolicyPath, ...]] = ()
     #: Engines: mujoco, physx, ...; the first is home, with which the others are compared.
     engines: tuple[str, ...] = ("mujoco", "physx")
@@ -65,7 +66,7 @@ class Transfer:
         missing = [each for each in results if each.read() is None]
         if missing:
             left = duration(estimated_seconds(missing, cfg) / min(self.jobs, len(missing)))
-            say(f"{len(missing)} cells of {self.throws} throws: about {left}")
+            say(f"{len(missing)} cells of {self.throws} throws to do: about {left}")
 
         def report(number: int, result: "Result", metrics: "Metrics") -> None:
             name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]

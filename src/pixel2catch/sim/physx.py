@@ -69,7 +69,10 @@ class PhysxCopy(EngineCopy):
         self._free = [(body, self._components[body.number]) for body in world.bodies if body.joint is None]
         jointed = {body.number: (body, body.joint) for body in world.bodies if body.joint is not None}
         self._trees = _trees(jointed, self._components)
-        for solved in (*(component for _, component in self._free), *(tree.articulation for tree in self._trees)):
+        for solved in (
+            *(component for _, component in self._free),
+            *(tree.articulation for tree in self._trees),
+        ):
             solved.set_solver_position_iterations(cfg.position_iterations)
             solved.set_solver_velocity_iterations(cfg.velocity_iterations)
             solved.set_sleep_threshold(0.0)
@@ -165,7 +168,9 @@ def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
         if body.joint is None:
             component = physx.PhysxRigidDynamicComponent()
         else:
-            component = physx.PhysxArticulationLinkComponent(components.get(body.parent, roots.get(body.number)))
+            component = physx.PhysxArticulationLinkComponent(
+                components.get(body.parent, roots.get(body.number))
+            )
             _set_joint(component.joint, body, body.joint)
         shapes.attached(component, body.geoms, body.number)
         component.mass = body.mass
@@ -229,7 +234,9 @@ class _Shapes:
             case kinds.mjGEOM_PLANE:
                 return physx.PhysxCollisionShapePlane(self._material), ALONG_Z
             case kinds.mjGEOM_MESH:
-                return physx.PhysxCollisionShapeConvexMesh(geom.vertices, np.ones(3), self._material), np.eye(4)
+                return physx.PhysxCollisionShapeConvexMesh(geom.vertices, np.ones(3), self._material), np.eye(
+                    4
+                )
             case _:
                 raise InvalidValueError(f"PhysX has no shape for a geom of type {geom.type.name}")
 

@@ -132,13 +132,21 @@ def turned_onto(axis: Float[ndarray, "3"]) -> Pose:
 def _refuse(model: mujoco.MjModel) -> None:
     found = [name for name in REFUSED if getattr(model, name)]
     hinge, free = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
-    found += [f"joint '{model.joint(i).name}'" for i, kind in enumerate(model.jnt_type) if kind not in (hinge, free)]
-    found += [f"body '{model.body(i).name}' with several joints" for i in np.flatnonzero(model.body_jntnum > 1)]
+    found += [
+        f"joint '{model.joint(i).name}'" for i, kind in enumerate(model.jnt_type) if kind not in (hinge, free)
+    ]
+    found += [
+        f"body '{model.body(i).name}' with several joints" for i in np.flatnonzero(model.body_jntnum > 1)
+    ]
     servos = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = sorted(model.actuator_trnid[servos, 0].tolist())
     if not servos.all() or driven != np.flatnonzero(model.jnt_type == hinge).tolist():
         found.append("joints without one servo each")
-    found += [f"gravcomp of body '{model.body(i).name}'" for i, g in enumerate(model.body_gravcomp) if g not in (0, 1)]
+    found += [
+        f"gravcomp of body '{model.body(i).name}'"
+        for i, g in enumerate(model.body_gravcomp)
+        if g not in (0, 1)
+    ]
     if not (model.actuator_ctrllimited.all() and model.actuator_forcelimited.all()):
         found.append("servos without limits")
     for name in ("dof_damping", "dof_frictionloss", "jnt_stiffness"):

@@ -20,7 +20,9 @@ RATES = {
 def make_table(results: Sequence[Result], contents: Sequence[Json]) -> Json:
     """The whole report as plain data; the engine of the first result is home."""
     home = results[0].setting.axis.name
-    texts = {_place(each): content["metrics"]["throws"] for each, content in zip(results, contents, strict=True)}
+    texts = {
+        _place(each): content["metrics"]["throws"] for each, content in zip(results, contents, strict=True)
+    }
     cells = []
     for each, content in zip(results, contents, strict=True):
         policy, engine, label = place = _place(each)
@@ -59,10 +61,12 @@ def as_markdown(table: Json) -> str:
     rows = sorted(table["cells"], key=lambda cell: _order(table, cell))
     head = (
         f"{rows[0]['throws']} throws each, the same in all engines; home is {table['home']}. Rates in % with "
-        "their 95 % interval; the difference of S.R. in points, of the same throws lost and won, with its 95 % "
-        "interval and the p value of McNemar's exact test. Failures in % of the throws."
+        "their 95 % interval; the difference of S.R. in points with its 95 % interval, the throws that were "
+        "lost and won by it, and the p value of McNemar's exact test. Failures in % of the throws."
     )
-    return "\n".join(["# Transfer", "", head, "", markdown([_row(cell) for cell in rows], num_text_columns=3)])
+    return "\n".join(
+        ["# Transfer", "", head, "", markdown([_row(cell) for cell in rows], num_text_columns=3)]
+    )
 
 
 def as_csv(table: Json) -> str:
@@ -74,9 +78,9 @@ def as_csv(table: Json) -> str:
         for name, _ in RATES.values():
             rate = cell[name]
             place = (*(cell[key] for key in columns[:4]), name)
-            paired = (rate["lost"], rate["won"], rate["difference"], *rate["difference_interval"], rate["p_value"])
-            values = (rate["rate"], *rate["interval"])
-            rows.append((*place, *values, *(paired if "lost" in rate else ("",) * 6)))
+            low, high = rate.get("difference_interval", ("", ""))
+            paired = (*(rate.get(key, "") for key in columns[8:11]), low, high, rate.get("p_value", ""))
+            rows.append((*place, rate["rate"], *rate["interval"], *paired))
     return csv_text(columns, rows)
 
 
@@ -86,16 +90,14 @@ def picture(table: Json) -> bytes:
     found = {(c["policy"], c["restitution"], c["engine"]): c["success_rate"] for c in table["cells"]}
     places = list(dict.fromkeys((policy, label) for policy, label, _ in found))
     places.sort(key=lambda place: [each["policy"] for each in table["cells"]].index(place[0]))
-    marks = [
-        [_signed(found[(*place, engine)].get("difference")) for engine in engines] for place in places
-    ]
+    marks = [[_signed(found[(*place, engine)].get("difference")) for engine in engines] for place in places]
     return heat_map(
         [[100.0 * found[(*place, engine)]["rate"] for engine in engines] for place in places],
         marks,
         [f"{policy}, restitution {label}" for policy, label in places],
         engines,
         [policy for policy, _ in places],
-        f"S.R. [% of throws]; beside it the difference from {table['home']}",
+        f"S.R. [%]; difference from {table['home']}",
     )
 
 
