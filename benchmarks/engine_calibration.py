@@ -28,8 +28,10 @@ from pixel2catch.robots.ur5e import ARM
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import SceneCfg, build_model, object_table
 from pixel2catch.sim.batch import BatchSimulation
-from pixel2catch.sim.engine import EngineSimulation
+from pixel2catch.sim.drake import DrakeCopy
+from pixel2catch.sim.engine import EngineCopy, EngineSimulation
 from pixel2catch.sim.physx import PhysxCfg, PhysxCopy
+from pixel2catch.sim.rigid_world import RigidWorld
 from pixel2catch.sim.simulation import Simulation
 
 HOME = torch.tensor([joint.home for joint in (*ARM.joints, *HAND.joints)], dtype=torch.float64)
@@ -55,7 +57,7 @@ class Engine:
 
     name: str
     hz: float = 600.0
-    physx: PhysxCfg | None = None  # MuJoCo without
+    make_copy: Callable[[RigidWorld], EngineCopy] | None = None  # MuJoCo without
 
     @property
     def reference(self) -> "Engine":
@@ -67,17 +69,17 @@ class Engine:
         object_name: str = "cube_s",
         num_envs: int = 1,
         *,
-        restitution: float = 0.25,
+        restitution: float = 0.0,
         friction: float = 1.0,
     ) -> Simulation:
         """Copies of the robot at its start with one object."""
         scene = SceneCfg(physics_hz=self.hz, object_restitution=restitution, object_friction=friction)
         model = build_model(scene, object_name)
         model.dof_frictionloss[ALL_JOINTS] = 0.0
-        if self.physx is None:
+        if self.make_copy is None:
             made: Simulation = BatchSimulation(model, num_envs, 1)
         else:
-            made = EngineSimulation(model, num_envs, partial(PhysxCopy, cfg=self.physx))
+            made = EngineSimulation(model, num_envs, self.make_copy)
         made.bind("qpos")[:, ALL_JOINTS] = HOME
         made.bind("ctrl")[:] = HOME
         place(made, (*ASIDE, 1.0))
@@ -225,20 +227,24 @@ RATES = (600.0, 660.0, 1200.0)
 RESTITUTIONS = (0.0, 0.1, 0.25, 0.5)
 
 
+def physx(name: str = "physx", hz: float = 600.0, **settings: float) -> Engine:
+    """PhysX with other settings than the package's."""
+    return Engine(name=name, hz=hz, make_copy=partial(PhysxCopy, cfg=replace(PhysxCfg(), **settings)))
+
+
 def engines() -> list[Engine]:
     """Those of the table."""
-    plain = PhysxCfg()
-    fixed = {f"{mm:g} mm": mm * 1e-3 for mm in (0.5, 5.0)}
     return [
         *(Engine(name="mujoco", hz=hz) for hz in RATES),
-        *(Engine(name="physx", hz=hz, physx=plain) for hz in RATES),
+        *(physx(hz=hz) for hz in RATES),
         *(
-            Engine(name=f"physx, offset {name}", hz=hz, physx=replace(plain, contact_speed=offset * hz))
-            for name, offset in fixed.items()
+            physx(f"physx, offset {mm:g} mm", hz, contact_speed=1e-3 * mm * hz)
+            for mm in (0.5, 5.0)
             for hz in (600.0, 1200.0)
         ),
-        Engine(name="physx, 4 iterations", physx=replace(plain, position_iterations=4)),
-        Engine(name="physx, bounces from 2 m/s", physx=replace(plain, bounce_speed=2.0)),
+        physx("physx, 4 iterations", position_iterations=4),
+        physx("physx, bounces from 2 m/s", bounce_speed=2.0),
+        *(Engine(name="drake", hz=hz, make_copy=DrakeCopy) for hz in RATES),
     ]
 
 
@@ -266,7 +272,9 @@ def main() -> None:
     for each in chosen:
         for name in ("sphere_l", "cube_l"):
             for speed in (1.0, 4.0):
-                cells = ["{:.2f} ± {:.2f}".format(*rebound(each, name, speed, e)) for e in RESTITUTIONS]
+                known = RESTITUTIONS[:1] if each.make_copy is DrakeCopy else RESTITUTIONS  # Drake has none
+                cells = ["{:.2f} ± {:.2f}".format(*rebound(each, name, speed, e)) for e in known]
+                cells += [""] * (len(RESTITUTIONS) - len(known))
                 print(
                     f"| {each.name} | {each.hz:g} | {name}, {speed:g} | " + " | ".join(cells) + " |",
                     flush=True,

@@ -76,7 +76,7 @@ class EngineSimulation(Simulation):
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, make_copy: Callable[[RigidWorld], EngineCopy]
     ) -> None:
-        """Build the copies at the model's defaults.
+        """Begin at the model's defaults; the first step builds the copies.
 
         Raises:
             InvalidValueError: If there are too many, or an engine cannot have what is in the model.
@@ -102,8 +102,8 @@ class EngineSimulation(Simulation):
         joints = model.actuator_trnid[:, 0]
         self._reach = model.actuator_ctrlrange.T
         self._driven = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
-        world = rigid_world(model)
-        self._copies = [make_copy(world) for _ in range(num_envs)]
+        rigid_world(model)  # refuses a model before any long work
+        self._copies: list[EngineCopy | None] = [None] * num_envs  # built where they make a step
         self._known = np.full_like(self._state(), np.nan)  # the state in the engine
         self._torque = np.zeros_like(self._force)
 
@@ -125,6 +125,7 @@ class EngineSimulation(Simulation):
         self._torque[:] = self._servo_torque()
         ctrl, qfrc, xfrc = np.clip(self._inputs[0], *self._reach), *self._inputs[1:]
         for i, each in enumerate(self._copies):
+            assert each is not None
             each.step(Inputs(ctrl=ctrl[i], qfrc_applied=qfrc[i], xfrc_applied=xfrc[i]))
             each.read_state(self._qpos[i], self._qvel[i])
         self._known[:] = self._state()
@@ -179,18 +180,16 @@ class EngineSimulation(Simulation):
         """Tell the engine what was written since its last step."""
         is_written = (self._state() != self._known).any(axis=1)
         for i in np.flatnonzero(is_written).tolist():
-            self._copies[i].set_state(self._qpos[i], self._qvel[i])
+            if (copied := self._copies[i]) is not None:
+                copied.set_state(self._qpos[i], self._qvel[i])
 
     def _rebuild(self) -> None:
-        """Build those copies anew whose model fields were written."""
-        changed = [
-            name for name, values in self._fields.items() if not np.array_equal(values, self._built[name])
-        ]
-        rows = [
-            (self._fields[name] != self._built[name]).reshape(self.num_envs, -1).any(axis=1)
-            for name in changed
-        ]
-        for i in np.flatnonzero(np.any(rows, axis=0)).tolist() if rows else ():
+        """Build those copies that are not there, or whose model fields were written."""
+        is_stale = np.array([each is None for each in self._copies])
+        for name, values in self._fields.items():
+            if not np.array_equal(values, self._built[name]):
+                is_stale |= (values != self._built[name]).reshape(self.num_envs, -1).any(axis=1)
+        for i in np.flatnonzero(is_stale).tolist():
             for name, values in self._fields.items():
                 getattr(self._scratch, name)[:] = values[i]
                 self._built[name][i] = values[i]

@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 MAX_GEOM_GROUPS = mujoco.mjNGROUP
 
-ENGINES = ("mujoco", "physx")
+ENGINES = ("mujoco", "physx", "drake")
 """Physics that there is: MuJoCo's, on a CPU or a GPU, and others to judge policies by, on a CPU."""
 
 
@@ -152,15 +152,20 @@ def require_engine(engine: str) -> None:
         from pixel2catch.sim.physx import load_sapien
 
         load_sapien()
+    elif engine == "drake":
+        from pixel2catch.sim.drake import load_drake
+
+        load_drake()
 
 
 def _make_engine(model: mujoco.MjModel, num_envs: int, kind: str, engine: str) -> Simulation:
     if kind != "cpu":
         raise InvalidValueError(f"engine '{engine}' was asked for on a CUDA device; give --device cpu")
+    from pixel2catch.sim.drake import DrakeCopy
     from pixel2catch.sim.engine import EngineSimulation
     from pixel2catch.sim.physx import PhysxCopy
 
-    return EngineSimulation(model, num_envs, {"physx": PhysxCopy}[engine])
+    return EngineSimulation(model, num_envs, {"physx": PhysxCopy, "drake": DrakeCopy}[engine])
 
 
 def require_cuda(device: str) -> None:
