@@ -127,7 +127,7 @@ def test_the_command_away(policy: str, tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--engines", "bullet"), "unknown engine 'bullet'. Valid: mujoco, physx"),
+        (("--engines", "bullet"), "unknown engine 'bullet'. Valid: mujoco, physx, drake"),
         (("--engines", "mujoco", "mujoco"), "engines is mujoco mujoco; name each once"),
         (("--engines", "mujoco", "--throws", "30"), "throws is 30; it must be at most 20, or a multiple"),
         (("--engines", "mujoco", "--restitution", "1.5"), "restitution is 1.5; it must be from 0 to 1"),

@@ -168,5 +168,5 @@ def test_too_many_copies_are_refused():
 
 
 def test_an_unknown_engine_names_the_known():
-    with pytest.raises(UnknownNameError, match=r"unknown engine 'bullet'\. Valid: mujoco, physx"):
+    with pytest.raises(UnknownNameError, match=r"unknown engine 'bullet'\. Valid: mujoco, physx, drake"):
         make_simulation(copies.make("batch", 1).model, 1, "cpu", "bullet")

@@ -29,7 +29,7 @@ class Transfer:
     #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default:
     #: catch_alone+fit.
     policies: Positional[tuple[PolicyPath, ...]] = ()
-    #: Engines: mujoco, physx, ...; the first is home, with which the others are compared.
+    #: Engines: mujoco, physx, drake; the first is home, with which the others are compared.
     engines: tuple[str, ...] = ("mujoco", "physx")
     #: Restitutions of the objects. Default: drawn for every throw, from 0 to 0.5, as in training.
     restitution: tuple[Share, ...] = ()

@@ -31,8 +31,8 @@ MODULES = {
 """Parts of Drake that are used."""
 
 MODULUS = 1e5
-"""Stiffness of the object [Pa]. Source: ours, `benchmarks/engine_calibration.py`: ten times as stiff, a contact
-comes and goes from step to step, and a cube slides 30 % less far than by Coulomb's law."""
+"""Stiffness of the object [Pa]. Source: ours, `benchmarks/engine_calibration.py`: of one ten times as stiff
+the contact comes and goes from step to step, and a cube slides 30 % less far than by Coulomb's law."""
 
 RESOLUTION = 0.01  #: Edges of the triangles of round shapes [m]. Source: ours, a quarter of an object.
 DISSIPATION = 20.0  #: Hunt and Crossley's dissipation [s/m]. Source: ours, as above: 4 % of 1 m/s come back.
@@ -252,5 +252,5 @@ def load_drake() -> dict[str, Any]:
         return {name: importlib.import_module(module) for name, module in MODULES.items()}
     except ImportError as error:
         raise DeviceUnavailableError(
-            f"engine 'drake' cannot be imported ({error}): {install_command('drake')}."
+            f"engine 'drake' needs Drake, which cannot be imported ({error}): {install_command('drake')}."
         ) from None
