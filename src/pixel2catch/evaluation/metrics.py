@@ -73,6 +73,7 @@ def assess(
         "rounds": cfg.trials,
         "seed": cfg.seed,
         "device": cfg.device,
+        "engine": cfg.task.scene.engine,
         "physics_hz": cfg.task.scene.physics_hz,
         **metrics(trials),
         "seconds": time.perf_counter() - started,

@@ -48,7 +48,8 @@ class DrakeCopy(EngineCopy):
 
         Raises:
             DeviceUnavailableError: If Drake is not installed.
-            InvalidValueError: If there is a restitution, or a shape is none of Drake's.
+            InvalidValueError: If there is a restitution, a shape is none of Drake's, or gravity pulls at some
+                links alone.
         """
         if world.restitution > 1e-6:
             raise InvalidValueError(
@@ -67,6 +68,7 @@ class DrakeCopy(EngineCopy):
         hinges = [body for body in world.bodies if body.joint is not None]
         self._q = [made.joints[body.number].position_start() for body in hinges]
         self._v = [made.joints[body.number].velocity_start() for body in hinges]
+        self._links = [body.number for body in hinges]
         self._qpos = [body.qpos for body in hinges]
         self._dofs = [body.dof for body in hinges]
         self._ctrl = [body.joint.actuator for body in hinges if body.joint is not None]
@@ -80,7 +82,7 @@ class DrakeCopy(EngineCopy):
             if body.joint is None
         ]
         self._aim = np.zeros(2 * len(hinges))
-        self._target = plant.get_desired_state_input_port(made.instances[False])
+        self._target = plant.get_desired_state_input_port(made.robots)
         self._force = plant.get_applied_generalized_force_input_port()
 
     def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
@@ -101,6 +103,10 @@ class DrakeCopy(EngineCopy):
         self._target.FixValue(self._context, self._aim)
         force = np.zeros(self._plant.num_velocities())
         force[self._v] = inputs.qfrc_applied[self._dofs]
+        if inputs.xfrc_applied[self._links].any():
+            raise InvalidValueError(
+                "xfrc_applied pushes a link; engine 'drake' takes it of free bodies alone"
+            )
         positions = self._plant.GetPositions(self._context)
         for body, first, speed in self._free:
             rotation = _rotation(positions[first : first + 4])
@@ -129,9 +135,8 @@ class _Builder:
 
     def __init__(self, plant: Any, world: RigidWorld) -> None:
         self._plant, self._world, self._drake = plant, world, load_drake()
-        self.instances = {
-            has: plant.AddModelInstance("heavy" if has else "weightless") for has in (True, False)
-        }
+        self.robots = plant.AddModelInstance("robots")
+        self._thrown = plant.AddModelInstance("thrown")
         self.bodies: dict[int, Any] = {0: plant.world_body()}
         self.joints: dict[int, Any] = {}
         self._shapes: list[tuple[int, Geom, Any]] = []  # with the number of their bodies
@@ -140,7 +145,10 @@ class _Builder:
             self._add_shapes(-number, plant.world_body(), geoms, is_soft=False)
         for body in world.bodies:
             self._add_body(body)
-        plant.set_gravity_enabled(self.instances[False], False)
+        has_weight = {body.has_weight for body in world.bodies if body.joint is not None}
+        if len(has_weight) > 1:
+            raise InvalidValueError("gravity pulls at some links and not at others, which Drake cannot do")
+        plant.set_gravity_enabled(self.robots, has_weight == {True})
         plant.set_contact_model(self._drake["plant"].ContactModel.kHydroelasticWithFallback)
         plant.SetUseSampledOutputPorts(False)  # so that a step is one update of discrete state
         plant.Finalize()
@@ -162,7 +170,7 @@ class _Builder:
 
     def _add_body(self, body: Body) -> None:
         plant, tree = self._plant, self._drake["tree"]
-        axes, instance = body.inertial_pose[:3, :3], self.instances[body.has_weight]
+        axes, instance = body.inertial_pose[:3, :3], self.robots if body.joint else self._thrown
         i = axes @ np.diag(body.inertia) @ axes.T
         inertia = tree.SpatialInertia.MakeFromCentralInertia(
             body.mass,
