@@ -255,10 +255,11 @@ def load_drake() -> dict[str, Any]:
     Raises:
         DeviceUnavailableError: If it is not installed.
     """
-    logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of what half-spaces do to soft bodies
     try:
-        return {name: importlib.import_module(module) for name, module in MODULES.items()}
+        modules = {name: importlib.import_module(module) for name, module in MODULES.items()}
     except ImportError as error:
         raise DeviceUnavailableError(
             f"engine 'drake' needs Drake, which cannot be imported ({error}): {install_command('drake')}."
         ) from None
+    logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of what half-spaces do to soft bodies
+    return modules

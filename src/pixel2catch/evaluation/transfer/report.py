@@ -125,4 +125,4 @@ def _row(cell: Json) -> Cells:
 
 
 def _signed(difference: float | None) -> str:
-    return "" if difference is None else f"{100.0 * difference:+.0f}"
+    return "" if difference is None else f"{100.0 * difference:+.1f}"
