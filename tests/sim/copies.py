@@ -1,6 +1,7 @@
 """Set-ups for the contract test: four copies of the scene, each with an object of its own."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -10,8 +11,7 @@ from paper_robot import JOINTS
 from pixel2catch.envs.world import MASS_POWER
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, object_table
-from pixel2catch.sim.batch import BatchSimulation
-from pixel2catch.sim.simulation import Simulation
+from pixel2catch.sim.simulation import Simulation, make_simulation
 from pixel2catch.sim.warp import WarpSimulation
 
 NUM_ENVS = 4
@@ -39,10 +39,12 @@ def changed_fields(simulation: Simulation) -> list[str]:
 
 
 def make(backend: str, num_envs: int = NUM_ENVS) -> Simulation:
-    """One of the two back ends, on the model as the catching environment uses it."""
-    model = build_model(SCENE)
+    """One of the back ends, on the model as the catching environment uses it."""
+    model = build_model(replace(SCENE, object_restitution=0.0) if backend == "drake" else SCENE)
     model.dof_frictionloss[:NUM_JOINTS] = 0.0
-    return BatchSimulation(model, num_envs) if backend == "batch" else WarpSimulation(model, num_envs, "cpu")
+    if backend == "warp":
+        return WarpSimulation(model, num_envs, "cpu")
+    return make_simulation(model, num_envs, "cpu", "mujoco" if backend == "batch" else backend)
 
 
 def restart(simulation: Simulation) -> None:

@@ -31,6 +31,7 @@ from pixel2catch.cli.scene import Scene
 from pixel2catch.cli.stress import Stress
 from pixel2catch.cli.track import Track
 from pixel2catch.cli.train import Train
+from pixel2catch.cli.transfer import Transfer
 from pixel2catch.cli.twin import Twin
 from pixel2catch.errors import Pixel2CatchError, UnknownNameError
 from pixel2catch.interruption import Terminated, raise_on_termination
@@ -40,6 +41,7 @@ COMMANDS = (
     Train,
     Evaluate,
     Stress,
+    Transfer,
     Reproduce,
     Play,
     Catch,

@@ -112,7 +112,7 @@ class CatchWorld:
         self._num_joints = len(workcell.joints)
         model = build_model(scene, armature=dict(zip(dynamics.joints, dynamics.armature, strict=True)))
         model.dof_frictionloss[: self._num_joints] = 0.0  # the servos apply it
-        self.simulation: Simulation = make_simulation(model, num_envs, device)
+        self.simulation: Simulation = make_simulation(model, num_envs, device, scene.engine)
         self.objects: ObjectTable = object_table(scene)
         self.num_envs, self.device = num_envs, self.simulation.device
         self._scene = scene

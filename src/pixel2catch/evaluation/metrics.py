@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from math import isfinite
+from math import isfinite, sqrt
 from statistics import median
 from typing import Any
 
@@ -20,12 +20,33 @@ from pixel2catch.rendering.storyboard import RecordedThrow
 from pixel2catch.scene.objects import OBJECTS
 
 Metrics = dict[str, Any]
+Z_95 = 1.959964  #: Half the width of the middle 95 % of the normal distribution, in standard deviations.
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """95 % interval of a rate, of one trial or more. Source: Wilson 1927, the score interval."""
     low, high = binomtest(successes, trials).proportion_ci(method="wilson")
     return float(low), float(high)
+
+
+def paired_difference(home: str, other: str) -> Metrics:
+    """What happened in the same trials twice, as texts of 0 and 1: the second rate minus the first.
+
+    The interval is Agresti and Min's (2005, Statistics in Medicine 24, 729: half a trial more in each of the
+    four cells), the p value McNemar's exact one.
+    """
+    pairs = list(zip(home, other, strict=True))
+    lost, won, n = pairs.count(("1", "0")), pairs.count(("0", "1")), len(pairs) + 2
+    middle = (won - lost) / n
+    half = Z_95 * sqrt(won + lost + 1 - (won - lost) ** 2 / n) / n
+    p = float(binomtest(lost, lost + won).pvalue) if lost + won else 1.0
+    return {
+        "lost": lost,
+        "won": won,
+        "difference": (won - lost) / len(pairs),
+        "difference_interval": [max(middle - half, -1.0), min(middle + half, 1.0)],
+        "p_value": p,
+    }
 
 
 def pooled_counts(rates: Sequence[Metrics], name: str) -> tuple[int, int]:
@@ -52,6 +73,7 @@ def assess(
         "rounds": cfg.trials,
         "seed": cfg.seed,
         "device": cfg.device,
+        "engine": cfg.task.scene.engine,
         "physics_hz": cfg.task.scene.physics_hz,
         **metrics(trials),
         "seconds": time.perf_counter() - started,

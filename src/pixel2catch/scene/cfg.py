@@ -32,6 +32,7 @@ class SceneCfg:
     workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: float = 1.0 / PHYSICS_DT
+    engine: str = "mujoco"  #: Whose physics it is: mujoco, or another to judge policies by, such as physx.
     visuals: bool = False  #: Whether to add lights, textures and what is only seen.
     camera: CameraSpec = RGB_CAMERA  #: What pictures are taken by.
     #: Sliding friction of the object; randomised per environment by the release.
@@ -78,6 +79,11 @@ def contact_solref(restitution: Value, physics_dt: float) -> tuple[Value, Value]
     stiffness = PUSH_OUT / physics_dt**2 + 0.0 * restitution
     damping = (1.0 - 0.5 * PUSH_OUT + restitution) / physics_dt
     return -stiffness, -damping
+
+
+def restitution_of(damping: float, physics_dt: float) -> float:
+    """The restitution of a contact with this second number of a direct `solref`; 0 of any other form."""
+    return min(max(-damping * physics_dt - 1.0 + 0.5 * PUSH_OUT, 0.0), 1.0)
 
 
 def table_solref(physics_dt: float) -> tuple[float, float]:

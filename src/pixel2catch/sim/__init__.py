@@ -1,1 +1,1 @@
-"""Many copies of one MuJoCo model: one interface, one implementation for the CPU and one for CUDA."""
+"""Many copies of one MuJoCo model: one interface, for the CPU, for CUDA, and for other engines' physics."""

@@ -1,4 +1,4 @@
-"""The interface of the two back ends, in MuJoCo's own verbs.
+"""The interface of all back ends, in MuJoCo's own verbs.
 
     simulation = make_simulation(model, num_envs=256, device="cpu")
     qpos, ctrl = simulation.bind("qpos"), simulation.bind("ctrl")
@@ -27,6 +27,9 @@ Result = TypeVar("Result")
 
 MAX_GEOM_GROUPS = mujoco.mjNGROUP
 
+ENGINES = ("mujoco", "physx", "drake")
+"""Physics that there is: MuJoCo's, on a CPU or a GPU, and others to judge policies by, on a CPU."""
+
 
 class Simulation(ABC):
     """`num_envs` independent copies of one MuJoCo model on one device."""
@@ -34,7 +37,7 @@ class Simulation(ABC):
     def __init__(
         self, model: mujoco.MjModel, num_envs: int, device: torch.device, dtype: torch.dtype
     ) -> None:
-        """Store what both back ends share.
+        """Store what all back ends share.
 
         Raises:
             InvalidValueError: If `num_envs` is not positive.
@@ -108,26 +111,61 @@ class Simulation(ABC):
         """Free what the back end holds."""
 
 
-def make_simulation(model: mujoco.MjModel, num_envs: int, device: str) -> Simulation:
+def make_simulation(
+    model: mujoco.MjModel, num_envs: int, device: str, engine: str = ENGINES[0]
+) -> Simulation:
     """Build the back end of a device: `mujoco.batch` for "cpu", MuJoCo Warp for "cuda" or "cuda:N".
 
-    Nothing else asks which device it is.
+    Another engine than MuJoCo has the CPU alone. Nothing else asks which device or engine it is.
 
     Raises:
-        DeviceUnavailableError: If CUDA is asked for and absent.
-        UnknownNameError: If the device is of another type.
+        DeviceUnavailableError: If CUDA is asked for and absent, or the engine is not installed.
+        InvalidValueError: If an engine is asked for CUDA, or it cannot have what is in the model.
+        UnknownNameError: If the device is of another type, or there is no such engine.
     """
     kind = device.split(":")[0]
+    if kind not in ("cpu", "cuda"):
+        raise UnknownNameError("device", device, ("cpu", "cuda", "cuda:0", "cuda:1"))
+    require_engine(engine)
+    if engine != ENGINES[0]:
+        return _make_engine(model, num_envs, kind, engine)
     if kind == "cpu":
         from pixel2catch.sim.batch import BatchSimulation
 
         return BatchSimulation(model, num_envs)
-    if kind == "cuda":
-        require_cuda(device)
-        from pixel2catch.sim.warp import WarpSimulation
+    require_cuda(device)
+    from pixel2catch.sim.warp import WarpSimulation
 
-        return WarpSimulation(model, num_envs, device)
-    raise UnknownNameError("device", device, ("cpu", "cuda", "cuda:0", "cuda:1"))
+    return WarpSimulation(model, num_envs, device)
+
+
+def require_engine(engine: str) -> None:
+    """Raise if there is no such engine, or it is not installed.
+
+    Raises:
+        DeviceUnavailableError: With the command that installs it.
+        UnknownNameError: With the engines that there are.
+    """
+    if engine not in ENGINES:
+        raise UnknownNameError("engine", engine, ENGINES)
+    if engine == "physx":
+        from pixel2catch.sim.physx import load_sapien
+
+        load_sapien()
+    elif engine == "drake":
+        from pixel2catch.sim.drake import load_drake
+
+        load_drake()
+
+
+def _make_engine(model: mujoco.MjModel, num_envs: int, kind: str, engine: str) -> Simulation:
+    if kind != "cpu":
+        raise InvalidValueError(f"engine '{engine}' was asked for on a CUDA device; give --device cpu")
+    from pixel2catch.sim.drake import DrakeCopy
+    from pixel2catch.sim.engine import EngineSimulation
+    from pixel2catch.sim.physx import PhysxCopy
+
+    return EngineSimulation(model, num_envs, {"physx": PhysxCopy, "drake": DrakeCopy}[engine])
 
 
 def require_cuda(device: str) -> None:

@@ -104,12 +104,14 @@ def measure(
     on_result: Callable[[int, Result, Metrics], None] = lambda *_: None,
     jobs: int = 1,
     on_share: Callable[[float], None] = lambda _: None,
+    summarize: Callable[[Trials], Metrics] = metrics,
 ) -> tuple[Json, ...]:
     """Compute the results that are not there, so many jobs at once, and return all.
 
     Of the task only the physics rate counts, the rest is each policy's. Each job is a process of its own;
     only on the CPU there may be more than one. `on_result` is called with number, result and metrics of every
-    one that was computed, as soon as it was; `on_share` with the share of them that is done, more often.
+    one that was computed, as soon as it was; `on_share` with the share of them that is done, more often. What
+    is kept of the throws is what `summarize`, a module's function, makes of them.
 
     Raises:
         InvalidValueError: If there can not be so many jobs.
@@ -125,7 +127,7 @@ def measure(
     contents = [each.read() for each in results]
     missing = [number for number, content in enumerate(contents) if content is None]
     jobs = min(jobs, len(missing))
-    calls = [(results[number], cfg) for number in missing]
+    calls = [(results[number], cfg, summarize) for number in missing]
     measured = in_processes(jobs, _measure, calls) if jobs > 1 else _one_by_one(calls, on_share)
     for done, (index, found) in enumerate(measured, start=1):
         on_share(done / len(missing))
@@ -156,20 +158,21 @@ def throw_rounds(
     return play_rounds(env, actor, cfg.trials, on_share=on_share, seed=cfg.seed)
 
 
-def _measure(result: Result, cfg: EvaluationCfg) -> Metrics:
-    return metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=False))
+def _measure(result: Result, cfg: EvaluationCfg, summarize: Callable[[Trials], Metrics]) -> Metrics:
+    return summarize(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=False))
 
 
 def _one_by_one(
-    calls: Sequence[tuple[Result, EvaluationCfg]], on_share: Callable[[float], None]
+    calls: Sequence[tuple[Result, EvaluationCfg, Callable[[Trials], Metrics]]],
+    on_share: Callable[[float], None],
 ) -> Iterator[tuple[int, Metrics]]:
     """Yield number and metrics of each, measured in this process."""
-    for number, (result, cfg) in enumerate(calls):
+    for number, (result, cfg, summarize) in enumerate(calls):
 
         def tell(share: float, begun: int = number) -> None:
             on_share((begun + share) / len(calls))
 
-        yield number, metrics(throw_rounds(*_evaluation(result, cfg, cfg.device), on_share=tell))
+        yield number, summarize(throw_rounds(*_evaluation(result, cfg, cfg.device), on_share=tell))
 
 
 @contextmanager

@@ -1,0 +1,285 @@
+"""Is it the policy or the engine? What each engine does to one and the same model before a policy is judged.
+
+* flight: an L-shaped block spins freely for 0.8 s: its way against the parabola of semi-implicit steps, and
+  how much its angular momentum changed.
+* motion: all joints of the arm, or of the hand, get a step and a sine of 0.1 rad: the largest difference from
+  MuJoCo's joint positions at 600 Hz.
+* rebound: a ball and a cube hit the floor at 1 and 4 m/s, impacts spread evenly over a step: mean and
+  deviation of the speed after over the speed before.
+* rest: how deep a cube lies in the floor after 0.5 s, and how fast it creeps on a slope of 20°.
+* slide: the way of a cube at 1 m/s over v² / (2 mu g).
+* grip: a cube lies in the hand, which closes; how often a pull of three times its weight leaves it there.
+
+Run: python benchmarks/engine_calibration.py
+"""
+
+import argparse
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pixel2catch.robots.allegro import HAND
+from pixel2catch.robots.ur5e import ARM
+from pixel2catch.scene.objects import OBJECTS
+from pixel2catch.scene.scene import SceneCfg, build_model, object_table
+from pixel2catch.sim.batch import BatchSimulation
+from pixel2catch.sim.drake import DrakeCopy
+from pixel2catch.sim.engine import EngineCopy, EngineSimulation
+from pixel2catch.sim.physx import PhysxCfg, PhysxCopy
+from pixel2catch.sim.rigid_world import RigidWorld
+from pixel2catch.sim.simulation import Simulation
+
+HOME = torch.tensor([joint.home for joint in (*ARM.joints, *HAND.joints)], dtype=torch.float64)
+ARM_JOINTS, HAND_JOINTS = slice(0, len(ARM.joints)), slice(len(ARM.joints), len(HOME))
+ALL_JOINTS = slice(0, len(HOME))
+GRAVITY = 9.81
+ASIDE = (2.0, 1.0)  # a place on the floor that the robot does not reach
+PALM_NORMAL = (0.20791, 0.0, 0.97815)
+GRIP_SPOT = (0.4787, 0.1333, 1.4293)  # 45 mm over the palm, 30 mm from its middle towards the fingers
+GRIP = (*(1.2,) * 9, 0.0, 0.0, 0.5, 0.5)  # how far the fingers and the thumb close [rad]
+SPREAD = 0.006  # sideways, either way [m]
+PULL = 2.0  # three times the cube's weight [N]
+HELD_DISTANCE = 0.1  # from the palm [m]
+NUM_PHASES = 8  # impacts within a step
+
+TABLE = object_table(SceneCfg())
+BODY = TABLE.indices.body
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """An engine with its settings at a rate."""
+
+    name: str
+    hz: float = 600.0
+    make_copy: Callable[[RigidWorld], EngineCopy] | None = None  # MuJoCo without
+
+    @property
+    def reference(self) -> "Engine":
+        """What it is compared with."""
+        return Engine(name="mujoco")
+
+    def make(
+        self,
+        object_name: str = "cube_s",
+        num_envs: int = 1,
+        *,
+        restitution: float = 0.0,
+        friction: float = 1.0,
+    ) -> Simulation:
+        """Copies of the robot at its start with one object."""
+        scene = SceneCfg(physics_hz=self.hz, object_restitution=restitution, object_friction=friction)
+        model = build_model(scene, object_name)
+        model.dof_frictionloss[ALL_JOINTS] = 0.0
+        if self.make_copy is None:
+            made: Simulation = BatchSimulation(model, num_envs, 1)
+        else:
+            made = EngineSimulation(model, num_envs, self.make_copy)
+        made.bind("qpos")[:, ALL_JOINTS] = HOME
+        made.bind("ctrl")[:] = HOME
+        place(made, (*ASIDE, 1.0))
+        return made
+
+
+def place(
+    simulation: Simulation, pos: tuple[float, ...] | Tensor, vel: tuple[float, ...] = (0.0,) * 6
+) -> None:
+    """The objects upright, at one position or at one each, with linear and angular speed."""
+    pose = torch.zeros(simulation.num_envs, 7, dtype=torch.float64)
+    pose[:, :3], pose[:, 3] = torch.as_tensor(pos), 1.0
+    simulation.bind("qpos")[:, TABLE.indices.qpos] = pose
+    simulation.bind("qvel")[:, TABLE.indices.dofs] = torch.tensor(vel, dtype=torch.float64)
+    simulation.forward()
+
+
+def half_height(name: str) -> float:
+    """How high an upright object's centre is over what it lies on [m]."""
+    return -min(float(part.vertices[:, 2].min()) for part in OBJECTS[name].parts)
+
+
+def flight(engine: Engine, duration: float = 0.8) -> tuple[float, float]:
+    """Largest distance from the parabola [mm]; change of the angular momentum over its size."""
+    simulation = engine.make("l_block")
+    start, velocity, spin = np.array((*ASIDE, 1.0)), np.array((-3.0, 0.3, 4.0)), (4.0, 6.0, 8.0)
+    place(simulation, tuple(start), (*velocity, *spin))
+    row, steps, dt = TABLE.names.index("l_block"), round(duration * engine.hz), 1.0 / engine.hz
+    axes = np.empty(9)
+    _mat(axes, TABLE.fields["body_iquat"][row, 0])
+    inertia = axes.reshape(3, 3) @ np.diag(TABLE.fields["body_inertia"][row, 0]) @ axes.reshape(3, 3).T
+
+    def momentum() -> np.ndarray:
+        rotation = simulation.bind("xmat")[0, BODY].numpy().reshape(3, 3)
+        return rotation @ inertia @ simulation.bind("qvel")[0, TABLE.indices.dofs].numpy()[3:]
+
+    before, distance = momentum(), 0.0
+    for step in range(1, steps + 1):
+        simulation.step()
+        expected = start + velocity * step * dt
+        expected[2] -= 0.5 * GRAVITY * step * (step + 1) * dt**2
+        distance = max(distance, float(np.abs(simulation.bind("xpos")[0, BODY].numpy() - expected).max()))
+    return 1e3 * distance, float(np.linalg.norm(momentum() - before) / np.linalg.norm(before))
+
+
+def _mat(out: np.ndarray, quat: np.ndarray) -> None:
+    import mujoco
+
+    mujoco.mju_quat2Mat(out, quat)
+
+
+def joint_path(engine: Engine, joints: slice, command: Callable[[float], float], duration: float) -> Tensor:
+    """Positions of the joints at every control step [rad], while a command of time is added to the start."""
+    simulation = engine.make()
+    path = []
+    for step in range(round(duration * engine.hz)):
+        target = HOME.clone()
+        target[joints] += command(step / engine.hz)
+        simulation.bind("ctrl")[:] = target
+        simulation.step()
+        if (step + 1) % round(engine.hz / 30.0) == 0:
+            path.append(simulation.bind("qpos")[0, ALL_JOINTS].clone())
+    return torch.stack(path)
+
+
+COMMANDS: dict[str, Callable[[float], float]] = {
+    "step": lambda _: 0.1,
+    "sine": lambda time: 0.1 * math.sin(2.0 * math.pi * time),
+}
+
+
+def motion(engine: Engine, joints: slice, command: str, duration: float = 1.2) -> float:
+    """Largest difference from MuJoCo's path [mrad]."""
+    paths = [joint_path(each, joints, COMMANDS[command], duration) for each in (engine, engine.reference)]
+    return 1e3 * float((paths[0] - paths[1]).abs().max())
+
+
+def rebound(engine: Engine, object_name: str, speed: float, restitution: float) -> tuple[float, float]:
+    """Mean and deviation of the speed after over the speed before an impact."""
+    simulation = engine.make(object_name, NUM_PHASES, restitution=restitution)
+    pos = torch.tensor((*ASIDE, half_height(object_name) + 0.03)).repeat(NUM_PHASES, 1)
+    pos[:, 2] += torch.arange(NUM_PHASES) / NUM_PHASES * speed / engine.hz
+    place(simulation, pos, (0.0, 0.0, -speed, 0.0, 0.0, 0.0))
+    speeds = []
+    for _ in range(round(engine.hz * (0.06 / speed + 0.03))):
+        simulation.step()
+        speeds.append(simulation.bind("qvel")[:, TABLE.indices.dofs][:, 2].clone())
+    seen = torch.stack(speeds)
+    ratio = -seen.amax(dim=0) / seen.amin(dim=0)
+    return float(ratio.mean()), float(ratio.std())
+
+
+def resting_depth(engine: Engine) -> float:
+    """How deep a cube lies in the floor after half a second [µm]."""
+    simulation = engine.make()
+    height = half_height("cube_s")
+    place(simulation, (*ASIDE, height))
+    for _ in range(round(0.5 * engine.hz)):
+        simulation.step()
+    return 1e6 * (height - float(simulation.bind("xpos")[0, BODY, 2]))
+
+
+def slide(engine: Engine, friction: float, speed: float = 1.0) -> float:
+    """The way of a cube on the floor over that of Coulomb's friction."""
+    simulation = engine.make(friction=friction, restitution=0.0)
+    place(simulation, (*ASIDE, half_height("cube_s")), (speed, 0.0, 0.0, 0.0, 0.0, 0.0))
+    expected = speed**2 / (2.0 * friction * GRAVITY)
+    for _ in range(round((speed / (friction * GRAVITY) + 0.1) * engine.hz)):
+        simulation.step()
+    return (float(simulation.bind("xpos")[0, BODY, 0]) - ASIDE[0]) / expected
+
+
+def creep(engine: Engine) -> float:
+    """Speed of a cube that friction 1 holds on a slope of 20° [mm/s]: its weight pulls along the floor."""
+    simulation = engine.make(restitution=0.0)
+    place(simulation, (*ASIDE, half_height("cube_s")))
+    pull = float(simulation.model.body_mass[BODY]) * GRAVITY * math.tan(math.radians(20.0))
+    simulation.bind("xfrc_applied")[:, BODY, 0] = pull
+    positions = []
+    for _ in range(2):
+        for _ in range(round(0.5 * engine.hz)):
+            simulation.step()
+        positions.append(float(simulation.bind("xpos")[0, BODY, 0]))
+    return 1e3 * (positions[1] - positions[0]) / 0.5
+
+
+def grip(engine: Engine, num_envs: int = 8) -> float:
+    """Share of cubes in the closed hand that a pull away from the palm leaves there for a second."""
+    simulation = engine.make("cube_l", num_envs, restitution=0.0)
+    normal = torch.tensor(PALM_NORMAL, dtype=torch.float64)
+    shifts = torch.linspace(-SPREAD, SPREAD, num_envs, dtype=torch.float64)[:, None]
+    place(simulation, torch.tensor(GRIP_SPOT, dtype=torch.float64) + shifts * torch.tensor((0.0, 1.0, 0.0)))
+    closed = torch.tensor(GRIP, dtype=torch.float64)
+    for step in range(round(1.8 * engine.hz)):
+        time = step / engine.hz
+        simulation.bind("ctrl")[:, HAND_JOINTS] = HOME[HAND_JOINTS] + min(2.0 * time, 1.0) * closed
+        simulation.bind("xfrc_applied")[:, BODY, :3] = (PULL if time > 0.8 else 0.0) * normal
+        simulation.step()
+    palm = simulation.bind("site_xpos")[:, simulation.model.site("palm").id]
+    distance = (simulation.bind("xpos")[:, BODY] - palm).norm(dim=1)
+    return float((distance < HELD_DISTANCE).double().mean())
+
+
+RATES = (600.0, 660.0, 1200.0)
+RESTITUTIONS = (0.0, 0.1, 0.25, 0.5)
+
+
+def physx(name: str = "physx", hz: float = 600.0, **settings: float) -> Engine:
+    """PhysX with other settings than the package's."""
+    return Engine(name=name, hz=hz, make_copy=partial(PhysxCopy, cfg=replace(PhysxCfg(), **settings)))
+
+
+def engines() -> list[Engine]:
+    """Those of the table."""
+    return [
+        *(Engine(name="mujoco", hz=hz) for hz in RATES),
+        *(physx(hz=hz) for hz in RATES),
+        *(
+            physx(f"physx, offset {mm:g} mm", hz, contact_speed=1e-3 * mm * hz)
+            for mm in (0.5, 5.0)
+            for hz in (600.0, 1200.0)
+        ),
+        physx("physx, 4 iterations", position_iterations=4),
+        physx("physx, bounces from 2 m/s", bounce_speed=2.0),
+        *(Engine(name="drake", hz=hz, make_copy=DrakeCopy) for hz in RATES),
+    ]
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", default="", help="engines whose name begins so")
+    chosen = [each for each in engines() if each.name.startswith(parser.parse_args().only)]
+    print(
+        "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
+        "| slide 0.5, 1 | creep mm/s | grip % |"
+    )
+    print("| --- |" + " ---: |" * 9)
+    for each in chosen:
+        way, change = flight(each)
+        moved = [[motion(each, joints, name) for name in COMMANDS] for joints in (ARM_JOINTS, HAND_JOINTS)]
+        cells = [f"{way:.2f}", f"{change:.3f}", *(f"{a:.2f}, {b:.2f}" for a, b in moved)]
+        cells += [f"{resting_depth(each):.0f}", f"{slide(each, 0.5):.2f}, {slide(each, 1.0):.2f}"]
+        cells += [f"{creep(each):.2f}", f"{100 * grip(each):.0f}"]
+        print(f"| {each.name} | {each.hz:g} | " + " | ".join(cells) + " |", flush=True)
+    print("\n| engine | Hz | object, m/s | " + " | ".join(f"e = {e:g}" for e in RESTITUTIONS) + " |")
+    print("| --- | ---: | --- |" + " ---: |" * len(RESTITUTIONS))
+    for each in chosen:
+        for name in ("sphere_l", "cube_l"):
+            for speed in (1.0, 4.0):
+                known = RESTITUTIONS[:1] if each.make_copy is DrakeCopy else RESTITUTIONS  # Drake has none
+                cells = ["{:.2f} ± {:.2f}".format(*rebound(each, name, speed, e)) for e in known]
+                cells += [""] * (len(RESTITUTIONS) - len(known))
+                print(
+                    f"| {each.name} | {each.hz:g} | {name}, {speed:g} | " + " | ".join(cells) + " |",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

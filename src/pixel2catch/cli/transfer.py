@@ -1,0 +1,114 @@
+"""`pixel2catch transfer`: policies in the physics of engines that they were not trained in."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional
+
+from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, Seed, Within
+from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.shipped import PolicyPath
+
+if TYPE_CHECKING:
+    from pixel2catch.evaluation.metrics import Metrics
+    from pixel2catch.evaluation.protocol import EvaluationCfg
+    from pixel2catch.evaluation.stress.measuring import Result
+    from pixel2catch.evaluation.stress.suite import Setting
+
+THROWS_AT_ONCE = 20
+"""Throws of a round. Source: ours: other engines step them one after the other, so that more gain nothing."""
+
+Share = Annotated[float, Within(0.0, 1.0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transfer:
+    """Evaluate policies in several physics engines, the same throws in all. Goes on where it stopped."""
+
+    #: Folders of policies or training runs, ONNX files, or names of shipped policies. Default:
+    #: catch_alone+fit.
+    policies: Positional[tuple[PolicyPath, ...]] = ()
+    #: Engines: mujoco, physx, drake; the first is home, with which the others are compared.
+    engines: tuple[str, ...] = ("mujoco", "physx")
+    #: Restitutions of the objects. Default: drawn for every throw, from 0 to 0.5, as in training.
+    restitution: tuple[Share, ...] = ()
+    throws: Count = 200  #: Throws in each cell: up to 20, or a multiple of 20.
+    #: What is thrown: seen, unseen, real, names of objects, or several of them.
+    objects: tuple[str, ...] = ("seen",)
+    seed: Seed = 0  #: Seed of everything that is drawn.
+    jobs: Count = 1  #: Cells that are tried at once, each in a process with one thread.
+    physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
+    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: transfer --env.help.
+    env: FieldOptions = ()
+    out: ResultsFolder = Path("transfer")  #: Folder of the results; other throws need another one.
+    json: bool = False  #: Print the table as one JSON object.
+
+    def run(self) -> None:
+        """Compute what is missing, write the report and print it."""
+        from rich.console import Console
+
+        from pixel2catch.cli.console import say
+        from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
+        from pixel2catch.evaluation.transfer.cells import estimated_seconds, throw_metrics, transfer_settings
+        from pixel2catch.evaluation.transfer.report import as_markdown, make_table, write_report
+        from pixel2catch.files import json_text
+        from pixel2catch.progress import ProgressBar, duration
+        from pixel2catch.shipped import policy_folder
+        from pixel2catch.sim.simulation import require_engine
+
+        for engine in self.engines:
+            require_engine(engine)
+        cfg = self._evaluation()
+        settings = tuple(map(self._with_fields, transfer_settings(self.engines, self.restitution)))
+        policies = find_policies(self.policies or (policy_folder(None),))
+        results = plan_results(policies, settings, self.out)
+        missing = [each for each in results if each.read() is None]
+        if missing:
+            left = duration(estimated_seconds(missing, cfg) / min(self.jobs, len(missing)))
+            say(f"{len(missing)} cells of {self.throws} throws to do: about {left}")
+
+        def report(number: int, result: "Result", metrics: "Metrics") -> None:
+            name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
+            say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
+
+        with ProgressBar("transfer", 1.0, console=Console(stderr=True, highlight=False)) as bar:
+            table = make_table(results, measure(results, cfg, report, self.jobs, bar.show, throw_metrics))
+        print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
+        write_report(self.out, table)
+        say(f"wrote {self.out}: table.md, table.csv, table.json, heatmap.png")
+
+    def _evaluation(self) -> "EvaluationCfg":
+        """What is thrown, in rounds.
+
+        Raises:
+            InvalidValueError: If the throws are no whole rounds, or something is named twice.
+        """
+        from pixel2catch.envs.cfg import CatchEnvCfg
+        from pixel2catch.errors import InvalidValueError
+        from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.scene.objects import select_objects
+        from pixel2catch.scene.scene import SceneCfg
+
+        at_once = min(self.throws, THROWS_AT_ONCE)
+        if self.throws % at_once:
+            raise InvalidValueError(
+                f"throws is {self.throws}; it must be at most {THROWS_AT_ONCE}, or a multiple of that"
+            )
+        for name in ("engines", "restitution"):
+            values = getattr(self, name)
+            if len(set(values)) < len(values):
+                raise InvalidValueError(f"{name} is {' '.join(map(str, values))}; name each once")
+        return EvaluationCfg(
+            objects=select_objects(self.objects),
+            num_envs=at_once,
+            trials=self.throws // at_once,
+            seed=self.seed,
+            task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
+        )
+
+    def _with_fields(self, setting: "Setting") -> "Setting":
+        if not self.env:
+            return setting
+        change = EvaluatedTask(options=self.env, command="transfer", then=setting.level.change)
+        return replace(setting, level=replace(setting.level, change=change))

@@ -1,0 +1,83 @@
+"""The cells of a transfer matrix: engines by restitutions, the same throws in all."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.evaluation.metrics import Metrics, metrics
+from pixel2catch.evaluation.protocol import ROUND_STEPS, EvaluationCfg, Trials, round_steps
+from pixel2catch.evaluation.stress.measuring import Result
+from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
+
+AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
+PAIRED = ("is_tracked", "is_success", "is_verified")
+"""What is noted of every throw, so that engines can be compared throw by throw."""
+
+PROBE_STEPS = 3  #: Control steps by which the time of a cell is estimated. Source: ours.
+
+
+def transfer_settings(engines: Sequence[str], restitutions: Sequence[float]) -> tuple[Setting, ...]:
+    """Engines by restitutions; without any of these, they are drawn as the task says."""
+    levels = [(f"{value:g}", {"restitution": (value, value)}) for value in restitutions]
+    levels = levels or [(AS_TRAINED, {})]
+    settings = []
+    for engine in engines:
+        steps = part("scene", engine=engine)
+        axis = Axis(
+            name=engine,
+            unit="",
+            levels=tuple(
+                Level(
+                    label=label,
+                    change=together(steps, part("randomization", **changed)) if changed else steps,
+                    source="the caller's",
+                )
+                for label, changed in levels
+            ),
+        )
+        settings += [Setting(axis=axis, level=level) for level in axis.levels]
+    return tuple(settings)
+
+
+def throw_metrics(trials: Trials) -> Metrics:
+    """Metrics of all throws, and of each throw what happened: a text of 0 and 1."""
+    columns = {
+        "is_tracked": trials.record.is_tracked,
+        "is_success": trials.record.is_success,
+        "is_verified": trials.is_verified,
+    }
+    return {**metrics(trials), "throws": {name: _as_text(columns[name].tolist()) for name in PAIRED}}
+
+
+def _as_text(happened: Sequence[bool]) -> str:
+    return "".join("1" if each else "0" for each in happened)
+
+
+def estimated_seconds(results: Sequence[Result], cfg: EvaluationCfg) -> float:
+    """How long the cells that are missing will take, one after the other [s]: a few steps of each engine."""
+    seconds: dict[str, float] = {}
+    total = 0.0
+    for each in results:
+        if each.read() is None:
+            engine = each.setting.axis.name
+            if engine not in seconds:
+                seconds[engine] = _step_seconds(each, cfg)
+            total += seconds[engine] * ROUND_STEPS * cfg.trials
+    return total
+
+
+def _step_seconds(result: Result, cfg: EvaluationCfg) -> float:
+    """Time of a control step of a cell [s]."""
+    policy, method = load_policy(result.policy.folder)
+    task = result.setting.level.change(task_of(policy, cfg.task.scene.physics_hz))
+    env = replace(cfg, task=task).make_env(method)
+    try:
+        steps = round_steps(env, policy)
+        next(steps)
+        begin = time.perf_counter()
+        for _ in range(PROBE_STEPS):
+            next(steps)
+        return (time.perf_counter() - begin) / PROBE_STEPS
+    finally:
+        env.close()

@@ -1,0 +1,265 @@
+"""Drake: hydroelastic contact, joints with implicit servos, the convex solver SAP.
+
+What Drake has otherwise than MuJoCo: no restitution, since its contacts dissipate what they are given; models
+that ask for one are refused. The object is compliant, all else rigid; what is rigid on both sides touches at
+points.
+"""
+
+import importlib
+import logging
+from functools import cache
+from typing import Any, final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
+from pixel2catch.installation import install_command
+from pixel2catch.sim.engine import EngineCopy, Inputs
+from pixel2catch.sim.rigid_world import Body, Geom, Pose, RigidWorld
+
+MODULES = {
+    "plant": "pydrake.multibody.plant",
+    "tree": "pydrake.multibody.tree",
+    "math": "pydrake.multibody.math",
+    "geometry": "pydrake.geometry",
+    "framework": "pydrake.systems.framework",
+    "transforms": "pydrake.math",
+}
+"""Parts of Drake that are used."""
+
+MODULUS = 1e5
+"""Stiffness of the object [Pa]. Source: ours, `benchmarks/engine_calibration.py`: of one ten times as stiff
+the contact comes and goes from step to step, and a cube slides 30 % less far than by Coulomb's law."""
+
+RESOLUTION = 0.01  #: Edges of the triangles of round shapes [m]. Source: ours, a quarter of an object.
+DISSIPATION = 20.0  #: Hunt and Crossley's dissipation [s/m]. Source: ours, as above: 4 % of 1 m/s come back.
+POINT_STIFFNESS = 1e5  #: Of contacts between rigid parts [N/m]. Source: ours.
+
+
+@final
+class DrakeCopy(EngineCopy):
+    """A multibody plant with its scene graph."""
+
+    def __init__(self, world: RigidWorld) -> None:
+        """Build the plant.
+
+        Raises:
+            DeviceUnavailableError: If Drake is not installed.
+            InvalidValueError: If there is a restitution, a shape is none of Drake's, or gravity pulls at some
+                links alone.
+        """
+        if world.restitution > 1e-6:
+            raise InvalidValueError(
+                f"the object's restitution is {world.restitution:g}; engine 'drake' has none: give "
+                "--restitution 0, or --env.randomization.restitution 0 0"
+            )
+        drake = load_drake()
+        builder = drake["framework"].DiagramBuilder()
+        self._plant, graph = drake["plant"].AddMultibodyPlantSceneGraph(builder, world.timestep)
+        self._made = _Builder(self._plant, world)
+        self._made.filter(graph)
+        self._diagram = builder.Build()
+        self._root = self._diagram.CreateDefaultContext()
+        self._context = self._plant.GetMyMutableContextFromRoot(self._root)
+        plant, made = self._plant, self._made
+        hinges = [body for body in world.bodies if body.joint is not None]
+        self._q = [made.joints[body.number].position_start() for body in hinges]
+        self._v = [made.joints[body.number].velocity_start() for body in hinges]
+        self._links = [body.number for body in hinges]
+        self._qpos = [body.qpos for body in hinges]
+        self._dofs = [body.dof for body in hinges]
+        self._ctrl = [body.joint.actuator for body in hinges if body.joint is not None]
+        self._free = [
+            (
+                body,
+                made.bodies[body.number].floating_positions_start(),
+                made.bodies[body.number].floating_velocities_start_in_v(),
+            )
+            for body in world.bodies
+            if body.joint is None
+        ]
+        self._aim = np.zeros(2 * len(hinges))
+        self._target = plant.get_desired_state_input_port(made.robots)
+        self._force = plant.get_applied_generalized_force_input_port()
+
+    def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+        plant = self._plant
+        q, v = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())
+        q[self._q], v[self._v] = qpos[self._qpos], qvel[self._dofs]
+        for body, first, speed in self._free:
+            q[first : first + 4], q[first + 4 : first + 7] = (
+                qpos[body.qpos + 3 : body.qpos + 7],
+                qpos[body.qpos : body.qpos + 3],
+            )
+            v[speed : speed + 3] = _rotation(q[first : first + 4]) @ qvel[body.dof + 3 : body.dof + 6]
+            v[speed + 3 : speed + 6] = qvel[body.dof : body.dof + 3]
+        plant.SetPositionsAndVelocities(self._context, np.concatenate((q, v)))
+
+    def step(self, inputs: Inputs) -> None:  # noqa: D102
+        self._aim[: len(self._ctrl)] = inputs.ctrl[self._ctrl]
+        self._target.FixValue(self._context, self._aim)
+        force = np.zeros(self._plant.num_velocities())
+        force[self._v] = inputs.qfrc_applied[self._dofs]
+        if inputs.xfrc_applied[self._links].any():
+            raise InvalidValueError(
+                "xfrc_applied pushes a link; engine 'drake' takes it of free bodies alone"
+            )
+        positions = self._plant.GetPositions(self._context)
+        for body, first, speed in self._free:
+            rotation = _rotation(positions[first : first + 4])
+            applied, pushed = inputs.qfrc_applied[body.dof : body.dof + 6], inputs.xfrc_applied[body.number]
+            arm = rotation @ body.inertial_pose[:3, 3]
+            force[speed : speed + 3] = rotation @ applied[3:] + pushed[3:] + np.cross(arm, pushed[:3])
+            force[speed + 3 : speed + 6] = applied[:3] + pushed[:3]
+        self._force.FixValue(self._context, force)
+        following = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
+        self._root.get_mutable_discrete_state().SetFrom(following)
+
+    def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+        q, v = self._plant.GetPositions(self._context), self._plant.GetVelocities(self._context)
+        qpos[self._qpos], qvel[self._dofs] = q[self._q], v[self._v]
+        for body, first, speed in self._free:
+            qpos[body.qpos : body.qpos + 3] = q[first + 4 : first + 7]
+            quat = q[first : first + 4] / np.linalg.norm(q[first : first + 4])
+            qpos[body.qpos + 3 : body.qpos + 7] = quat
+            qvel[body.dof : body.dof + 3] = v[speed + 3 : speed + 6]
+            qvel[body.dof + 3 : body.dof + 6] = _rotation(quat).T @ v[speed : speed + 3]
+
+
+@final
+class _Builder:
+    """Adds bodies, joints and shapes to a plant, and finalizes it."""
+
+    def __init__(self, plant: Any, world: RigidWorld) -> None:
+        self._plant, self._world, self._drake = plant, world, load_drake()
+        self.robots = plant.AddModelInstance("robots")
+        self._thrown = plant.AddModelInstance("thrown")
+        self.bodies: dict[int, Any] = {0: plant.world_body()}
+        self.joints: dict[int, Any] = {}
+        self._shapes: list[tuple[int, Geom, Any]] = []  # with the number of their bodies
+        plant.mutable_gravity_field().set_gravity_vector(world.gravity)
+        for number, geoms in world.fixed.items():
+            self._add_shapes(-number, plant.world_body(), geoms, is_soft=False)
+        for body in world.bodies:
+            self._add_body(body)
+        has_weight = {body.has_weight for body in world.bodies if body.joint is not None}
+        if len(has_weight) > 1:
+            raise InvalidValueError("gravity pulls at some links and not at others, which Drake cannot do")
+        plant.set_gravity_enabled(self.robots, has_weight == {True})
+        plant.set_contact_model(self._drake["plant"].ContactModel.kHydroelasticWithFallback)
+        plant.SetUseSampledOutputPorts(False)  # so that a step is one update of discrete state
+        plant.Finalize()
+
+    def filter(self, graph: Any) -> None:
+        """Let those shapes collide that do so in MuJoCo."""
+        geometry = self._drake["geometry"]
+        manager, parents = graph.collision_filter_manager(), {b.number: b.parent for b in self._world.bodies}
+        excluded = {frozenset(pair) for pair in self._world.excluded}
+        for i, (one, first, first_id) in enumerate(self._shapes):
+            for other, second, second_id in self._shapes[:i]:
+                meets = (first.contype & second.conaffinity) | (second.contype & first.conaffinity)
+                is_neighbour = (parents.get(one) or -one) == other or (parents.get(other) or -other) == one
+                if not meets or one == other or is_neighbour or frozenset((one, other)) in excluded:
+                    declared = geometry.CollisionFilterDeclaration().ExcludeBetween(
+                        geometry.GeometrySet(first_id), geometry.GeometrySet(second_id)
+                    )
+                    manager.Apply(declared)
+
+    def _add_body(self, body: Body) -> None:
+        plant, tree = self._plant, self._drake["tree"]
+        axes, instance = body.inertial_pose[:3, :3], self.robots if body.joint else self._thrown
+        i = axes @ np.diag(body.inertia) @ axes.T
+        inertia = tree.SpatialInertia.MakeFromCentralInertia(
+            body.mass,
+            body.inertial_pose[:3, 3],
+            tree.RotationalInertia(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
+        )
+        made = self.bodies[body.number] = plant.AddRigidBody(f"body_{body.number}", instance, inertia)
+        self._add_shapes(body.number, made, body.geoms, is_soft=body.joint is None)
+        if (joint := body.joint) is None:
+            return
+        offset = np.eye(4)
+        offset[:3, 3] = joint.pos
+        parent, frames = self.bodies[body.parent], []
+        for name, frame, pose in (
+            ("parent", parent.body_frame(), body.pose @ offset),
+            ("child", made.body_frame(), offset),
+        ):
+            frames.append(
+                plant.AddFrame(tree.FixedOffsetFrame(f"{name}_{body.number}", frame, self._pose(pose)))
+            )
+        hinge = tree.RevoluteJoint(f"joint_{body.number}", *frames, joint.axis, *joint.limits, 0.0)
+        added = self.joints[body.number] = plant.AddJoint(hinge)
+        servo = plant.AddJointActuator(f"joint_{body.number}", added, joint.effort_limit)
+        servo.set_default_rotor_inertia(joint.armature)
+        servo.set_default_gear_ratio(1.0)
+        servo.set_controller_gains(tree.PdControllerGains(p=joint.stiffness, d=joint.damping))
+
+    def _add_shapes(self, number: int, body: Any, geoms: tuple[Geom, ...], *, is_soft: bool) -> None:
+        geometry, world = self._drake["geometry"], self._world
+        for geom in geoms:
+            properties = geometry.ProximityProperties()
+            surface = self._drake["plant"].CoulombFriction(world.friction, world.friction)
+            geometry.AddContactMaterial(DISSIPATION, POINT_STIFFNESS, surface, properties)
+            if is_soft:
+                geometry.AddCompliantHydroelasticProperties(RESOLUTION, MODULUS, properties)
+            else:
+                geometry.AddRigidHydroelasticProperties(RESOLUTION, properties)
+            made = self._plant.RegisterCollisionGeometry(
+                body, self._pose(geom.pose), self._shape(geom), f"shape_{len(self._shapes)}", properties
+            )
+            self._shapes.append((number, geom, made))
+
+    def _shape(self, geom: Geom) -> Any:
+        """A shape of Drake.
+
+        Raises:
+            InvalidValueError: If Drake has no such shape.
+        """
+        geometry, kinds = self._drake["geometry"], mujoco.mjtGeom
+        match geom.type:
+            case kinds.mjGEOM_BOX:
+                return geometry.Box(*(2.0 * geom.size))
+            case kinds.mjGEOM_SPHERE:
+                return geometry.Sphere(geom.size[0])
+            case kinds.mjGEOM_CAPSULE:
+                return geometry.Capsule(geom.size[0], 2.0 * geom.size[1])
+            case kinds.mjGEOM_CYLINDER:
+                return geometry.Cylinder(geom.size[0], 2.0 * geom.size[1])
+            case kinds.mjGEOM_PLANE:
+                return geometry.HalfSpace()
+            case kinds.mjGEOM_MESH:
+                return geometry.Convex(geom.vertices.T, "hull")
+            case _:
+                raise InvalidValueError(f"Drake has no shape for a geom of type {geom.type.name}")
+
+    def _pose(self, matrix: Pose) -> Any:
+        transforms = self._drake["transforms"]
+        rotation = transforms.RotationMatrix.ProjectToRotationMatrix(matrix[:3, :3])
+        return transforms.RigidTransform(rotation, matrix[:3, 3])
+
+
+def _rotation(quat: Float[ndarray, "4"]) -> Float[ndarray, "3 3"]:
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, np.ascontiguousarray(quat))
+    return rotation.reshape(3, 3)
+
+
+@cache
+def load_drake() -> dict[str, Any]:
+    """The modules of Drake that are used.
+
+    Raises:
+        DeviceUnavailableError: If it is not installed.
+    """
+    try:
+        modules = {name: importlib.import_module(module) for name, module in MODULES.items()}
+    except ImportError as error:
+        raise DeviceUnavailableError(
+            f"engine 'drake' needs Drake, which cannot be imported ({error}): {install_command('drake')}."
+        ) from None
+    logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of what half-spaces do to soft bodies
+    return modules

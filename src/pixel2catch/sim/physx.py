@@ -1,0 +1,283 @@
+"""PhysX, by SAPIEN: reduced coordinates, implicit servos, rigid contacts with an explicit restitution.
+
+What PhysX has otherwise than MuJoCo: every surface of a copy has the friction and restitution of the thrown
+object, since PhysX mixes two surfaces by their mean; contacts have no softness.
+"""
+
+import importlib
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
+from pixel2catch.installation import install_command
+from pixel2catch.sim.engine import EngineCopy, Inputs
+from pixel2catch.sim.rigid_world import Body, Geom, Joint, Pose, RigidWorld, quat_of, turned_onto
+
+MOST_EXCLUDED = 32  #: Pairs that do not collide; SAPIEN has that many bits.
+COLLISION_ID = 1  #: Pairs are left out among shapes of the same number.
+
+Component = Any
+"""A body of SAPIEN, which has no types."""
+
+ALONG_Z = turned_onto(np.array((0.0, 0.0, 1.0)))
+"""MuJoCo's capsules, cylinders and planes have their axis along z, PhysX's along x."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysxCfg:
+    """What PhysX leaves to its user. Source: ours, `benchmarks/engine_calibration.py`."""
+
+    #: The contact offset of a surface is its way in a step at this speed [m/s]: two surfaces then see each
+    #: other before they meet.
+    contact_speed: float = 3.0
+    bounce_speed: float = 0.05  #: Below this speed nothing bounces [m/s].
+    position_iterations: int = 16  #: Iterations of the solver for positions, each a part of a step.
+    velocity_iterations: int = 1  #: Iterations of the solver for speeds.
+
+
+@final
+class PhysxCopy(EngineCopy):
+    """A PhysX scene on the CPU."""
+
+    def __init__(self, world: RigidWorld, cfg: PhysxCfg = PhysxCfg()) -> None:
+        """Build articulations for what hangs on joints, and free bodies.
+
+        Raises:
+            DeviceUnavailableError: If SAPIEN is not installed.
+            InvalidValueError: If too many pairs of bodies are excluded from collision, or a shape is none of
+                PhysX's.
+        """
+        if len(world.excluded) > MOST_EXCLUDED:
+            raise InvalidValueError(
+                f"{len(world.excluded)} pairs of bodies do not collide; PhysX has room for {MOST_EXCLUDED}"
+            )
+        sapien = load_sapien()
+        self._system = _system(world, cfg)
+        self._scene = sapien.Scene([self._system])
+        shapes = _Shapes(world, cfg.contact_speed * world.timestep)
+        self._add(shapes.attached(sapien.physx.PhysxRigidStaticComponent(), world.fixed[0]))
+        self._components = _components(world, shapes)
+        for component in self._components.values():
+            self._add(component)
+        self._free = [(body, self._components[body.number]) for body in world.bodies if body.joint is None]
+        jointed = {body.number: (body, body.joint) for body in world.bodies if body.joint is not None}
+        self._trees = _trees(jointed, self._components)
+        for solved in (
+            *(component for _, component in self._free),
+            *(tree.articulation for tree in self._trees),
+        ):
+            solved.set_solver_position_iterations(cfg.position_iterations)
+            solved.set_solver_velocity_iterations(cfg.velocity_iterations)
+            solved.set_sleep_threshold(0.0)
+
+    def set_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+        for tree in self._trees:
+            tree.articulation.set_qpos(qpos[tree.qpos])
+            tree.articulation.set_qvel(qvel[tree.dofs])
+        for body, component in self._free:
+            pos, quat = qpos[body.qpos : body.qpos + 3], qpos[body.qpos + 3 : body.qpos + 7]
+            rotation = _rotation(quat)
+            angular = rotation @ qvel[body.dof + 3 : body.dof + 6]
+            arm = rotation @ body.inertial_pose[:3, 3]
+            component.entity.set_pose(load_sapien().Pose(pos, quat))
+            component.set_linear_velocity(qvel[body.dof : body.dof + 3] + _cross(angular, arm))
+            component.set_angular_velocity(angular)
+
+    def step(self, inputs: Inputs) -> None:  # noqa: D102
+        for tree in self._trees:
+            for joint, target in zip(tree.joints, inputs.ctrl[tree.actuators].tolist(), strict=True):
+                joint.set_drive_target(target)
+            tree.articulation.set_qf(inputs.qfrc_applied[tree.dofs])
+        for number in np.flatnonzero(inputs.xfrc_applied.any(axis=1)).tolist():
+            force = inputs.xfrc_applied[number]
+            self._components[number].add_force_torque(force[:3], force[3:])
+        for body, component in self._free:
+            applied = inputs.qfrc_applied[body.dof : body.dof + 6]
+            if applied.any():
+                rotation = np.array(component.entity.pose.to_transformation_matrix())[:3, :3]
+                arm = rotation @ body.inertial_pose[:3, 3]
+                torque = rotation @ applied[3:] - _cross(arm, applied[:3])
+                component.add_force_torque(applied[:3], torque)
+        self._system.step()
+
+    def read_state(self, qpos: Float[ndarray, " nq"], qvel: Float[ndarray, " nv"]) -> None:  # noqa: D102
+        for tree in self._trees:
+            qpos[tree.qpos] = tree.articulation.get_qpos()
+            qvel[tree.dofs] = tree.articulation.get_qvel()
+        for body, component in self._free:
+            pose = component.entity.pose
+            qpos[body.qpos : body.qpos + 3], qpos[body.qpos + 3 : body.qpos + 7] = pose.p, pose.q
+            rotation = _rotation(qpos[body.qpos + 3 : body.qpos + 7])
+            angular = np.array(component.angular_velocity, dtype=float)
+            arm = rotation @ body.inertial_pose[:3, 3]
+            qvel[body.dof : body.dof + 3] = component.linear_velocity - _cross(angular, arm)
+            qvel[body.dof + 3 : body.dof + 6] = rotation.T @ angular
+
+    def _add(self, component: Component) -> None:
+        entity = load_sapien().Entity()
+        entity.add_component(component)
+        self._scene.add_entity(entity)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Tree:
+    """An articulation, and where its joints are in MuJoCo's arrays, in PhysX's order."""
+
+    articulation: Any
+    joints: list[Any]
+    qpos: list[int]
+    dofs: list[int]
+    actuators: list[int]
+
+
+def _trees(bodies: dict[int, tuple[Body, Joint]], components: dict[int, Component]) -> list[_Tree]:
+    """The articulations of bodies on joints, by number."""
+    articulations = {id(a): a for a in (components[number].articulation for number in bodies)}
+    trees = []
+    for articulation in articulations.values():
+        joints = articulation.get_active_joints()
+        members = [bodies[int(joint.name)] for joint in joints]
+        trees.append(
+            _Tree(
+                articulation=articulation,
+                joints=joints,
+                qpos=[body.qpos for body, _ in members],
+                dofs=[body.dof for body, _ in members],
+                actuators=[joint.actuator for _, joint in members],
+            )
+        )
+    return trees
+
+
+def _components(world: RigidWorld, shapes: "_Shapes") -> dict[int, Component]:
+    """Links and free bodies by number, links with their joints."""
+    physx = load_sapien().physx
+    roots = {}
+    for number in world.fixed.keys() - {0}:
+        roots[number] = shapes.attached(physx.PhysxArticulationLinkComponent(None), world.fixed[number])
+        roots[number].joint.type = "fixed"
+    components = {}
+    for body in world.bodies:
+        if body.joint is None:
+            component = physx.PhysxRigidDynamicComponent()
+        else:
+            component = physx.PhysxArticulationLinkComponent(
+                components.get(body.parent, roots.get(body.number))
+            )
+            _set_joint(component.joint, body, body.joint)
+        shapes.attached(component, body.geoms, body.number)
+        component.mass = body.mass
+        component.cmass_local_pose = _pose(body.inertial_pose)
+        component.inertia = body.inertia
+        component.disable_gravity = not body.has_weight
+        component.linear_damping = component.angular_damping = 0.0
+        components[body.number] = component
+    return {-number: root for number, root in roots.items()} | components
+
+
+def _set_joint(made: Any, body: Body, joint: Joint) -> None:
+    """Make a link's joint a hinge with a servo."""
+    made.name, made.type = str(body.number), "revolute_unwrapped"
+    frame = turned_onto(joint.axis)
+    frame[:3, 3] = joint.pos
+    made.pose_in_child, made.pose_in_parent = _pose(frame), _pose(body.pose @ frame)
+    made.limits = np.array([joint.limits])
+    made.armature = np.array([joint.armature])
+    made.friction = 0.0
+    made.set_drive_properties(joint.stiffness, joint.damping, joint.effort_limit)
+
+
+@final
+class _Shapes:
+    """Makes shapes of one surface, with the collision filters of their bodies."""
+
+    def __init__(self, world: RigidWorld, offset: float) -> None:
+        physx = load_sapien().physx
+        self._material = physx.PhysxMaterial(world.friction, world.friction, world.restitution)
+        self._offset = offset
+        self._excluded = world.excluded
+
+    def attached(self, component: Component, geoms: tuple[Geom, ...], number: int = 0) -> Component:
+        """The component with these shapes; the number of its body says with which it does not collide."""
+        for geom in geoms:
+            shape, frame = self._shape(geom)
+            shape.set_local_pose(_pose(geom.pose @ frame))
+            left_out = sum(1 << i for i, pair in enumerate(self._excluded) if number in pair)
+            shape.set_collision_groups([geom.contype, geom.conaffinity, left_out, COLLISION_ID])
+            shape.contact_offset, shape.rest_offset = self._offset, 0.0
+            component.attach(shape)
+        return component
+
+    def _shape(self, geom: Geom) -> tuple[Any, Pose]:
+        """A shape of PhysX, and its frame in that of the geom.
+
+        Raises:
+            InvalidValueError: If PhysX has no such shape.
+        """
+        physx, kinds = load_sapien().physx, mujoco.mjtGeom
+        match geom.type:
+            case kinds.mjGEOM_BOX:
+                return physx.PhysxCollisionShapeBox(geom.size, self._material), np.eye(4)
+            case kinds.mjGEOM_SPHERE:
+                return physx.PhysxCollisionShapeSphere(geom.size[0], self._material), np.eye(4)
+            case kinds.mjGEOM_CAPSULE:
+                return physx.PhysxCollisionShapeCapsule(*geom.size[:2], self._material), ALONG_Z
+            case kinds.mjGEOM_CYLINDER:
+                return physx.PhysxCollisionShapeCylinder(*geom.size[:2], self._material), ALONG_Z
+            case kinds.mjGEOM_PLANE:
+                return physx.PhysxCollisionShapePlane(self._material), ALONG_Z
+            case kinds.mjGEOM_MESH:
+                return physx.PhysxCollisionShapeConvexMesh(geom.vertices, np.ones(3), self._material), np.eye(
+                    4
+                )
+            case _:
+                raise InvalidValueError(f"PhysX has no shape for a geom of type {geom.type.name}")
+
+
+def _system(world: RigidWorld, cfg: PhysxCfg) -> Any:
+    physx = load_sapien().physx
+    physx.set_scene_config(gravity=world.gravity, bounce_threshold=cfg.bounce_speed)
+    system = physx.PhysxCpuSystem()
+    system.timestep = world.timestep
+    return system
+
+
+def _pose(matrix: Pose) -> Any:
+    return load_sapien().Pose(matrix[:3, 3], quat_of(matrix))
+
+
+def _cross(first: Float[ndarray, "3"], second: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+    """The cross product, at a twentieth of the time of NumPy's."""
+    result = np.empty(3)
+    mujoco.mju_cross(result, np.asarray(first, dtype=float), np.asarray(second, dtype=float))
+    return result
+
+
+def _rotation(quat: Float[ndarray, "4"]) -> Float[ndarray, "3 3"]:
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, quat)
+    return rotation.reshape(3, 3)
+
+
+@cache
+def load_sapien() -> Any:
+    """The package, of which a renderer is no part that is needed here.
+
+    Raises:
+        DeviceUnavailableError: If it is not installed.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that there is no graphics driver
+            return importlib.import_module("sapien")
+    except ImportError as error:
+        raise DeviceUnavailableError(
+            f"engine 'physx' needs SAPIEN, which cannot be imported ({error}): {install_command('physx')}."
+        ) from None

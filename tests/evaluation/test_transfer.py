@@ -1,0 +1,139 @@
+"""Policies in other engines: pairs of throws by hand, the tables, and the real command."""
+
+import csv
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from pixel2catch.cli.main import main
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.evaluation.metrics import paired_difference
+from pixel2catch.evaluation.stress.measuring import PolicyEntry, plan_results
+from pixel2catch.evaluation.transfer.cells import AS_TRAINED, transfer_settings
+from pixel2catch.evaluation.transfer.report import as_csv, as_markdown, make_table, picture
+from pixel2catch.methods import METHODS
+from pixel2catch.policy import Policy, contract_of
+
+ENGINES = ("mujoco", "physx")
+NEEDS_PHYSX = pytest.mark.skipif(importlib.util.find_spec("sapien") is None, reason="SAPIEN is not installed")
+
+
+def test_a_paired_difference_by_hand():
+    """Of ten throws one is won and three are lost: -20 points; McNemar's p is 2 (4 + 1) / 16."""
+    found = paired_difference("1111110000", "0001110010")
+    assert (found["lost"], found["won"], found["difference"]) == (3, 1, -0.2)
+    assert found["p_value"] == pytest.approx(0.625)
+    half = 1.959964 * (5 - 4 / 12) ** 0.5 / 12
+    assert found["difference_interval"] == pytest.approx([-2 / 12 - half, -2 / 12 + half])
+
+
+def test_equal_throws_differ_by_nothing():
+    found = paired_difference("1101", "1101")
+    assert (found["difference"], found["p_value"]) == (0.0, 1.0)
+    assert found["difference_interval"][0] < 0.0 < found["difference_interval"][1]
+
+
+def test_settings_change_the_engine_and_the_restitution_alone():
+    task = CatchEnvCfg()
+    settings = transfer_settings(ENGINES, (0.0, 0.25))
+    assert [each.name for each in settings] == ["mujoco-0", "mujoco-0.25", "physx-0", "physx-0.25"]
+    changed = settings[3].level.change(task)
+    assert (changed.scene.engine, changed.randomization.restitution) == ("physx", (0.25, 0.25))
+    assert (changed.sensing, changed.throws) == (task.sensing, task.throws)
+    home, other = transfer_settings(ENGINES, ())
+    assert home.level.change(task) == task
+    assert (other.level.label, other.level.change(task).randomization) == (AS_TRAINED, task.randomization)
+
+
+def content(caught: str) -> dict:
+    """A cell in which throws are caught or dropped, and every second catch holds."""
+    rate, low, high = caught.count("1") / len(caught), 0.1, 0.9
+    names = ("tracking_rate", "success_rate", "verified_hold_rate")
+    rates = {name: rate for name in names} | {f"{name}_interval": [low, high] for name in names}
+    throws = {"is_tracked": caught, "is_success": caught, "is_verified": caught}
+    failures = {"never_reached": 0.0, "dropped": 1.0 - rate}
+    return {
+        "metrics": {
+            **rates,
+            "trials": len(caught),
+            "throws": throws,
+            "failures": failures,
+            "max_penetration": 0.0,
+        }
+    }
+
+
+def test_the_tables_compare_each_engine_with_home():
+    policies = [PolicyEntry(name=name, folder=Path(name), method="proposed") for name in ("one", "two")]
+    results = plan_results(policies, transfer_settings(ENGINES, (0.5,)), Path("out"))
+    assert [(each.policy.name, each.setting.axis.name) for each in results][:2] == [
+        ("one", "mujoco"),
+        ("two", "mujoco"),
+    ]
+    table = make_table(results, [content(c) for c in ("1111", "1100", "0111", "1110")])
+    text = as_markdown(table)
+    assert "| one | 0.5 | mujoco | 100.0 [10, 90] |" in text
+    assert "| one | 0.5 | physx | 75.0 [10, 90] | 75.0 [10, 90] | 75.0 [10, 90] | -25.0 [" in text
+    assert "| 0, 1 | 1 |" in text.splitlines()[-1]
+    rows = list(csv.DictReader(as_csv(table).splitlines()))
+    assert len(rows) == 4 * 3
+    assert [row["lost"] for row in rows if row["rate"] == "success_rate"] == ["", "", "1", "0"]
+    assert picture(table).startswith(b"\x89PNG")
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """An untrained policy."""
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("runs") / "untrained"
+    Policy(contract_of(METHODS["proposed"]), hidden=(16,)).save(folder)
+    return str(folder)
+
+
+def arguments(policy: str, out: Path, *options: str) -> list[str]:
+    return ["transfer", policy, "--throws", "2", "--objects", "cube_s", "--out", str(out), *options]
+
+
+def test_the_command_at_home(policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """An estimate, two cells and a report; then nothing to do."""
+    options = ("--engines", "mujoco", "--restitution", "0", "0.5", "--physics-hz", "30", "--json")
+    assert main(arguments(policy, tmp_path, *options)) == 0
+    printed = capsys.readouterr()
+    assert "2 cells of 2 throws to do: about" in printed.err
+    table = json.loads(printed.out)
+    assert [(cell["engine"], cell["restitution"]) for cell in table["cells"]] == [
+        ("mujoco", "0"),
+        ("mujoco", "0.5"),
+    ]
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"cells", "table.md", "table.csv", "table.json", "heatmap.png"}
+    cell = json.loads((tmp_path / "cells/untrained/mujoco-0.5.json").read_text())
+    assert len(cell["metrics"]["throws"]["is_success"]) == 2
+    assert main(arguments(policy, tmp_path, *options)) == 0
+    again = capsys.readouterr()
+    assert "to do" not in again.err
+    assert again.out == printed.out
+
+
+@NEEDS_PHYSX
+def test_the_command_away(policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(arguments(policy, tmp_path, "--physics-hz", "120")) == 0
+    assert f"| untrained | {AS_TRAINED} | physx |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--engines", "bullet"), "unknown engine 'bullet'. Valid: mujoco, physx, drake"),
+        (("--engines", "mujoco", "mujoco"), "engines is mujoco mujoco; name each once"),
+        (("--engines", "mujoco", "--throws", "30"), "throws is 30; it must be at most 20, or a multiple"),
+        (("--engines", "mujoco", "--restitution", "1.5"), "restitution is 1.5; it must be from 0 to 1"),
+    ],
+)
+def test_what_cannot_be_is_refused(policy, tmp_path, capsys, options, message):
+    assert main(arguments(policy, tmp_path / "out", *options)) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
