@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cached_property, partial
 from math import isclose, pi
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -145,7 +145,22 @@ class JointLimits:
             position_age=each(0.02, 0.05),
         )
 
-    @property
+    @cached_property
+    def is_arm(self) -> Bool[np.ndarray, " joints"]:
+        """Which joints are watched as an arm's, which their servo keeps near their command."""
+        return np.isfinite(self.tracking_error)
+
+    @cached_property
+    def is_finger(self) -> Bool[np.ndarray, " joints"]:
+        """Which joints are watched as fingers, which an object may stop."""
+        return np.isfinite(self.escape)
+
+    @cached_property
+    def has_fingers(self) -> bool:
+        """Whether there are any."""
+        return bool(self.is_finger.any())
+
+    @cached_property
     def stop_time(self) -> Joints:
         """Time in which a stop takes each joint to rest [s]."""
         return self.lead / (self.lag * self.deceleration)
@@ -231,6 +246,11 @@ class ServoLimits:
             f"{motion.acceleration.max():.0f} rad/s², {motion.jerk.max():.0f} rad/s³; "
             f"a stop takes {joints.stop_time[ids].max():.2f} s"
         )
+
+    @cached_property
+    def policy_ages(self) -> np.ndarray:
+        """Ages of the newest image, targets and box that are faults [s]."""
+        return np.array((self.image_age, self.target_age, self.box_age))[:, None]
 
     @property
     def num_joints(self) -> int:

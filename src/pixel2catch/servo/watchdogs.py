@@ -3,13 +3,12 @@
 All stamps are of one monotonic clock. A stamp that is no number, or of the future, is as bad as an old one.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag, auto
-from typing import TypeVar
+from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.motion import Bits, Flags, Rows, Times
@@ -27,8 +26,6 @@ FROZEN_ANGLE = 0.01
 
 FROZEN_TIME = 0.15  #: Time that a joint has for that [s]. Source: ours, more than the lag of any servo here.
 CLOCK_ERROR = 1e-3  #: How far ahead a stamp may be [s]. Source: ours; processes read the clock in turn.
-
-AnyFlag = TypeVar("AnyFlag", bound=IntFlag)
 
 
 class Fault(IntFlag):
@@ -89,6 +86,11 @@ class ServoInputs:
     has_subscriber: Flags  #: Whether somebody takes the commands of each driver.
     has_other_subscriber: Flags  #: Whether several take the commands of one.
 
+    @cached_property
+    def is_measured(self) -> Bool[np.ndarray, "rows joints"]:
+        """Which joint positions are numbers."""
+        return np.isfinite(self.joint_pos)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Commanded:
@@ -131,7 +133,7 @@ class JointTrack:
     ) -> tuple["JointTrack", Bool[np.ndarray, "rows joints"]]:
         """What is known with new positions, and which of them went as none can."""
         joints, position, stamp = limits.joints, inputs.joint_pos, inputs.joint_stamp
-        is_measured = np.isfinite(position)
+        is_measured = inputs.is_measured
         is_new = is_measured & np.isfinite(stamp) & ~(stamp <= self.stamp)
         is_next = is_new & np.isfinite(self.stamp)
         elapsed = np.where(is_next, stamp - self.stamp, 0.0)
@@ -170,14 +172,14 @@ def is_recent(
     return (elapsed >= -CLOCK_ERROR) & (elapsed <= age)
 
 
-def all_finite(values: Rows) -> Flags:
-    """Whether all joints of a row have a number."""
-    return np.logical_and.reduce(np.isfinite(values), axis=-1)
+@lru_cache
+def _values(names: tuple[str, ...]) -> Int64[np.ndarray, " names"]:
+    return np.array([Fault[name] for name in names], dtype=np.int64)
 
 
-def bits(flags: Mapping[AnyFlag, Flags]) -> Bits:
-    """The flags that hold in each row, as one number."""
-    return np.array([*flags], dtype=np.int64) @ np.array([*flags.values()])
+def bits(**flags: Flags) -> Bits:
+    """The faults that hold in each row, by their names, as one number."""
+    return _values(tuple(flags)) @ np.array([*flags.values()])
 
 
 def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) -> Bits:
@@ -187,21 +189,19 @@ def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) 
     is_joint_measured = is_recent(now[:, None], inputs.joint_stamp, limits.joints.position_age)
     is_measured = np.logical_and.reduce(is_joint_measured, axis=-1)
     return bits(
-        {
-            Fault.CLOCK: ~((elapsed > 0.0) & (elapsed <= limits.tick_age)),
-            Fault.JOINTS_STALE: ~is_measured,
-            Fault.JOINTS_NOT_FINITE: ~all_finite(inputs.joint_pos),
-            Fault.SAFETY_MODE: ~inputs.is_safe,
-            Fault.SPEED_SCALING: inputs.speed_scaling != 1.0,
-            Fault.STATUS_UNKNOWN: ~inputs.is_status_known,
-            Fault.CONTROLLER: ~inputs.has_controller,
-            Fault.NO_SUBSCRIBER: ~inputs.has_subscriber,
-            Fault.OTHER_SUBSCRIBER: inputs.has_other_subscriber,
-            Fault.OTHER_PUBLISHER: inputs.has_other_publisher,
-            Fault.OTHER_OPERATOR: inputs.has_other_operator,
-            Fault.DEAD_MAN: ~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
-            Fault.STOP_REQUEST: inputs.is_stop_requested,
-        }
+        CLOCK=~((elapsed > 0.0) & (elapsed <= limits.tick_age)),
+        JOINTS_STALE=~is_measured,
+        JOINTS_NOT_FINITE=~np.logical_and.reduce(inputs.is_measured, axis=-1),
+        SAFETY_MODE=~inputs.is_safe,
+        SPEED_SCALING=inputs.speed_scaling != 1.0,
+        STATUS_UNKNOWN=~inputs.is_status_known,
+        CONTROLLER=~inputs.has_controller,
+        NO_SUBSCRIBER=~inputs.has_subscriber,
+        OTHER_SUBSCRIBER=inputs.has_other_subscriber,
+        OTHER_PUBLISHER=inputs.has_other_publisher,
+        OTHER_OPERATOR=inputs.has_other_operator,
+        DEAD_MAN=~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
+        STOP_REQUEST=inputs.is_stop_requested,
     )
 
 
@@ -215,7 +215,6 @@ def faults_of_joints(
     """
     joints, position, is_followed = limits.joints, inputs.joint_pos, commanded.is_followed
     track, is_jump = track.continued(inputs, commanded, limits)
-    is_arm, is_finger = np.isfinite(joints.tracking_error), np.isfinite(joints.escape)
     is_still = track.still_time > FROZEN_TIME
     most = np.minimum(joints.tracking_error, REST_ERROR + joints.lag_error * track.slack)
     of_joints = np.array(
@@ -223,32 +222,30 @@ def faults_of_joints(
             (position < joints.least) | (position > joints.most) | is_jump,
             np.abs(position - track.explained) > joints.escape,
             np.abs(track.speed) > joints.joint_speed,
-            (np.abs(position - commanded.expected) > most) & is_arm,
-            is_still & is_arm,
+            (np.abs(position - commanded.expected) > most) & joints.is_arm,
+            is_still & joints.is_arm,
         )
     )
     is_impossible, is_escaped, is_fast, is_off, is_frozen = np.logical_or.reduce(of_joints, axis=-1)
-    is_hand_frozen = np.logical_and.reduce(is_still | ~is_finger, axis=-1) & is_finger.any()
+    is_hand_frozen = np.logical_and.reduce(is_still | ~joints.is_finger, axis=-1) & joints.has_fingers
     return track, bits(
-        {
-            Fault.JOINTS_IMPLAUSIBLE: is_impossible | (is_escaped & is_followed),
-            Fault.JOINT_SPEED: is_fast & is_followed,
-            Fault.TRACKING_ERROR: is_off & is_followed,
-            Fault.JOINTS_FROZEN: (is_frozen | is_hand_frozen) & is_followed,
-        }
+        JOINTS_IMPLAUSIBLE=is_impossible | (is_escaped & is_followed),
+        JOINT_SPEED=is_fast & is_followed,
+        TRACKING_ERROR=is_off & is_followed,
+        JOINTS_FROZEN=(is_frozen | is_hand_frozen) & is_followed,
     )
 
 
 def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
     """What is wrong with what the policy sees and says."""
+    stamps = np.array((inputs.image_stamp, inputs.target_stamp, inputs.box_stamp))
+    is_old = ~is_recent(inputs.now, stamps, limits.policy_ages)
     return bits(
-        {
-            Fault.IMAGE_STALE: ~is_recent(inputs.now, inputs.image_stamp, limits.image_age),
-            Fault.POLICY_LATE: ~is_recent(inputs.now, inputs.target_stamp, limits.target_age),
-            Fault.TARGET_NOT_FINITE: ~all_finite(inputs.joint_pos_target),
-            Fault.OBJECT_LOST: ~is_recent(inputs.now, inputs.box_stamp, limits.box_age),
-            Fault.PERCEPTION_UNSOUND: ~inputs.is_perception_sound,
-        }
+        IMAGE_STALE=is_old[0],
+        POLICY_LATE=is_old[1],
+        TARGET_NOT_FINITE=~np.logical_and.reduce(np.isfinite(inputs.joint_pos_target), axis=-1),
+        OBJECT_LOST=is_old[2],
+        PERCEPTION_UNSOUND=~inputs.is_perception_sound,
     )
 
 
