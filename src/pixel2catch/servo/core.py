@@ -319,8 +319,10 @@ class ServoCore:
         self._motion = limits.motion
         self._brake = WorkspaceBrake(limits.workspace, self._motion)
         self._even_speed = limits.joints.lead / limits.joints.lag
+        #: Speed of commands at which no joint is too fast, whatever its lag [rad/s]; an arm's keep to it until
+        #: its lag is seen.
+        self._unseen_speed = np.where(limits.joints.is_arm, self._even_speed, np.inf)
         self._ahead = limits.dt + self._motion.delay
-        self._reach = limits.joints.lead + self._even_speed * self._motion.delay
         self._stop_reach = limits.joints.lead + 0.5 * self._even_speed * limits.joints.stop_time
         self._sudden = self._motion.change + ROUNDING
         self._follow = np.minimum(limits.dt / limits.joints.lag, 1.0)
@@ -352,7 +354,8 @@ class ServoCore:
         share = np.minimum((state.ticks + 1) * self.limits.dt / self.limits.ramp_time, 1.0)
         share = np.where(state.is_in(Mode.RAMP), share, 1.0)[:, None]
         wanted = hold + share * (way.at(state.now, self._ahead) - hold)
-        near = clipped(wanted, found.joint_pos - self._reach, found.joint_pos + self._reach)
+        reach = self._even_speed * (found.track.lag(joints) + self._motion.delay)
+        near = clipped(wanted, found.joint_pos - reach, found.joint_pos + reach)
         goal = clipped(np.where(is_driven, near, hold), joints.lower, joints.upper)
         return goal, (near != wanted) & is_driven
 
@@ -377,6 +380,8 @@ class ServoCore:
         """The state a tick further, and which joints speed, acceleration and the workspace have held back."""
         motion, limits = state.motion, self._motion
         wish, is_active = wished(motion, goal, limits), state.is_active
+        slow = np.where(found.track.is_lag_seen(self.limits.joints), np.inf, self._unseen_speed)
+        wish = clipped(wish, -slow, slow)
         if np.count_nonzero(is_active) < len(is_active):
             wish = np.where(is_active[:, None], wish, self._stopping(state, found))
         wanted = towards(motion, wish, limits)
