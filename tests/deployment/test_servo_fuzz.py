@@ -74,7 +74,7 @@ def test_no_law_is_broken_by_any_story(story: list[tuple[int | None, list[float]
         lab.target = np.array([target])
         watch(lab, laws, num_ticks, mishap)
     lab.target = lab.joint_pos.copy()
-    watch(lab, laws, 170)
+    watch(lab, laws, 230)
     assert lab.ask().mode in (Mode.ARMED, Mode.RUN)
 
 

@@ -319,13 +319,12 @@ class ServoCore:
         self._motion = limits.motion
         self._brake = WorkspaceBrake(limits.workspace, self._motion)
         self._even_speed = limits.joints.lead / limits.joints.lag
-        #: Speed of commands at which no joint is too fast, whatever its lag [rad/s]; an arm's keep to it until
-        #: its lag is seen.
+        #: Speed of commands at which no joint is too fast, whatever its lag [rad/s]: an arm's, until it is
+        #: seen.
         self._unseen_speed = np.where(limits.joints.is_arm, self._even_speed, np.inf)
         self._ahead = limits.dt + self._motion.delay
         self._stop_reach = limits.joints.lead + 0.5 * self._even_speed * limits.joints.stop_time
         self._sudden = self._motion.change + ROUNDING
-        self._follow = np.minimum(limits.dt / limits.joints.lag, 1.0)
 
     def tick(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Output]:
         """Decide on the commands of this tick; one that is late must not be made up for by two at once."""
@@ -394,7 +393,7 @@ class ServoCore:
             recent=recent,
             command=command,
             interpolator=way,
-            expected=state.expected + self._follow * (command - state.expected),
+            expected=found.track.expected(state.expected, command, self.limits),
         )
         is_fast, is_sudden = np.abs(wish) > limits.speed, np.abs(wish - motion.velocity) > self._sudden
         return moved_state, (is_fast, is_sudden, moved.velocity != wanted.velocity)

@@ -10,14 +10,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from pixel2catch.servo.limits import JointLimits, ServoLimits
+from pixel2catch.servo.limits import REST_ERROR, JointLimits, ServoLimits
 from pixel2catch.servo.motion import Bits, Flags, Rows, Times
 
 JITTER = 0.015  #: How much earlier or later a position may arrive than others do [s]. Source: ours.
 SMOOTHING = 0.04  #: Time over which the speed of a joint is estimated [s]. Source: ours.
-REST_ERROR = 0.05
-"""Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours."""
-
 SLACK_LAGS = 3.0
 """In how many lags a distance from the command is forgotten that a motion explains. Source: ours."""
 
@@ -26,10 +23,12 @@ FROZEN_ANGLE = 0.01
 
 FROZEN_TIME = 0.15  #: Time that a joint has for that [s]. Source: ours, more than the lag of any servo here.
 LAG_MARGIN = 1.05
-"""Share of the lag that is seen for which joints are led. Source: ours, half of what the speed has to spare."""
+"""Share of the lag that is seen that counts. Source: ours, half of what the speed has to spare."""
+
+LEAST_LAG = 0.002  #: Lag that any joint has [s]. Source: ours, a tick.
 
 LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.3
-"""Squared speed of a joint, over time, from which its lag is known, and that of which it is the mean [rad²/s].
+"""Motion from which the lag of a joint is known, and that of which it is the mean: v² t [rad²/s].
 
 Source: ours; 0.03 s after the beginning of a swing, and 0.05 s of the fastest.
 """
@@ -150,7 +149,11 @@ class JointTrack:
     def lag(self, joints: JointLimits) -> Rows:
         """How long joints are behind their commands [s]: as told, or as seen if that is less."""
         seen = np.minimum(LAG_MARGIN * np.maximum(self.seen_lag, 0.0), joints.lag)
-        return np.where(self.is_lag_seen(joints), seen, joints.lag)
+        return np.where(self.is_lag_seen(joints), np.maximum(seen, LEAST_LAG), joints.lag)
+
+    def expected(self, before: Rows, command: Rows, limits: ServoLimits) -> Rows:
+        """Where the joints are a tick later by their lag, from where they should have been before [rad]."""
+        return before + np.minimum(limits.dt / self.lag(limits.joints), 1.0) * (command - before)
 
     def continued(
         self, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
