@@ -353,7 +353,7 @@ class ServoCore:
         share = np.minimum((state.ticks + 1) * self.limits.dt / self.limits.ramp_time, 1.0)
         share = np.where(state.is_in(Mode.RAMP), share, 1.0)[:, None]
         wanted = hold + share * (way.at(state.now, self._ahead) - hold)
-        reach = self._even_speed * (found.track.lag(joints) + self._motion.delay)
+        reach = self._even_speed * (found.track.lag + self._motion.delay)
         near = clipped(wanted, found.joint_pos - reach, found.joint_pos + reach)
         goal = clipped(np.where(is_driven, near, hold), joints.lower, joints.upper)
         return goal, (near != wanted) & is_driven
@@ -379,7 +379,7 @@ class ServoCore:
         """The state a tick further, and which joints speed, acceleration and the workspace have held back."""
         motion, limits = state.motion, self._motion
         wish, is_active = wished(motion, goal, limits), state.is_active
-        slow = np.where(found.track.is_lag_seen(self.limits.joints), np.inf, self._unseen_speed)
+        slow = np.where(found.track.is_lag_seen, np.inf, self._unseen_speed)
         wish = clipped(wish, -slow, slow)
         if np.count_nonzero(is_active) < len(is_active):
             wish = np.where(is_active[:, None], wish, self._stopping(state, found))

@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from pixel2catch.servo.limits import REST_ERROR, JointLimits, ServoLimits
+from pixel2catch.servo.limits import REST_ERROR, ServoLimits
 from pixel2catch.servo.motion import Bits, Flags, Rows, Times
 
 JITTER = 0.015  #: How much earlier or later a position may arrive than others do [s]. Source: ours.
@@ -123,6 +123,9 @@ class JointTrack:
     ahead: Rows  #: How far the command is ahead of the joint [rad], in the mean of the time of its speed.
     seen_lag: Rows  #: How much that is for its speed, by its motion of late [s].
     evidence: Rows  #: How much motion that is known of [rad²/s].
+    #: Which joints of an arm have moved enough for their lag to be known by that.
+    is_lag_seen: Bool[np.ndarray, "rows joints"]
+    lag: Rows  #: How long joints are behind their commands [s]: as told, or as seen if that is less.
 
     @classmethod
     def unknown(cls, num_rows: int, num_joints: int) -> "JointTrack":
@@ -140,20 +143,13 @@ class JointTrack:
             ahead=zeros,
             seen_lag=zeros,
             evidence=zeros,
+            is_lag_seen=zeros > 0.0,
+            lag=zeros,
         )
-
-    def is_lag_seen(self, joints: JointLimits) -> Bool[np.ndarray, "rows joints"]:
-        """Which joints of an arm have moved enough for their lag to be known by that."""
-        return joints.is_arm & (self.evidence >= LEAST_EVIDENCE)
-
-    def lag(self, joints: JointLimits) -> Rows:
-        """How long joints are behind their commands [s]: as told, or as seen if that is less."""
-        seen = np.minimum(LAG_MARGIN * np.maximum(self.seen_lag, 0.0), joints.lag)
-        return np.where(self.is_lag_seen(joints), np.maximum(seen, LEAST_LAG), joints.lag)
 
     def expected(self, before: Rows, command: Rows, limits: ServoLimits) -> Rows:
         """Where the joints are a tick later by their lag, from where they should have been before [rad]."""
-        return before + np.minimum(limits.dt / self.lag(limits.joints), 1.0) * (command - before)
+        return before + np.minimum(limits.dt / self.lag, 1.0) * (command - before)
 
     def continued(
         self, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
@@ -183,6 +179,9 @@ class JointTrack:
         ahead = np.where(is_followed, ahead, 0.0)
         way = np.where(is_followed, speed * elapsed, 0.0)
         evidence = np.minimum(self.evidence + way * speed, MOST_EVIDENCE)
+        seen_lag = self.seen_lag + way * (ahead - self.seen_lag * speed) / np.maximum(evidence, 1e-9)
+        is_lag_seen = joints.is_arm & (evidence >= LEAST_EVIDENCE)
+        least_lag = np.minimum(np.maximum(LAG_MARGIN * seen_lag, LEAST_LAG), joints.lag)
         track = JointTrack(
             position=np.where(is_new, position, self.position),
             stamp=np.where(is_new, stamp, self.stamp),
@@ -194,8 +193,10 @@ class JointTrack:
             anchor=anchor,
             still_time=np.where(is_still, self.still_time + limits.dt, 0.0),
             ahead=ahead,
-            seen_lag=self.seen_lag + way * (ahead - self.seen_lag * speed) / np.maximum(evidence, 1e-9),
+            seen_lag=seen_lag,
             evidence=evidence,
+            is_lag_seen=is_lag_seen,
+            lag=np.where(is_lag_seen, least_lag, joints.lag),
         )
         return track, is_jump
 
