@@ -172,7 +172,7 @@ def false_stops(motion: Played, limits: ServoLimits) -> list[str]:
     """The faults of a motion as it was recorded, of which each stops it for a second."""
     stops, begin, second = list[str](), 0, round(FOUND / limits.dt)
     while begin + second < len(motion.command):
-        parts = (array[begin:, None] for array in (motion.command, motion.measured, motion.stamp))
+        parts = (motion.command[begin:, None], motion.measured[begin:, None], motion.stamp[begin:, None])
         found, _ = watched(*parts, limits, ends=True)
         ticks = np.flatnonzero(found)
         if not len(ticks):
@@ -231,8 +231,9 @@ def main() -> None:
     args = parser.parse_args()
     unknown = limits_of_arm(None)
     motions = [played(path, unknown.dt) for path in args.recordings]
-    first = (array[:, None] for array in (motions[0].command, motions[0].measured, motions[0].stamp))
-    lag = watched(*first, unknown)[1].seen_lag[0].clip(unknown.dt)
+    first = motions[0]
+    parts = (first.command[:, None], first.measured[:, None], first.stamp[:, None])
+    lag = watched(*parts, unknown)[1].seen_lag[0].clip(unknown.dt)
     console, report = Console(width=150), dict[str, object]()
     console.print(f"lag in {motions[0].name} [ms]: {np.round(1e3 * lag, 1)}")
     for told, limits in (("told that lag", limits_of_arm(lag)), ("not identified", unknown)):

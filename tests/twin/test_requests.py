@@ -2,6 +2,7 @@
 
 import json
 import random
+from typing import Any
 
 from twin_bench import Bench
 
@@ -33,7 +34,7 @@ NUM_CHANGES = 120
 
 def changed(random_: random.Random) -> bytes:
     """A request with other values, without a key, with a strange one, cut off, or with other bytes."""
-    request = dict(random_.choice(REQUESTS))
+    request: dict[str, Any] = dict(random_.choice(REQUESTS))
     for _ in range(random_.randint(0, 2)):
         key = random_.choice(["do", "seed", "more", ""])
         if random_.random() < 0.3:
