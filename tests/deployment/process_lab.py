@@ -11,19 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from arming import Arming
 from camera_lab import Fault, laboratory
 
 from domains import PATIENCE
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock, Transport
-from pixel2catch.servo.limits import STOP_TIME
 
 PROFILE = Profile.load("ur5e_allegro_v4")
 ARM = PROFILE.robots[0].command_topic
 
 
-class Watcher:
+class Watcher(Arming):
     """Hears what `deploy` says and commands, and tells the laboratory what shall go wrong."""
 
     def __init__(self, node: Transport, clock: RealClock, stack: ExitStack, folder: Path) -> None:
@@ -81,24 +81,9 @@ class Watcher:
         ]
 
     @property
+    def time(self) -> float:
+        return self.clock.now()
+
+    @property
     def status(self) -> dict[str, Any]:
         return self.statuses[-1] if self.statuses else {"mode": "", "found": ["nothing yet"]}
-
-    def run(self, modes: tuple[str, ...] = ("armed", "ramp", "run")) -> None:
-        """All is well, the operator presses the switch and arms, and the robot is in one of the modes.
-
-        On a machine that is busy with tests the laboratory may itself be late: then it is armed anew.
-        """
-        self.say("switch let go")
-        self.until(lambda: "dead man" in self.status["found"])
-        self.say("none")
-        self.until(lambda: self.status["mode"] in ("idle", "stopped"))
-        asked = [-1.0]
-
-        def is_in_mode() -> bool:
-            if self.status["mode"] in ("idle", "stopped") and self.clock.now() > asked[-1] + 2.0 * STOP_TIME:
-                self.say("arm")
-                asked.append(self.clock.now())
-            return self.status["mode"] in modes
-
-        self.until(is_in_mode)

@@ -106,10 +106,11 @@ class Lab:
         return self.tick(lambda good: replace(good, arm_stamp=good.now))
 
     def swung(self) -> "Lab":
-        """In the middle of a fast motion of the arm."""
+        """In the middle of a fast motion of the arm, which is not its first."""
         self.started()
-        self.target[:, :3] += (0.4, -0.4, -0.4)
-        self.run(0.05)
+        for way, seconds in ((0.4, 0.1), (-0.4, 0.5), (0.4, 0.07)):
+            self.target[:, :3] += way * np.array((1.0, -1.0, -1.0))
+            self.run(seconds)
         return self
 
     def started(self) -> "Lab":

@@ -27,12 +27,12 @@ def watcher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watcher
 
 
 def test_it_stops_without_a_laboratory_goes_on_with_a_new_one_and_ends_without_its_servo(watcher: Watcher):
-    watcher.run()
+    watcher.arm()
     watcher.until(lambda: len(watcher.commands) > 10)
     watcher.laboratory.kill()
     watcher.until(lambda: watcher.status["mode"] == "stopped")
     watcher.start_laboratory()
-    watcher.run()
+    watcher.arm()
     pid = watcher.deploy.pid
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
         os.kill(int(child), signal.SIGKILL)
@@ -53,7 +53,7 @@ def test_a_frozen_image_a_second_camera_and_a_lost_object_stop_it(watcher: Watch
         ("another camera", "perception unsound"),
     ):
         while words not in watcher.status.get("stopped_by", ()):
-            watcher.run(("armed",))
+            watcher.arm(("armed",))
             watcher.say("point")
             watcher.until(lambda: watcher.status["mode"] in ("ramp", "run", "stopped"))
             watcher.say(fault)

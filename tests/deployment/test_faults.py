@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arming import Arming
 from camera_lab import CameraLab
 from loop_lab import PROFILE, EverythingRed
 from servo_rows import LIMITS
@@ -26,7 +27,7 @@ from pixel2catch.workcells import find_workcell
 ARM = PROFILE.robots[0].command_topic
 
 
-class Watcher:
+class Watcher(Arming):
     """Deployment and laboratory: hears what the one says and does, and tells the other what goes wrong."""
 
     def __init__(self) -> None:
@@ -91,17 +92,16 @@ class Watcher:
         ]
 
     @property
+    def time(self) -> float:
+        return self.clock.time
+
+    @property
     def status(self) -> dict[str, Any]:
-        return self.statuses[-1] if self.statuses else {"mode": ""}
+        return self.statuses[-1] if self.statuses else {"mode": "", "found": []}
 
     def run(self) -> None:
-        """All is well, the operator presses the switch, arms and points, and the policy moves the arm."""
-        self.say("switch let go")
-        self.wait(0.1)
-        self.say("none")
-        self.wait(0.3)
-        self.say("arm")
-        self.until(lambda: self.status["mode"] == "armed")
+        """The operator arms and points, and the policy moves the arm."""
+        self.arm()
         self.say("point")
         self.until(lambda: self.status["mode"] == "run")
 

@@ -190,7 +190,7 @@ def test_it_stops_the_robot_which_goes_on_when_it_is_mended(fault: str, watcher:
     inject, reasons = FAULTS[fault]
     while not reasons & set(watcher.status.get("stopped_by", ())):
         watcher.guests.close()
-        watcher.run(("armed",))
+        watcher.arm(("armed",))
         watcher.say("point")
         watcher.until(lambda: watcher.status["mode"] in ("run", "stopped"))
         inject(watcher)
@@ -205,4 +205,4 @@ def test_it_stops_the_robot_which_goes_on_when_it_is_mended(fault: str, watcher:
         np.testing.assert_allclose(stands - stands[-1], 0.0, atol=1e-9)
     assert watcher.deploy.poll() is None
     watcher.guests.close()
-    watcher.run()
+    watcher.arm()

@@ -21,6 +21,8 @@ def test_where_the_time_goes_is_measured_and_drawn(tmp_path: Path):
     recording, figures = tmp_path / "tape", tmp_path / "figures.json"
     rehearsal = ["rehearse", "--lockstep", "--plain", "--throws", "1", "--record", str(recording)]
     assert main([*rehearsal, "--out", str(tmp_path / "rehearsal")]) == 0
+    tick = [sys.executable, str(BENCHMARK.with_name("servo_tick.py")), str(recording)]
+    assert "p50" in subprocess.run(tick, check=True, capture_output=True, text=True, timeout=PATIENCE).stdout
     asked = [sys.executable, str(BENCHMARK), str(recording), "--passes", "1", "--clock", "0.5"]
     said = subprocess.run(
         [*asked, "--json", str(figures)],

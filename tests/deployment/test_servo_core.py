@@ -108,8 +108,10 @@ def test_a_stop_without_positions_brakes_where_it_is():
     lab = Lab().swung()
     motion = lab.state.motion
     final = lab.run(STOP_TIME, given(joint_pos=np.full((1, len(JOINTS)), np.nan))).command
-    distance = motion.velocity**2 / (2.0 * LIMITS.joints.acceleration) + np.abs(motion.velocity) * LIMITS.dt
-    assert (np.abs(final - motion.position) <= distance).all()
+    joints, speed = LIMITS.joints, np.abs(motion.velocity)
+    brake = speed**2 / (2.0 * joints.acceleration) + speed * LIMITS.dt
+    evenly = 0.5 * np.minimum(speed, joints.lead / joints.lag) * joints.stop_time
+    assert (np.abs(final - motion.position) <= brake + evenly).all()
 
 
 def test_a_stop_lasts_until_the_operator_asks_again():
@@ -186,7 +188,7 @@ def test_an_arm_that_is_held_fast_stops_fingers_do_not():
     assert lab.run(0.4, noisy).mode == Mode.RUN
     lab.is_held_fast[1] = True
     lab.target[0, 1] += 0.3
-    lab.run(0.5)
+    lab.run(0.5, noisy)
     assert lab.outputs[-1].stopped_by == Fault.TRACKING_ERROR
 
 
@@ -256,38 +258,63 @@ SHARES = (1.0, 0.25)
 SPEED_LIMITS = np.array([joint.velocity_limit for joint in JOINTS])
 
 
-def lab_of_lag(lag: float, share: float, is_identified: bool) -> Lab:
+def lab_of_lag(lag: float, share: float, is_identified: bool, num_rows: int = 1) -> Lab:
     """A running lab whose joints have a lag, of which the limits know or not."""
     dynamics = JointDynamics.nominal()
     if is_identified:
         dynamics = dynamics.with_values(stiffness=dynamics.damping / lag)
     joints = JointLimits.of(UR5E_ALLEGRO, share, dynamics, is_identified=is_identified)
-    lab = Lab(limits=replace(LIMITS, joints=joints)).started()
+    lab = Lab(num_rows, limits=replace(LIMITS, joints=joints)).started()
     lab.lag = np.full(len(JOINTS), lag)
     return lab
 
 
-@pytest.mark.parametrize("is_identified", [True, False])
-@pytest.mark.parametrize("share", SHARES)
-@pytest.mark.parametrize("lag", LAGS)
-def test_no_joint_is_faster_than_it_may_be(lag: float, share: float, is_identified: bool):
-    """Whatever the lag, known or not, and though the policy swings the arm from end to end."""
-    lab = lab_of_lag(lag, share, is_identified)
-    fastest = np.zeros(len(JOINTS))
-    for swing in range(20):
-        lab.target[0, [0, 3, 4, 5]] = HOME[[0, 3, 4, 5]] + (0.5 if swing % 2 else -0.5)
+def fastest_in_swings(lab: Lab, num_swings: int = 20) -> np.ndarray:
+    """Largest speeds of the arm's joints, row by row, which the policy swings from end to end [rad/s]."""
+    fastest = np.zeros(lab.joint_pos.shape)
+    for swing in range(num_swings):
+        lab.target[:, [0, 3, 4, 5]] = HOME[[0, 3, 4, 5]] + (0.5 if swing % 2 else -0.5)
         for _ in range(60):
             before = lab.joint_pos.copy()
             lab.tick()
-            fastest = np.maximum(fastest, np.abs(lab.joint_pos - before)[0] / LIMITS.dt)
-        if lab.outputs[-1].mode == Mode.STOPPED:  # by its tracking: it follows otherwise than was told
-            assert not is_identified
+            fastest = np.maximum(fastest, np.abs(lab.joint_pos - before) / LIMITS.dt)
+        if (lab.outputs[-1].mode == Mode.STOPPED).any():
             lab.run(STOP_TIME)
             lab.target = lab.joint_pos.copy()
             lab.ask()
             lab.run(LIMITS.ramp_time + 0.05)
-    assert (fastest[:6] <= share * SPEED_LIMITS[:6]).all(), fastest
-    assert fastest[0] > 0.5 * share * SPEED_LIMITS[0]
+    return fastest[:, :6]
+
+
+@pytest.mark.parametrize("share", SHARES)
+@pytest.mark.parametrize("lag", LAGS)
+def test_no_joint_is_faster_than_it_may_be(lag: float, share: float):
+    """Whatever its dynamics file says of its lag: the truth, three times as much or a third of it."""
+    lab = lab_of_lag(lag, share, is_identified=True, num_rows=3)
+    lab.lag = lag * np.array([[1.0], [1.0 / 3.0], [3.0]])
+    fastest = fastest_in_swings(lab)
+    assert (fastest <= share * SPEED_LIMITS[:6]).all(), fastest
+    assert (fastest[:2, 0] > 0.5 * share * SPEED_LIMITS[0]).all()
+    assert (lab.outputs[-1].mode[:2] == Mode.RUN).all()
+
+
+@pytest.mark.parametrize("share", SHARES)
+def test_no_joint_is_faster_than_it_may_be_if_its_lag_is_not_known(share: float):
+    lab = lab_of_lag(LAGS[0], share, is_identified=False, num_rows=len(LAGS))
+    lab.lag = np.array(LAGS)[:, None]
+    fastest = fastest_in_swings(lab)
+    assert (fastest <= share * SPEED_LIMITS[:6]).all(), fastest
+    assert (fastest[:, 0] > 0.5 * share * SPEED_LIMITS[0]).all()
+
+
+def test_a_lag_that_changes_in_the_middle_of_a_motion_is_seen_again():
+    """A third of what it was, in full swing: too fast once and by a little, as it may be without a stop."""
+    lab = Lab().swung()
+    lab.lag = lab.lag / 3.0
+    lab.run(0.1)
+    assert (fastest_in_swings(lab, 2) < LIMITS.joints.joint_speed[:6]).all()
+    assert (fastest_in_swings(lab, 4) <= SPEED_LIMITS[:6]).all()
+    assert lab.outputs[-1].mode == Mode.RUN
 
 
 @pytest.mark.parametrize("is_identified", [True, False])
@@ -334,16 +361,10 @@ def test_a_stop_that_began_without_positions_does_not_go_back_to_them():
     assert (way > -1e-3).all()
 
 
-def test_an_arm_that_is_faster_than_was_identified_is_stopped():
-    """A third of the lag that was told: twice the speed, for little more than a tenth of a second."""
-    lab = Lab().started()
-    lab.lag = lab.limits.joints.lag / 3.0
-    limit, ticks_over = JOINTS[0].velocity_limit, 0
-    lab.target[0, 0] += 1.0
-    for _ in range(100):
-        before = lab.joint_pos.copy()
-        lab.tick()
-        ticks_over += bool((np.abs(lab.joint_pos - before)[0, 0] / LIMITS.dt) > limit)
-    assert lab.outputs[-1].mode == Mode.STOPPED
-    assert lab.outputs[-1].stopped_by & (Fault.JOINT_SPEED | Fault.TRACKING_ERROR)
-    assert 0 < ticks_over * LIMITS.dt < 0.12
+def test_an_arm_that_something_moves_faster_than_it_may_be_is_stopped():
+    lab = Lab().swung()
+    faults = 0
+    for _ in range(50):
+        lab.joint_pos[0, 0] += 1.25 * SPEED_LIMITS[0] * LIMITS.dt
+        faults |= int(lab.tick().stopped_by[0])
+    assert faults & Fault.JOINT_SPEED

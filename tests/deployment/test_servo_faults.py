@@ -119,12 +119,11 @@ FAULTS = {
 """What goes wrong, and the one reason that is given."""
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_what_goes_wrong_on_the_wire_stops_the_robot_by_name(fault: str, stage: Stage):
-    happens, reason = FAULTS[fault]
+def stopped_by(stage: Stage, happens: Callable[[Stage], None], num_ticks: int) -> tuple[str, ...]:
+    """Why it stops, if something happens so long after it was armed."""
 
     def script() -> Iterator[None]:
-        yield from stage.armed()
+        yield from stage.armed(num_ticks)
         happens(stage)
         for _ in range(130):
             yield
@@ -132,23 +131,20 @@ def test_what_goes_wrong_on_the_wire_stops_the_robot_by_name(fault: str, stage: 
                 raise Cut
 
     stage.play(script())
-    assert stage.stopped_by == (reason,)
+    return stage.stopped_by
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_goes_wrong_on_the_wire_stops_the_robot_by_name(fault: str, stage: Stage):
+    happens, reason = FAULTS[fault]
+    assert stopped_by(stage, happens, 5) == (reason,)
 
 
 @pytest.mark.parametrize(("happens", "reason"), [(silence("brain"), "policy late"), (blinded, "image stale")])
 def test_a_brain_that_lags_stops_the_robot_that_runs(
     happens: Callable[[Stage], None], reason: str, stage: Stage
 ):
-    def script() -> Iterator[None]:
-        yield from stage.armed(10)
-        happens(stage)
-        for _ in range(60):
-            yield
-            if stage.mode == Mode.STOPPED:
-                raise Cut
-
-    stage.play(script())
-    assert stage.stopped_by[-1] == reason
+    assert stopped_by(stage, happens, 10)[-1] == reason
 
 
 AUTHORITY = ("rival", "nobody listens", "two listen", "other controller", "status left", "speed not told")

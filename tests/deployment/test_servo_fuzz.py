@@ -35,7 +35,8 @@ def check_that_everything_happened(laws: Laws) -> None:
     assert laws.num_clamps == sum(Clamp)
     never_stops = {Fault.START_POSE, Fault.WORKSPACE, Fault.STILL_STOPPING, Fault.SWITCH_NOT_PRESSED}
     never_seen = {fault for fault, number in laws.stops_by.items() if number == 0}
-    assert never_seen - {Fault.JOINTS_FROZEN} == never_stops  # that takes long, and others are quicker
+    slow = {Fault.JOINTS_FROZEN, Fault.JOINT_SPEED}  # they take long, and others are quicker
+    assert never_seen - slow == never_stops
     assert all(laws.refusals_by[fault] for fault in never_stops)
 
 
@@ -73,7 +74,7 @@ def test_no_law_is_broken_by_any_story(story: list[tuple[int | None, list[float]
         lab.target = np.array([target])
         watch(lab, laws, num_ticks, mishap)
     lab.target = lab.joint_pos.copy()
-    watch(lab, laws, 170)
+    watch(lab, laws, 230)
     assert lab.ask().mode in (Mode.ARMED, Mode.RUN)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from pixel2catch.deployment.control_loop import read_prompt
 from pixel2catch.deployment.operator import _is_status
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.joint_states import JointStateReader
 from pixel2catch.ros2.messages import decode
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -30,15 +32,28 @@ STATUS = {
 }
 
 
+JOINTS = messages.joint_state(NAMES, range(19), 3.25, velocity=range(19))
+
+
 def merged(data: bytes) -> None:
-    """As the servo does with a joint state."""
-    reading = messages.read_joint_state(data)
+    """As the servo does with a joint state, of which it knows another; that makes no difference."""
+    reader = JointStateReader()
+    reader.read(JOINTS)
+    try:
+        reading = messages.read_joint_state(data)
+    except DeploymentError as error:
+        with pytest.raises(DeploymentError, match=re.escape(str(error))):
+            reader.read(data)
+        raise
+    for again in (reader.read(data), reader.read(data)):
+        assert (again.names, again.stamp) == (reading.names, reading.stamp)
+        np.testing.assert_array_equal(again.position, reading.position)
     for part in PARTS:
         part.merge(reading, np.zeros(19))
 
 
 BINARY = {
-    "joint_state": (messages.joint_state(NAMES, range(19), 3.25, velocity=range(19)), merged),
+    "joint_state": (JOINTS, merged),
     "float_array": (messages.float_array([1.0, 2.0]), messages.read_float_array),
     "image": (IMAGE, messages.read_image),
     "compressed": (messages.compress(IMAGE), messages.uncompress),
@@ -80,6 +95,24 @@ def test_a_changed_text_is_read_or_refused(name: str):
             read(messages.text(text.replace("\0", "")))
         except DeploymentError:
             continue
+
+
+def test_joint_states_of_two_drivers_and_of_one_that_changes_are_read_as_they_are():
+    """On one topic, of equal sizes, with their numbers at other places; names that change, and none."""
+    sent = [
+        messages.joint_state(["a", "b"], [1.0, 2.0], 1.5),
+        messages.joint_state(["a", "c"], [3.0, 4.0], 2.5, effort=[9.0, 9.0]),
+        messages.joint_state(["a", "b"], [5.0, np.nan], -2.25),
+        messages.joint_state(["c", "b"], [7.0, 8.0], 3.5),
+        messages.joint_state([], [], 1.0),
+        messages.joint_state(["a"], [1.0], 1.0, velocity=[4.0]),
+        messages.joint_state(["a", ""], [1.0, 5.0], 1.0),
+    ]
+    reader, random_order = JointStateReader(), random.Random(0)
+    for data in random_order.choices(sent, k=200):
+        again, reading = reader.read(data), messages.read_joint_state(data)
+        assert (again.names, again.stamp) == (reading.names, reading.stamp)
+        np.testing.assert_array_equal(again.position, reading.position)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import MOST_JSON, read_bytes, read_json_object
 from pixel2catch.identification.recording import Trajectory
 from pixel2catch.perception.calibration.target import read_image
+from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.ros2 import bags, messages
 from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile
@@ -311,3 +312,25 @@ def test_marks_and_line_ends_of_other_systems_are_read(tmp_path: Path):
     for text in ('\ufeff{"a":\r\n1}', '{"a": 1}\r\n'):
         (tmp_path / "a.json").write_bytes(text.encode())
         assert read_json_object(tmp_path / "a.json") == {"a": 1}
+
+
+NESTED = 70 * "<body>" + 70 * "</body>"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (f"<mujoco><worldbody>{NESTED}</worldbody></mujoco>", "64 in each other"),
+        ("<mujoco>" + 20_001 * "<a/>" + "</mujoco>", "more than 20000 elements"),
+        ('<mujoco><worldbody><replicate count="9999999"/></worldbody></mujoco>', "element 'replicate'"),
+        ('<mujoco><include file="/dev/zero"/></mujoco>', "element 'include'"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><mujoco>&b;</mujoco>', "declares a type of document"),
+        ("<mujoco><worldbody>", "is no XML"),
+        ("<mujoco><worldbody/><nonsense/></mujoco>", "Write MJCF"),
+    ],
+)
+def test_a_model_that_grows_is_refused_before_mujoco_reads_it(content: str, words: str, tmp_path: Path):
+    file = tmp_path / "robot.xml"
+    file.write_text(content)
+    with pytest.raises(InvalidValueError, match=words):
+        read_mjcf(file)

@@ -16,6 +16,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison.plan import ComparisonFolder
+from pixel2catch.evaluation.comparison.summary import CURVES, read_metrics
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.files import as_json
 from pixel2catch.identification.importers import read_recording
@@ -31,6 +32,8 @@ from pixel2catch.perception.labels import Label, Labels
 from pixel2catch.perception.sources import SourceCfg, ticks_of
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.onnx_policy import to_onnx
+from pixel2catch.robots.mjcf import read_mjcf
+from pixel2catch.robots.ur5e import UR5E
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import STORE
 from pixel2catch.ros2.profile import PROFILES, Profile
@@ -244,6 +247,9 @@ def _run(folder: Path) -> Path:
 
 PLAN = {"plan": {"methods": ["proposed"], "seeds": 1, "configuration": {"a": 1}}, "sessions": []}
 
+METRICS = ",".join(CURVES) + "\n" + 3 * (",".join(["0.5"] * len(CURVES)) + "\n")
+MODEL = Path(UR5E.mjcf).read_text()
+
 KINDS = {
     "policy": Kind(write=_policy, read=_read_described, change=changed_json),
     "weights": Kind(write=_weights, read=lambda file: load_policy(file.parent)),
@@ -270,6 +276,8 @@ KINDS = {
     "avi": Kind(
         write=_video(".avi", "mjpeg", "yuvj420p"), read=lambda f: [*ticks_of(SourceCfg(name=str(f)), [])]
     ),
+    "metrics": Kind(write=_text("metrics.csv", METRICS), read=read_metrics, change=changed_csv),
+    "model": Kind(write=_text("arm.xml", MODEL), read=read_mjcf),
     "mesh": Kind(write=_text("cube.obj", CUBE), read=read_mesh),
     "checkpoint": Kind(write=_checkpoint, read=_read_checkpoint),
     "run": Kind(write=_run, read=lambda file: TrainCfg.of_run(file.parent), change=changed_json),

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from math import inf, isinf, isnan, nan
 from pathlib import Path
@@ -10,8 +11,10 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.comparison.jobs import Status
 from pixel2catch.evaluation.comparison.plan import GROUPS
+from pixel2catch.evaluation.comparison.summary import Columns, read_metrics
 from pixel2catch.progress import duration
 
 SUMMARY_SECONDS = 30.0  #: Time between two summaries where there is no terminal [s].
@@ -32,9 +35,11 @@ class Progress:
     @classmethod
     def read(cls, log: Path) -> "Progress":
         """Progress from the last row of a training's `metrics.csv`; that of the start if there is none."""
-        lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
-        row = dict(zip(lines[0].split(","), lines[-1].split(","), strict=False)) if len(lines) > 1 else {}
-        return cls(**{name: float(row[name]) for name in vars(cls()) if row.get(name)})
+        columns: Columns = {}
+        with suppress(InvalidValueError):  # it is not there yet, or being written
+            columns = read_metrics(log, [*vars(cls())])
+        last = {name: float(column[-1]) for name, column in columns.items() if len(column)}
+        return cls(**{name: value for name, value in last.items() if not isnan(value)})
 
 
 class ProgressTable:

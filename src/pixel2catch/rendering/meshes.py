@@ -9,13 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import read_bytes
 from pixel2catch.robots.chain import pose_matrix
+from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.spec import MeshSource, RobotSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, WorkcellSpec, robot_mjcf
 
 Pose = Float[np.ndarray, "4 4"]
-MOST_MJCF = 2**24  #: Bytes of a model; those of robots have some ten thousand. Source: ours.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +95,7 @@ def _dress(spec: mujoco.MjSpec, prefix: str, part: RobotSpec, source: MeshSource
 def _seen_meshes(path: Path) -> tuple[list[SeenMesh], Mapping[str, Pose]]:
     """The meshes of a model that are only seen, and the poses of its bodies with all joints at 0."""
     try:
-        read_bytes(path, MOST_MJCF)
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = read_mjcf(path)
         folder = path.parent / spec.meshdir
         found = [
             SeenMesh(

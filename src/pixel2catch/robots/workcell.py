@@ -7,6 +7,7 @@ from typing import Literal
 import mujoco
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.spec import JointGroup, JointSpec, PalmSpec, Placed, RobotSpec, Vec3
 
 VISUAL_GROUP = 2  #: Geom group of what is only seen.
@@ -145,12 +146,9 @@ def robot_mjcf(robot: RobotSpec, visuals: bool = True) -> mujoco.MjSpec:
     """The MJCF of a robot with its tools.
 
     Raises:
-        InvalidValueError: If a file cannot be read, or lacks the site that carries the tool.
+        InvalidValueError: If a file cannot be read by `read_mjcf`, or lacks the site that carries the tool.
     """
-    try:
-        spec = mujoco.MjSpec.from_file(str(robot.mjcf))
-    except ValueError as error:
-        raise InvalidValueError(f"cannot read the robot '{robot.name}': {robot.mjcf}: {error}") from error
+    spec = read_mjcf(robot.mjcf)
     if not visuals:
         for geom in spec.geoms:
             if geom.group == VISUAL_GROUP:

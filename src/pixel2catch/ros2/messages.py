@@ -6,7 +6,7 @@ Stamps are seconds since the epoch; a decoded message is checked for what its ty
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from io import BytesIO
 from typing import Any, TypeVar
 
@@ -155,7 +155,11 @@ def read_joint_state(data: bytes) -> JointReading:
     Raises:
         DeploymentError: It is damaged, or has not one position a name.
     """
-    message = decode(data, JOINT_STATE)
+    return joint_reading(decode(data, JOINT_STATE))
+
+
+def joint_reading(message: Any) -> JointReading:
+    """The positions of a decoded joint state; see `read_joint_state`."""
     if len(message.name) != len(message.position):
         raise DeploymentError(
             f"a joint state has {len(message.position)} positions for {len(message.name)} names: "
@@ -165,10 +169,17 @@ def read_joint_state(data: bytes) -> JointReading:
     return JointReading(names=names, position=position, stamp=seconds(message.header))
 
 
+@lru_cache(maxsize=16)
+def _before_numbers(size: int) -> bytes:
+    """What a message of so many numbers without names begins with; the numbers are all that follows."""
+    layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    return encode(FLOAT_ARRAY, layout, np.zeros(size))[: -8 * size or None]
+
+
 def float_array(values: Iterable[float]) -> bytes:
     """Encode numbers without names, such as the commands of a forward position controller."""
-    layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
-    return encode(FLOAT_ARRAY, layout, float64(values))
+    numbers = float64(values)
+    return _before_numbers(len(numbers)) + numbers.astype("<f8", copy=False).tobytes()
 
 
 def read_float_array(data: bytes) -> Float[np.ndarray, " size"]:

@@ -6,7 +6,7 @@ name file, key and fix.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import inf, pi
 from pathlib import Path
 from types import NoneType, UnionType
@@ -73,6 +73,8 @@ class Controller:
     #: What its controller manager says of all of them, from ROS 2 Jazzy on.
     activity: Annotated[Topic, TopicType(messages.ACTIVITY, is_latched=True)]
 
+
+Columns = Int[np.ndarray, " num_found"]
 
 FARTHEST = 2.0 * pi  #: Largest angle of a held joint [rad]. Source: ours; no joint turns further.
 
@@ -164,34 +166,31 @@ class RobotPart:
         Raises:
             DeploymentError: It has one of them twice.
         """
-        columns, ids = _columns(reading.names, self._wanted)
+        columns, ids = self.columns(reading.names)
         joint_pos[ids] = reading.position[columns]
         return ids
 
-    def held_positions(self, reading: JointReading) -> Float[np.ndarray, " num_held"]:
-        """Where a joint state has the joints that are none of ours [rad]; NaN where it does not say."""
-        positions = np.full(len(self.held), np.nan)
-        columns, ids = _columns(reading.names, self._wanted_held)
-        positions[ids] = reading.position[columns]
-        return positions
+    def columns(self, names: tuple[str, ...]) -> tuple[Columns, Columns]:
+        """Which columns of a joint state with such names are its joints, and their places in joint order.
 
-    @cached_property
-    def _wanted_held(self) -> tuple[tuple[str, int], ...]:
-        names = (joint.name_in_state for joint in self.held.values())
-        return tuple((name, place) for place, name in enumerate(names) if name)
+        Raises:
+            DeploymentError: It has one of them twice.
+        """
+        ours = (theirs.name_in_state for theirs in self.joints.values())
+        return _columns(names, dict(zip(ours, self.ids.tolist(), strict=True)))
 
-    @cached_property
-    def _wanted(self) -> tuple[tuple[str, int], ...]:
-        return tuple(zip((j.name_in_state for j in self.joints.values()), self.ids.tolist(), strict=True))
+    def held_columns(self, names: tuple[str, ...]) -> tuple[Columns, Columns]:
+        """Likewise of its joints that are none of ours, and their places among these."""
+        others = {joint.name_in_state: place for place, joint in enumerate(self.held.values())}
+        return _columns(names, {name: place for name, place in others.items() if name})
 
 
-@lru_cache(maxsize=64)
-def _columns(names: tuple[str, ...], wanted: tuple[tuple[str, int], ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of a joint state that are wanted, and the joints that they are."""
-    twice = sorted({name for name, _ in wanted if names.count(name) > 1})
+def _columns(names: tuple[str, ...], places: Mapping[str, int]) -> tuple[Columns, Columns]:
+    """Columns of a joint state that have a place, and that place."""
+    twice = sorted({name for name in places if names.count(name) > 1})
     if twice:
         raise DeploymentError(f"a joint state has {', '.join(twice)} twice: look at what publishes it.")
-    found = [(names.index(name), joint) for name, joint in wanted if name in names]
+    found = [(names.index(name), place) for name, place in places.items() if name in names]
     columns, ids = np.array(found, dtype=np.int64).reshape(-1, 2).T
     return columns, ids
 

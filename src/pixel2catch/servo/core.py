@@ -155,6 +155,7 @@ class Output:
 
 
 _CLAMPS = np.array([*Clamp], dtype=np.int64)
+_STOPPED = int(Mode.STOPPED)
 _LATE = int(Fault.POLICY_LATE)
 _SENSELESS = int(Fault.TARGET_NOT_FINITE | Fault.TARGET_FAR)
 _NOT_MEASURED = int(Fault.JOINTS_STALE | Fault.JOINTS_NOT_FINITE | Fault.JOINTS_IMPLAUSIBLE)
@@ -179,15 +180,14 @@ class Findings:
             is_followed=state.is_active & (state.ticks > 0),
         )
         track, of_joints = faults_of_joints(state.track, inputs, commanded, limits)
-        joint_pos = np.where(np.isfinite(inputs.joint_pos), inputs.joint_pos, state.command)
-        is_far = np.logical_or.reduce(
-            np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance, axis=-1
-        )
+        policy, is_armed = faults_of_policy(inputs, limits), state.is_in(Mode.ARMED)
+        if is_armed.any():
+            is_far = np.abs(inputs.joint_pos_target - state.hold) > joints.start_distance
+            policy |= bits(TARGET_FAR=is_far.any(axis=-1) & is_armed)
         return cls(
-            joint_pos=joint_pos,
+            joint_pos=np.where(inputs.is_measured, inputs.joint_pos, state.command),
             robot=faults_of_robot(inputs, limits, state.now) | of_joints,
-            policy=faults_of_policy(inputs, limits)
-            | bits({Fault.TARGET_FAR: is_far & state.is_in(Mode.ARMED)}),
+            policy=policy,
             track=track,
         )
 
@@ -207,21 +207,17 @@ def changed(
 ) -> tuple[ServoState, Bits]:
     """The state in its mode of this tick, and the faults for which a request to arm was refused."""
     stop = _stop(state, found)
-    is_stop, start = stop != 0, state.is_in(Mode.ARMED) & ((stop | found.policy) == 0)
-    run = state.is_in(Mode.RAMP) & (state.ticks * limits.dt >= limits.ramp_time)
-    driven = np.where(run, int(Mode.RUN), np.where(start, int(Mode.RAMP), state.mode))
-    left = np.where(_was_moved(state, found, limits), int(Mode.IDLE), driven)
-    mode = np.where(is_stop, int(Mode.STOPPED), left)
+    is_stop, mode = stop != 0, _next_mode(state, found, stop, limits)
     turned = replace(
         state,
         mode=mode,
         ticks=np.where(mode == state.mode, state.ticks + 1, 0),
-        stopped_by=np.where(is_stop, stop, state.stopped_by * (mode == int(Mode.STOPPED))),
+        stopped_by=np.where(is_stop, stop, state.stopped_by * (mode == _STOPPED)),
         now=inputs.now,
         track=found.track,
         is_returning=(is_stop | state.is_returning) & found.is_measured,
     )
-    if is_stop.any():
+    if np.count_nonzero(is_stop):
         rows = is_stop[:, None]
         turned = replace(
             turned,
@@ -230,23 +226,37 @@ def changed(
             lead=np.where(rows, state.command - found.joint_pos, state.lead),
         )
     is_new = inputs.arm_stamp > state.arm_stamp
-    if not is_new.any():
+    if not np.count_nonzero(is_new):
         return turned, np.zeros_like(stop)
     is_new &= is_recent(inputs.now, inputs.arm_stamp, limits.operator_age)
     asked = is_new & ~state.is_active
     turned = replace(turned, arm_stamp=np.where(is_new, inputs.arm_stamp, state.arm_stamp))
     first = _first_command(state, found, limits)
     refused = _refusals(state, first, found, limits)
-    refused |= bits({Fault.SWITCH_NOT_PRESSED: ~(inputs.pressed_stamp > state.used_press)})
+    refused |= bits(SWITCH_NOT_PRESSED=~(inputs.pressed_stamp > state.used_press))
     refused = np.where(asked, refused, 0)
     return _armed(turned, asked & (refused == 0), first, found.joint_pos), refused
 
 
 def _stop(state: ServoState, found: Findings) -> Bits:
     """The faults that stop a row in this tick; armed, it waits for a policy, but for one that makes sense."""
+    nothing = found.robot | found.policy
+    if not np.count_nonzero(nothing):
+        return nothing
     speaks = state.is_in(Mode.ARMED) & ((found.policy & _LATE) == 0)
     of_policy = found.policy * state.is_driven | (found.policy & _SENSELESS) * speaks
     return found.robot * state.is_active | of_policy
+
+
+def _next_mode(state: ServoState, found: Findings, stop: Bits, limits: ServoLimits) -> Bits:
+    """The modes of this tick, by the faults that stop."""
+    if np.count_nonzero(state.is_in(Mode.RUN)) == len(stop) and not np.count_nonzero(stop):
+        return state.mode
+    start = state.is_in(Mode.ARMED) & ((stop | found.policy) == 0)
+    run = state.is_in(Mode.RAMP) & (state.ticks * limits.dt >= limits.ramp_time)
+    driven = np.where(run, int(Mode.RUN), np.where(start, int(Mode.RAMP), state.mode))
+    left = np.where(_was_moved(state, found, limits), int(Mode.IDLE), driven)
+    return np.where(stop != 0, _STOPPED, left)
 
 
 def _was_moved(state: ServoState, found: Findings, limits: ServoLimits) -> Flags:
@@ -268,11 +278,9 @@ def _first_command(state: ServoState, found: Findings, limits: ServoLimits) -> R
 def _refusals(state: ServoState, first: Rows, found: Findings, limits: ServoLimits) -> Bits:
     is_off = np.abs(found.joint_pos - first) > limits.joints.start_error
     return found.robot | bits(
-        {
-            Fault.START_POSE: np.any(is_off, axis=-1),
-            Fault.WORKSPACE: ~limits.workspace.contains(first[:, limits.workspace.joints]),
-            Fault.STILL_STOPPING: state.is_in(Mode.STOPPED) & (state.ticks * limits.dt < STOP_TIME),
-        }
+        START_POSE=np.any(is_off, axis=-1),
+        WORKSPACE=~limits.workspace.contains(first[:, limits.workspace.joints]),
+        STILL_STOPPING=state.is_in(Mode.STOPPED) & (state.ticks * limits.dt < STOP_TIME),
     )
 
 
@@ -311,11 +319,12 @@ class ServoCore:
         self._motion = limits.motion
         self._brake = WorkspaceBrake(limits.workspace, self._motion)
         self._even_speed = limits.joints.lead / limits.joints.lag
+        #: Speed of commands at which no joint is too fast, whatever its lag [rad/s]: an arm's, until it is
+        #: seen.
+        self._unseen_speed = np.where(limits.joints.is_arm, self._even_speed, np.inf)
         self._ahead = limits.dt + self._motion.delay
-        self._reach = limits.joints.lead + self._even_speed * self._motion.delay
         self._stop_reach = limits.joints.lead + 0.5 * self._even_speed * limits.joints.stop_time
         self._sudden = self._motion.change + ROUNDING
-        self._follow = np.minimum(limits.dt / limits.joints.lag, 1.0)
 
     def tick(self, state: ServoState, inputs: ServoInputs) -> tuple[ServoState, Output]:
         """Decide on the commands of this tick; one that is late must not be made up for by two at once."""
@@ -328,8 +337,7 @@ class ServoCore:
             way = state.interpolator.turned(state.is_driven, allowed, inputs.now, inputs.target_stamp)
             goal, is_led = self._goal(state, found, way)
             state, held_back = self._moved(state, found, way, goal)
-        is_idle = state.is_in(Mode.IDLE)
-        is_silent = is_idle | state.is_left_to_others
+        is_silent = state.is_in(Mode.IDLE) | state.is_left_to_others
         return state, Output(
             command=np.where(is_silent[:, None], np.nan, state.command),
             mode=state.mode,
@@ -345,7 +353,8 @@ class ServoCore:
         share = np.minimum((state.ticks + 1) * self.limits.dt / self.limits.ramp_time, 1.0)
         share = np.where(state.is_in(Mode.RAMP), share, 1.0)[:, None]
         wanted = hold + share * (way.at(state.now, self._ahead) - hold)
-        near = clipped(wanted, found.joint_pos - self._reach, found.joint_pos + self._reach)
+        reach = self._even_speed * (found.track.lag + self._motion.delay)
+        near = clipped(wanted, found.joint_pos - reach, found.joint_pos + reach)
         goal = clipped(np.where(is_driven, near, hold), joints.lower, joints.upper)
         return goal, (near != wanted) & is_driven
 
@@ -370,7 +379,9 @@ class ServoCore:
         """The state a tick further, and which joints speed, acceleration and the workspace have held back."""
         motion, limits = state.motion, self._motion
         wish, is_active = wished(motion, goal, limits), state.is_active
-        if not is_active.all():
+        slow = np.where(found.track.is_lag_seen, np.inf, self._unseen_speed)
+        wish = clipped(wish, -slow, slow)
+        if np.count_nonzero(is_active) < len(is_active):
             wish = np.where(is_active[:, None], wish, self._stopping(state, found))
         wanted = towards(motion, wish, limits)
         moved = self._brake.kept_inside(motion, state.recent, wanted, state.mode != int(Mode.IDLE))
@@ -382,7 +393,7 @@ class ServoCore:
             recent=recent,
             command=command,
             interpolator=way,
-            expected=state.expected + self._follow * (command - state.expected),
+            expected=found.track.expected(state.expected, command, self.limits),
         )
         is_fast, is_sudden = np.abs(wish) > limits.speed, np.abs(wish - motion.velocity) > self._sudden
         return moved_state, (is_fast, is_sudden, moved.velocity != wanted.velocity)

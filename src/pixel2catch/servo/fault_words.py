@@ -69,7 +69,7 @@ FAULT_WORDS = {
     ),
     "joint speed": FaultWords(
         what="a joint was faster than it may be",
-        fix="Identify the robot's dynamics again, or lower the speed.",
+        fix="See what else moves the robot, and whether its payload is set; else lower the speed.",
     ),
     "other operator": FaultWords(
         what="two programs hold the switch or ask to arm",

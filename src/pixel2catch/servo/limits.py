@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cached_property, partial
 from math import isclose, pi
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -26,6 +26,9 @@ BEYOND_TRAVEL = 0.3
 
 Source: ours; fingers give way, and encoders have offsets.
 """
+
+REST_ERROR = 0.05
+"""Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours."""
 
 TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
@@ -56,7 +59,8 @@ class JointLimits:
         step: ours; UR's control program ignores a step of an arm's joint above 0.04 rad in 2 ms.
         lead: as in training, the distance at which a servo moves at 0.9 of the joint's speed limit.
         joint_speed, jump_speed: ours; what a joint may do, or can, and what an estimate may be wrong by.
-        tracking_error: ours; an arm that is held fast goes beyond it. Fingers are held by what they hold.
+        tracking_error: ours; an arm that is held fast goes beyond it, one whose positions are as old as they
+            may be does not. Fingers are held by what they hold.
         start_error, start_distance: ours; an arm's action moves the target by 0.48 rad at most, a
             finger's target is anywhere.
     """
@@ -119,7 +123,7 @@ class JointLimits:
         own_speed = share * np.minimum(full_speed, most["speed"])
         even_speed = SPEED_MARGIN * own_speed
         acceleration = np.minimum(each(300.0, 2000.0), most["acceleration"])
-        lead = even_speed * lag
+        lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
         margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
         return cls(
@@ -132,7 +136,7 @@ class JointLimits:
             step=each(0.03, 0.04),
             lag=lag,
             lead=lead,
-            tracking_error=0.75 * lead * each(1.0, np.inf),
+            tracking_error=np.maximum(0.75 * lead, REST_ERROR + own_speed * age) * each(1.0, np.inf),
             lag_error=0.75 if is_identified else 1.0,
             escape=each(np.inf, 0.5),
             moved_error=each(0.06, np.inf),
@@ -142,10 +146,25 @@ class JointLimits:
             jump_speed=1.2 * full_speed,
             start_error=each(0.02, 0.2),
             start_distance=each(0.5, np.inf),
-            position_age=each(0.02, 0.05),
+            position_age=age,
         )
 
-    @property
+    @cached_property
+    def is_arm(self) -> Bool[np.ndarray, " joints"]:
+        """Which joints are watched as an arm's, which their servo keeps near their command."""
+        return np.isfinite(self.tracking_error)
+
+    @cached_property
+    def is_finger(self) -> Bool[np.ndarray, " joints"]:
+        """Which joints are watched as fingers, which an object may stop."""
+        return np.isfinite(self.escape)
+
+    @cached_property
+    def has_fingers(self) -> bool:
+        """Whether there are any."""
+        return bool(self.is_finger.any())
+
+    @cached_property
     def stop_time(self) -> Joints:
         """Time in which a stop takes each joint to rest [s]."""
         return self.lead / (self.lag * self.deceleration)
@@ -231,6 +250,11 @@ class ServoLimits:
             f"{motion.acceleration.max():.0f} rad/s², {motion.jerk.max():.0f} rad/s³; "
             f"a stop takes {joints.stop_time[ids].max():.2f} s"
         )
+
+    @cached_property
+    def policy_ages(self) -> np.ndarray:
+        """Ages of the newest image, targets and box that are faults [s]."""
+        return np.array((self.image_age, self.target_age, self.box_age))[:, None]
 
     @property
     def num_joints(self) -> int:

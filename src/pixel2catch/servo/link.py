@@ -54,7 +54,8 @@ class PolicyCommand:
     @property
     def row(self) -> Row:
         """Write it."""
-        return np.hstack(list(vars(self).values()))
+        *numbers, joint_pos_target = vars(self).values()
+        return np.concatenate((numbers, joint_pos_target))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +84,8 @@ class ServoStatus:
     @property
     def row(self) -> Row:
         """Write it."""
-        return np.hstack(list(vars(self).values()))
+        *numbers, command, joint_pos = vars(self).values()
+        return np.concatenate((numbers, command, joint_pos))
 
 
 Sent = TypeVar("Sent", PolicyCommand, ServoStatus)

@@ -56,6 +56,11 @@ class MotionLimits:
         """Largest change of the speed in a tick [rad/s]."""
         return self.acceleration * self.dt
 
+    @cached_property
+    def bend(self) -> Joints:
+        """Largest change of the way of a tick from one to the next [rad]."""
+        return self.change * self.dt
+
     @property
     def delay(self) -> Joints:
         """How much later than the positions the commands are [s]."""
@@ -87,7 +92,7 @@ def fastest(
 
     Braking from v = (n + f) a dt, n whole and 0 <= f < 1, takes ((n + 1) f + n (n + 1) / 2) a dt².
     """
-    share = distance / (limits.change * limits.dt)
+    share = distance / limits.bend
     whole = np.floor(np.sqrt(2.0 * share + 0.25) - 0.5)
     return (share / (whole + 1.0) + 0.5 * whole) * limits.change
 
@@ -163,7 +168,7 @@ class TargetInterpolator:
     def turned(self, mask: Flags, target: Rows, now: Times, stamp: Times) -> "TargetInterpolator":
         """Begin the motion to a new target [rad] from where it is now, in the masked rows, if it is newer."""
         is_new = mask & (stamp > self.stamp)
-        if not is_new.any():
+        if not np.count_nonzero(is_new):
             return self
         return TargetInterpolator(
             start=np.where(is_new[:, None], self.at(now), self.start),

@@ -92,6 +92,7 @@ class CommandPublisher:
         self._periods = [max(round(1.0 / (part.rate_hz * setup.limits.dt)), 1) for part in parts]
         self._tick, self._held_step = 0, HELD_SPEED * setup.limits.dt
         self._held = [part.held_angles for part in parts]
+        self._is_kept = [True for _ in parts]
         self.publishers = [publisher for _, publisher in self._drivers]
         for part in parts:
             part.command(np.zeros(setup.limits.num_joints))
@@ -106,10 +107,13 @@ class CommandPublisher:
             self._tick = 0
             return
         for number, ((part, publisher), period) in enumerate(zip(self._drivers, self._periods, strict=True)):
-            kept, step = part.held_angles, self._held_step
             if self._tick == 0:
-                self._held[number] = np.where(np.isfinite(held[number]), held[number], kept)
-            self._held[number] = self._held[number] + (kept - self._held[number]).clip(-step, step)
+                self._held[number] = np.where(np.isfinite(held[number]), held[number], part.held_angles)
+                self._is_kept[number] = False
+            if not self._is_kept[number]:
+                left = part.held_angles - self._held[number]
+                self._held[number] = self._held[number] + left.clip(-self._held_step, self._held_step)
+                self._is_kept[number] = not left.any()
             if self._tick % period == 0:
                 publisher.publish(part.command(command, self._clock.stamp(), self._held[number]))
         self._tick += 1

@@ -3,15 +3,17 @@
 A message that cannot be read counts as none: its sender falls silent, and that is what stops the robot.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from typing import Generic, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.profile import OperatorTopics, Profile, RobotPart
+from pixel2catch.ros2.joint_states import JointStateReader
+from pixel2catch.ros2.messages import JointReading
+from pixel2catch.ros2.profile import Columns, OperatorTopics, Profile, RobotPart
 from pixel2catch.ros2.transport import Publisher, Subscription, Topic, Transport
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import PolicyCommand
@@ -44,27 +46,54 @@ class JointStates:
         #: Where the joints of each part are that are none of ours [rad]; NaN where that is not said.
         self.held = [np.full(len(part.held), np.nan) for part in profile.robots]
         self._sent = np.full(num_joints, np.nan)
-        senders: dict[Topic, list[tuple[RobotPart, np.ndarray]]] = {}
-        for part, held in zip(profile.robots, self.held, strict=True):
-            senders.setdefault(part.state_topic, []).append((part, held))
-        self._senders = [(transport.subscription(topic, DEPTH), parts) for topic, parts in senders.items()]
+        numbers: dict[Topic, list[int]] = {}
+        for number, part in enumerate(profile.robots):
+            numbers.setdefault(part.state_topic, []).append(number)
+        self._topics = [
+            _JointTopic(
+                subscription=transport.subscription(topic, DEPTH),
+                read=JointStateReader().read,
+                order=lru_cache(DEPTH)(partial(_joint_order, {n: profile.robots[n] for n in of_topic})),
+            )
+            for topic, of_topic in numbers.items()
+        ]
 
     def hear(self) -> None:
         """Take what has arrived."""
-        for subscription, parts in self._senders:
-            for (ids, stamp), arrival in _read(
-                subscription, lambda data, parts=parts: self._merge(data, parts)
-            ):
+        for topic in self._topics:
+            for (ids, stamp), arrival in _read(topic.subscription, partial(self._merge, topic)):
                 self._sent[ids], self.joint_stamp[ids] = stamp, arrival
 
-    def _merge(self, data: bytes, parts: list[tuple[RobotPart, np.ndarray]]) -> tuple[np.ndarray, float]:
+    def _merge(self, topic: "_JointTopic", data: bytes) -> tuple[np.ndarray, float]:
         """Note the positions; return the joints of which they are new, and when they were measured."""
-        reading = messages.read_joint_state(data)
-        ids = np.concatenate([part.merge(reading, self.joint_pos) for part, _ in parts])
-        for part, held in parts:
-            measured = part.held_positions(reading)
-            np.copyto(held, measured, where=np.isfinite(measured))
-        return ids[self._sent[ids] != reading.stamp], reading.stamp
+        reading = topic.read(data)
+        order = topic.order(reading.names)
+        self.joint_pos[order.ids] = reading.position[order.columns]
+        for number, columns, places in order.held:
+            measured, held = reading.position[columns], self.held[number]
+            held[places] = np.where(np.isfinite(measured), measured, held[places])
+        return order.ids[self._sent[order.ids] != reading.stamp], reading.stamp
+
+
+class _JointOrder(NamedTuple):
+    """Where a joint state of some names has what is listened to."""
+
+    columns: Columns  #: Columns of joints,
+    ids: Columns  #: and which they are, in joint order.
+    held: list[tuple[int, Columns, Columns]]  #: Number of a part, columns and places of joints that it holds.
+
+
+class _JointTopic(NamedTuple):
+    subscription: Subscription
+    read: Callable[[bytes], JointReading]
+    order: Callable[[tuple[str, ...]], _JointOrder]
+
+
+def _joint_order(parts: Mapping[int, RobotPart], names: tuple[str, ...]) -> _JointOrder:
+    """The order of such names for parts, by their numbers; raises as `RobotPart.columns`."""
+    columns, ids = np.concatenate([part.columns(names) for part in parts.values()], axis=1)
+    held = [(number, *part.held_columns(names)) for number, part in parts.items()]
+    return _JointOrder(columns, ids, [entry for entry in held if len(entry[1])])
 
 
 class _Said(Generic[T]):
@@ -211,27 +240,36 @@ class ServoSubscriptions:
         """What the servo is told in a tick, with what the control loop has ordered last."""
         joints, status, operator = self.joints, self._status, self._operator
         return ServoInputs(
-            now=np.array([now]),
             joint_pos=joints.joint_pos[None].copy(),
             joint_stamp=joints.joint_stamp[None].copy(),
             joint_pos_target=policy_command.joint_pos_target[None],
-            target_stamp=np.array([policy_command.target_stamp]),
-            image_stamp=np.array([policy_command.image_stamp]),
-            box_stamp=np.array([policy_command.box_stamp]),
-            is_perception_sound=np.array([policy_command.is_perception_sound]),
-            dead_man_stamp=np.array([operator.dead_man_stamp]),
-            pressed_stamp=np.array([operator.pressed_stamp]),
-            arm_stamp=np.array([operator.arm_stamp]),
-            is_stop_requested=np.array([operator.is_stop_requested or policy_command.is_stop_requested]),
-            is_safe=np.array([status.is_safe]),
-            speed_scaling=np.array([status.speed_scaling]),
-            is_status_known=np.array([status.is_known]),
-            has_controller=np.array([status.has_controller]),
-            has_other_publisher=np.array([self._has_other_publisher]),
-            has_other_operator=np.array([self._has_other_operator]),
-            has_subscriber=np.array([all(self._num_subscribers)]),
-            has_other_subscriber=np.array([max(self._num_subscribers, default=0) > 1]),
+            **_rows(
+                now=now,
+                target_stamp=policy_command.target_stamp,
+                image_stamp=policy_command.image_stamp,
+                box_stamp=policy_command.box_stamp,
+                dead_man_stamp=operator.dead_man_stamp,
+                pressed_stamp=operator.pressed_stamp,
+                arm_stamp=operator.arm_stamp,
+                speed_scaling=status.speed_scaling,
+            ),
+            **_rows(
+                is_perception_sound=policy_command.is_perception_sound,
+                is_stop_requested=operator.is_stop_requested or policy_command.is_stop_requested,
+                is_safe=status.is_safe,
+                is_status_known=status.is_known,
+                has_controller=status.has_controller,
+                has_other_publisher=self._has_other_publisher,
+                has_other_operator=self._has_other_operator,
+                has_subscriber=all(self._num_subscribers),
+                has_other_subscriber=max(self._num_subscribers, default=0) > 1,
+            ),
         )
+
+
+def _rows(**values: float) -> dict[str, np.ndarray]:
+    """One row of each value; all of them are numbers, or all are flags."""
+    return dict(zip(values, np.array([*values.values()])[:, None], strict=True))
 
 
 def _read(

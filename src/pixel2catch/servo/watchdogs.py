@@ -3,22 +3,18 @@
 All stamps are of one monotonic clock. A stamp that is no number, or of the future, is as bad as an old one.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag, auto
-from typing import TypeVar
+from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
-from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.limits import REST_ERROR, ServoLimits
 from pixel2catch.servo.motion import Bits, Flags, Rows, Times
 
 JITTER = 0.015  #: How much earlier or later a position may arrive than others do [s]. Source: ours.
 SMOOTHING = 0.04  #: Time over which the speed of a joint is estimated [s]. Source: ours.
-REST_ERROR = 0.05
-"""Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours."""
-
 SLACK_LAGS = 3.0
 """In how many lags a distance from the command is forgotten that a motion explains. Source: ours."""
 
@@ -26,9 +22,18 @@ FROZEN_ANGLE = 0.01
 """Motion of a command in which its joint must be measured elsewhere by a bit at least [rad]. Source: ours."""
 
 FROZEN_TIME = 0.15  #: Time that a joint has for that [s]. Source: ours, more than the lag of any servo here.
-CLOCK_ERROR = 1e-3  #: How far ahead a stamp may be [s]. Source: ours; processes read the clock in turn.
+LAG_MARGIN = 1.05
+"""Share of the lag that is seen that counts. Source: ours, half of what the speed has to spare."""
 
-AnyFlag = TypeVar("AnyFlag", bound=IntFlag)
+LEAST_LAG = 0.002  #: Lag that any joint has [s]. Source: ours, a tick.
+
+LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.3
+"""Motion from which the lag of a joint is known, and that of which it is the mean: v² t [rad²/s].
+
+Source: ours; 0.03 s after the beginning of a swing, and 0.05 s of the fastest.
+"""
+
+CLOCK_ERROR = 1e-3  #: How far ahead a stamp may be [s]. Source: ours; processes read the clock in turn.
 
 
 class Fault(IntFlag):
@@ -89,6 +94,11 @@ class ServoInputs:
     has_subscriber: Flags  #: Whether somebody takes the commands of each driver.
     has_other_subscriber: Flags  #: Whether several take the commands of one.
 
+    @cached_property
+    def is_measured(self) -> Bool[np.ndarray, "rows joints"]:
+        """Which joint positions are numbers."""
+        return np.isfinite(self.joint_pos)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Commanded:
@@ -110,6 +120,12 @@ class JointTrack:
     slack: Rows  #: How far behind its command a joint may still be, by the motion of late [rad].
     anchor: Rows  #: Where the command was when the measurement last changed [rad].
     still_time: Rows  #: How long the measurement has not changed, though the command has moved [s].
+    ahead: Rows  #: How far the command is ahead of the joint [rad], in the mean of the time of its speed.
+    seen_lag: Rows  #: How much that is for its speed, by its motion of late [s].
+    evidence: Rows  #: How much motion that is known of [rad²/s].
+    #: Which joints of an arm have moved enough for their lag to be known by that.
+    is_lag_seen: Bool[np.ndarray, "rows joints"]
+    lag: Rows  #: How long joints are behind their commands [s]: as told, or as seen if that is less.
 
     @classmethod
     def unknown(cls, num_rows: int, num_joints: int) -> "JointTrack":
@@ -124,14 +140,23 @@ class JointTrack:
             slack=zeros,
             anchor=zeros,
             still_time=zeros,
+            ahead=zeros,
+            seen_lag=zeros,
+            evidence=zeros,
+            is_lag_seen=zeros > 0.0,
+            lag=zeros,
         )
+
+    def expected(self, before: Rows, command: Rows, limits: ServoLimits) -> Rows:
+        """Where the joints are a tick later by their lag, from where they should have been before [rad]."""
+        return before + np.minimum(limits.dt / self.lag, 1.0) * (command - before)
 
     def continued(
         self, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
     ) -> tuple["JointTrack", Bool[np.ndarray, "rows joints"]]:
         """What is known with new positions, and which of them went as none can."""
         joints, position, stamp = limits.joints, inputs.joint_pos, inputs.joint_stamp
-        is_measured = np.isfinite(position)
+        is_measured = inputs.is_measured
         is_new = is_measured & np.isfinite(stamp) & ~(stamp <= self.stamp)
         is_next = is_new & np.isfinite(self.stamp)
         elapsed = np.where(is_next, stamp - self.stamp, 0.0)
@@ -148,6 +173,15 @@ class JointTrack:
         explained = np.where(is_followed, nearest, position)
         anchor = np.where(is_followed & (moved == 0.0), self.anchor, command)
         is_still = np.abs(command - anchor) > FROZEN_ANGLE
+        # A joint that follows with a lag has the speed (command - position) / lag, whatever the command does;
+        # so has every mean of both.
+        ahead = (1.0 - share) * self.ahead + np.where(is_next, command - self.position, 0.0) * share
+        ahead = np.where(is_followed, ahead, 0.0)
+        way = np.where(is_followed, speed * elapsed, 0.0)
+        evidence = np.minimum(self.evidence + way * speed, MOST_EVIDENCE)
+        seen_lag = self.seen_lag + way * (ahead - self.seen_lag * speed) / np.maximum(evidence, 1e-9)
+        is_lag_seen = joints.is_arm & (evidence >= LEAST_EVIDENCE)
+        least_lag = np.minimum(np.maximum(LAG_MARGIN * seen_lag, LEAST_LAG), joints.lag)
         track = JointTrack(
             position=np.where(is_new, position, self.position),
             stamp=np.where(is_new, stamp, self.stamp),
@@ -158,6 +192,11 @@ class JointTrack:
             ),
             anchor=anchor,
             still_time=np.where(is_still, self.still_time + limits.dt, 0.0),
+            ahead=ahead,
+            seen_lag=seen_lag,
+            evidence=evidence,
+            is_lag_seen=is_lag_seen,
+            lag=np.where(is_lag_seen, least_lag, joints.lag),
         )
         return track, is_jump
 
@@ -170,14 +209,14 @@ def is_recent(
     return (elapsed >= -CLOCK_ERROR) & (elapsed <= age)
 
 
-def all_finite(values: Rows) -> Flags:
-    """Whether all joints of a row have a number."""
-    return np.logical_and.reduce(np.isfinite(values), axis=-1)
+@lru_cache
+def _values(names: tuple[str, ...]) -> Int64[np.ndarray, " names"]:
+    return np.array([Fault[name] for name in names], dtype=np.int64)
 
 
-def bits(flags: Mapping[AnyFlag, Flags]) -> Bits:
-    """The flags that hold in each row, as one number."""
-    return np.array([*flags], dtype=np.int64) @ np.array([*flags.values()])
+def bits(**flags: Flags) -> Bits:
+    """The faults that hold in each row, by their names, as one number."""
+    return _values(tuple(flags)) @ np.array([*flags.values()])
 
 
 def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) -> Bits:
@@ -187,21 +226,19 @@ def faults_of_robot(inputs: ServoInputs, limits: ServoLimits, last_tick: Times) 
     is_joint_measured = is_recent(now[:, None], inputs.joint_stamp, limits.joints.position_age)
     is_measured = np.logical_and.reduce(is_joint_measured, axis=-1)
     return bits(
-        {
-            Fault.CLOCK: ~((elapsed > 0.0) & (elapsed <= limits.tick_age)),
-            Fault.JOINTS_STALE: ~is_measured,
-            Fault.JOINTS_NOT_FINITE: ~all_finite(inputs.joint_pos),
-            Fault.SAFETY_MODE: ~inputs.is_safe,
-            Fault.SPEED_SCALING: inputs.speed_scaling != 1.0,
-            Fault.STATUS_UNKNOWN: ~inputs.is_status_known,
-            Fault.CONTROLLER: ~inputs.has_controller,
-            Fault.NO_SUBSCRIBER: ~inputs.has_subscriber,
-            Fault.OTHER_SUBSCRIBER: inputs.has_other_subscriber,
-            Fault.OTHER_PUBLISHER: inputs.has_other_publisher,
-            Fault.OTHER_OPERATOR: inputs.has_other_operator,
-            Fault.DEAD_MAN: ~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
-            Fault.STOP_REQUEST: inputs.is_stop_requested,
-        }
+        CLOCK=~((elapsed > 0.0) & (elapsed <= limits.tick_age)),
+        JOINTS_STALE=~is_measured,
+        JOINTS_NOT_FINITE=~np.logical_and.reduce(inputs.is_measured, axis=-1),
+        SAFETY_MODE=~inputs.is_safe,
+        SPEED_SCALING=inputs.speed_scaling != 1.0,
+        STATUS_UNKNOWN=~inputs.is_status_known,
+        CONTROLLER=~inputs.has_controller,
+        NO_SUBSCRIBER=~inputs.has_subscriber,
+        OTHER_SUBSCRIBER=inputs.has_other_subscriber,
+        OTHER_PUBLISHER=inputs.has_other_publisher,
+        OTHER_OPERATOR=inputs.has_other_operator,
+        DEAD_MAN=~is_recent(now, inputs.dead_man_stamp, limits.operator_age),
+        STOP_REQUEST=inputs.is_stop_requested,
     )
 
 
@@ -215,7 +252,6 @@ def faults_of_joints(
     """
     joints, position, is_followed = limits.joints, inputs.joint_pos, commanded.is_followed
     track, is_jump = track.continued(inputs, commanded, limits)
-    is_arm, is_finger = np.isfinite(joints.tracking_error), np.isfinite(joints.escape)
     is_still = track.still_time > FROZEN_TIME
     most = np.minimum(joints.tracking_error, REST_ERROR + joints.lag_error * track.slack)
     of_joints = np.array(
@@ -223,32 +259,30 @@ def faults_of_joints(
             (position < joints.least) | (position > joints.most) | is_jump,
             np.abs(position - track.explained) > joints.escape,
             np.abs(track.speed) > joints.joint_speed,
-            (np.abs(position - commanded.expected) > most) & is_arm,
-            is_still & is_arm,
+            (np.abs(position - commanded.expected) > most) & joints.is_arm,
+            is_still & joints.is_arm,
         )
     )
     is_impossible, is_escaped, is_fast, is_off, is_frozen = np.logical_or.reduce(of_joints, axis=-1)
-    is_hand_frozen = np.logical_and.reduce(is_still | ~is_finger, axis=-1) & is_finger.any()
+    is_hand_frozen = np.logical_and.reduce(is_still | ~joints.is_finger, axis=-1) & joints.has_fingers
     return track, bits(
-        {
-            Fault.JOINTS_IMPLAUSIBLE: is_impossible | (is_escaped & is_followed),
-            Fault.JOINT_SPEED: is_fast & is_followed,
-            Fault.TRACKING_ERROR: is_off & is_followed,
-            Fault.JOINTS_FROZEN: (is_frozen | is_hand_frozen) & is_followed,
-        }
+        JOINTS_IMPLAUSIBLE=is_impossible | (is_escaped & is_followed),
+        JOINT_SPEED=is_fast & is_followed,
+        TRACKING_ERROR=is_off & is_followed,
+        JOINTS_FROZEN=(is_frozen | is_hand_frozen) & is_followed,
     )
 
 
 def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
     """What is wrong with what the policy sees and says."""
+    stamps = np.array((inputs.image_stamp, inputs.target_stamp, inputs.box_stamp))
+    is_old = ~is_recent(inputs.now, stamps, limits.policy_ages)
     return bits(
-        {
-            Fault.IMAGE_STALE: ~is_recent(inputs.now, inputs.image_stamp, limits.image_age),
-            Fault.POLICY_LATE: ~is_recent(inputs.now, inputs.target_stamp, limits.target_age),
-            Fault.TARGET_NOT_FINITE: ~all_finite(inputs.joint_pos_target),
-            Fault.OBJECT_LOST: ~is_recent(inputs.now, inputs.box_stamp, limits.box_age),
-            Fault.PERCEPTION_UNSOUND: ~inputs.is_perception_sound,
-        }
+        IMAGE_STALE=is_old[0],
+        POLICY_LATE=is_old[1],
+        TARGET_NOT_FINITE=~np.logical_and.reduce(np.isfinite(inputs.joint_pos_target), axis=-1),
+        OBJECT_LOST=is_old[2],
+        PERCEPTION_UNSOUND=~inputs.is_perception_sound,
     )
 
 

@@ -10,7 +10,8 @@ from typing import Any, final
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from pixel2catch.errors import DeploymentError, Pixel2CatchError
+from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError
+from pixel2catch.files import json_object
 
 BEAT_AGE = 0.4
 """Real time for which a browser that says nothing still holds the switch [s]. Source: ours: it says so every
@@ -119,10 +120,10 @@ class Visitors:
 
     async def _hear(self, visitor: Visitor, said: str | bytes) -> None:
         try:
-            asked = json.loads(said) if isinstance(said, str) and len(said) <= LONGEST else None
-        except (ValueError, RecursionError):
+            asked = json_object(said) if isinstance(said, str) and len(said) <= LONGEST else None
+        except InvalidValueError:
             asked = None
-        if not isinstance(asked, dict):
+        if asked is None:
             return await visitor.close(1008, "not a request")
         try:
             self._heed(visitor, asked)

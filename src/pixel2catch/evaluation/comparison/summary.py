@@ -1,6 +1,7 @@
 """What several seeds of a method amount to: means and deviations over them, intervals, learning curves."""
 
 import csv
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +12,19 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.comparison.plan import GROUPS, ComparisonFolder, Plan, Run
 from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interval
 from pixel2catch.evaluation.report import MAIN_RATES, PAPER, RATES, csv_text
+from pixel2catch.files import read_text, reading
 from pixel2catch.scene.objects import OBJECT_GROUPS
 
 MAXIMA = ("max_joint_speed", "max_torque_share", "max_penetration")
 """Extremes that the tables show: the largest of all seeds."""
 
 Row = dict[str, Any]
+
+CURVES = ("transitions", "episodes", *MAIN_RATES.values())  #: Columns that curves are made of.
 
 NUM_BINS = 60  #: Most bins from the start to the end of the longest training. Source: ours.
 
@@ -125,11 +130,22 @@ class Curves:
         return values.mean(axis=0), values.std(axis=0, ddof=1) if several else np.zeros(values.shape[1])
 
 
-def read_metrics(path: Path) -> Columns:
-    """The columns of a `metrics.csv` that curves are made of."""
-    names = ("transitions", "episodes", *MAIN_RATES.values())
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = [[float(row[name] or "nan") for name in names] for row in csv.DictReader(file)]
+MOST_METRICS = 2**26
+"""Bytes of a `metrics.csv`; those of the longest trainings here have some hundred thousand. Source: ours."""
+
+
+def read_metrics(path: Path, names: Sequence[str] = CURVES) -> Columns:
+    """Columns of a `metrics.csv`, which may be being written: those that curves are made of, or others.
+
+    Raises:
+        InvalidValueError: It cannot be read, or is none.
+    """
+    with reading("metrics", path, "Train anew, or take the file out of the comparison."):
+        try:
+            table = csv.DictReader(io.StringIO(read_text(path, MOST_METRICS)))
+            rows = [[float(row[name] or "nan") for name in names] for row in table]
+        except csv.Error as error:
+            raise InvalidValueError(f"it is no table ({error})") from error
     return dict(zip(names, np.array(rows).reshape(-1, len(names)).T, strict=True))
 
 

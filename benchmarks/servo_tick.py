@@ -1,0 +1,73 @@
+"""How long a tick of the servo takes, decoding and encoding included; network and waiting are not.
+
+python benchmarks/servo_tick.py RECORDING
+
+Plays what `rehearse --record` or `deploy --record` wrote to a servo in memory, tick by tick at the times of
+the recorded ones. The time of the processor does not count what other programs take meanwhile.
+"""
+
+import argparse
+import gc
+import os
+from pathlib import Path
+from time import perf_counter, thread_time
+
+import numpy as np
+
+from pixel2catch.deployment.recorder import ORDERS, SERVO
+from pixel2catch.deployment.replay import played_topics
+from pixel2catch.deployment.stepped import StepClock
+from pixel2catch.ros2 import messages
+from pixel2catch.ros2.bags import opened_bag
+from pixel2catch.ros2.memory import Broker
+from pixel2catch.ros2.profile import Profile
+from pixel2catch.servo.limits import ServoLimits
+from pixel2catch.servo.link import PolicyCommand, ServoStatus, link
+from pixel2catch.servo.process import Servo, ServoSetup
+from pixel2catch.workcells import find_workcell
+
+AFTER = 50e-6  # s; what was recorded so little after a tick, of several messages at once, was heard in it
+WARM_UP = 300  # ticks that do not count
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("recording", type=Path, help="folder of a recording")
+    args = parser.parse_args()
+    profile, clock, broker = Profile.load("ur5e_allegro_v4"), StepClock(lambda _: None), Broker()
+    node = broker.node(clock)
+    drivers = [node.subscription(part.command_topic, 16) for part in profile.robots]
+    publishers = {topic.name: node.publisher(topic) for topic in played_topics(profile)}
+    loop, end = link()
+    setup = ServoSetup(profile=profile, limits=ServoLimits.of(find_workcell(profile.workcell)))
+    servo = Servo(end, broker.node(clock), setup, clock)
+    entries = list[tuple[float, str, bytes]]()
+    with opened_bag(args.recording) as reader:
+        for connection, nanoseconds, data in reader.messages():
+            late = AFTER if connection.topic == SERVO.name else 0.0
+            entries.append((1e-9 * nanoseconds + late, connection.topic, bytes(data)))
+    times = list[tuple[float, float]]()
+    gc.disable()
+    for moment, name, data in sorted(entries, key=lambda entry: entry[0]):
+        clock.time = moment
+        if name in publishers:
+            publishers[name].publish(data)
+        elif name == ORDERS.name:
+            loop.send(PolicyCommand.of(messages.read_float_array(data)))
+        elif name == SERVO.name:
+            clock.time = ServoStatus.of(messages.read_float_array(data)).time
+            begun, worked = perf_counter(), thread_time()
+            servo.tick()
+            times.append((perf_counter() - begun, thread_time() - worked))
+            for heard in (loop.receive, *(driver.take for driver in drivers)):
+                heard()
+    print(f"{len(times) - WARM_UP} ticks, load {os.getloadavg()[0]:.1f} [ms]:")
+    for name, column in zip(("passed", "of the processor"), 1e3 * np.array(times[WARM_UP:]).T, strict=True):
+        shown = np.percentile(column, (0, 10, 50, 90, 99))
+        print(
+            f"{name:17} min {{:.3f}}, p10 {{:.3f}}, p50 {{:.3f}}, p90 {{:.3f}}, p99 {{:.3f}}".format(*shown)
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""Model files of robots, looked at before MuJoCo reads them: what is too large, deep or grows is refused."""
+
+from collections.abc import Callable
+from pathlib import Path
+from xml.parsers import expat
+
+import mujoco
+
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import read_bytes, reading
+
+MOST_MJCF = 2**24  #: Bytes of a model; those of robots have some ten thousand. Source: ours.
+MOST_ELEMENTS, MOST_NESTED = 20_000, 64
+"""Elements of a model, and how many of them may be in each other.
+
+Source: ours; an arm with a hand has some 500, and 15 in each other.
+"""
+
+GROWING = ("include", "replicate", "composite", "flexcomp")
+"""Elements that make others, or read other files; a robot has none."""
+
+
+def read_mjcf(path: Path) -> mujoco.MjSpec:
+    """Read a model.
+
+    Raises:
+        InvalidValueError: It cannot be read, or is too large, too deep or grows.
+    """
+    with reading("model", path, "Write MJCF, as for MuJoCo."):
+        _require_simple(read_bytes(path, MOST_MJCF))
+        return mujoco.MjSpec.from_file(str(path))
+
+
+def _require_simple(content: bytes) -> None:
+    depth = num_elements = 0
+
+    def begin(name: str, _: object) -> None:
+        nonlocal depth, num_elements
+        depth, num_elements = depth + 1, num_elements + 1
+        if depth > MOST_NESTED or num_elements > MOST_ELEMENTS:
+            raise InvalidValueError(
+                f"it has more than {MOST_ELEMENTS} elements, or more than {MOST_NESTED} in each other"
+            )
+        if name in GROWING:
+            raise InvalidValueError(f"it has the element '{name}'; write out what that makes")
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def declare(*_: object) -> None:
+        raise InvalidValueError("it declares a type of document, or entities; a model needs none")
+
+    parser = expat.ParserCreate()
+    handlers: dict[str, Callable[..., None]] = {
+        "StartElementHandler": begin,
+        "EndElementHandler": end,
+        "StartDoctypeDeclHandler": declare,
+    }
+    for name, handler in handlers.items():
+        setattr(parser, name, handler)
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise InvalidValueError(f"it is no XML ({error})") from error
