@@ -75,7 +75,7 @@ def _import_advice(error: BaseException) -> str:
     return (
         f"SAM 2 cannot be imported from transformers: {error}. If that is about torchvision, it "
         f"does not match PyTorch {torch.__version__}; it is not needed: pip uninstall torchvision, or "
-        "install the version made for this PyTorch. If not: {install_command('sam2')} --upgrade"
+        f"install the version made for this PyTorch. If not: {install_command('sam2')} --upgrade"
     )
 
 
