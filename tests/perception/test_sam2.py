@@ -117,8 +117,8 @@ def test_bfloat16_sees_what_float32_sees(folder: Path) -> None:
     for result, expected in zip(rounded, exact, strict=True):
         assert result.mask is not None
         assert expected.mask is not None
-        # Another image of noise has 0.1 and more.
-        assert (result.mask != expected.mask).mean() < 0.05
+        # With another past it is 0.3.
+        assert (result.mask != expected.mask).mean() < 0.02
         assert result.score == pytest.approx(expected.score, abs=0.01)
 
 
