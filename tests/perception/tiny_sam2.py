@@ -28,10 +28,11 @@ def save_tiny_sam2(folder: Path, certainty: float = CERTAIN, *, finds_all: bool 
 
 def take_the_whole_image(model: Sam2VideoModel) -> None:
     """Make every mask logit positive: embeddings of all pixels far above zero, summed with weights of one."""
-    torch.nn.init.constant_(model.mask_decoder.upscale_conv2.bias, 50.0)
-    for network in model.mask_decoder.output_hypernetworks_mlps:
-        torch.nn.init.zeros_(network.proj_out.weight)
-        torch.nn.init.ones_(network.proj_out.bias)
+    for name, weights in model.mask_decoder.named_parameters():
+        if name == "upscale_conv2.bias":
+            torch.nn.init.constant_(weights, 50.0)
+        if name.startswith("output_hypernetworks_mlps") and ".proj_out." in name:
+            torch.nn.init.constant_(weights, float(name.endswith("bias")))
 
 
 def tiny_config() -> Sam2VideoConfig:
