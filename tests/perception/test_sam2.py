@@ -123,16 +123,16 @@ def test_bfloat16_sees_what_float32_sees(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_memory_is_flat_over_10_000_images_and_300_throws(folder: Path) -> None:
-    segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(8)
-    sizes = set()
+def test_memory_is_flat_over_10_000_images(folder: Path) -> None:
+    """Of 33 throws, and of one that never ends."""
+    segmenter, images, sizes = Sam2Segmenter(folder, "cpu"), random_images(8), set()
     for step in range(10_000):
         image = images[step % len(images)]
         if step < 1_000 and step % 30 == 0:
             segmenter.start(image, BOX)
         else:
             assert segmenter.track(image).mask is not None
-        if step % 30 == 29 or step > 1_000:
+        if step % 30 == 29:
             sizes.add(remembered_bytes(segmenter))
     assert len(sizes) == 1
 
