@@ -18,10 +18,9 @@ from tiny_sam2 import CERTAIN, save_tiny_sam2
 from domains import PATIENCE
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
-from pixel2catch.perception.image_track import ImageTrack
 from pixel2catch.perception.sam2 import Sam2Segmenter
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt, Segmentation, Segmenter
-from pixel2catch.perception.side_by_side import Doubt, SideBySide, Source, believe
+from pixel2catch.perception.side_by_side import Doubt, LastPlace, SideBySide, Source, believe
 
 NUM_STILL, NUM_FLYING = 4, 14
 NUM_STEPS = NUM_EMPTY + NUM_STILL + NUM_FLYING
@@ -94,7 +93,7 @@ def rectangle(left: int, top: int, right: int, bottom: int) -> Mask:
     return mask
 
 
-TRACK = ImageTrack(center=(90.0, 100.0), velocity=(10.0, 0.0))  # expected at (100, 100)
+LAST = LastPlace(box=(80.0, 90.0, 100.0, 110.0), velocity=(10.0, 0.0))  # expected at (100, 100)
 WHOLE = rectangle(0, 0, WIDTH, HEIGHT)
 HERE = rectangle(90, 90, 110, 110)
 
@@ -120,7 +119,7 @@ HERE = rectangle(90, 90, 110, 110)
 def test_who_is_believed(
     look: Mask | None, motion: Mask | None, source: Source | None, doubt: Doubt | None, overlap: float
 ):
-    belief = believe(TRACK, Segmentation(mask=look, score=1.0), motion)
+    belief = believe(LAST, Segmentation(mask=look, score=1.0), motion)
     assert (belief.source, belief.doubt) == (source, doubt)
     assert belief.overlap == pytest.approx(overlap)
     assert (belief.blob is None) == (source is None)
@@ -130,9 +129,9 @@ def test_who_is_believed(
 
 @pytest.mark.parametrize("doubt", [Doubt.LATE, Doubt.FAILED])
 def test_who_is_late_or_failed_is_not_believed(doubt: Doubt):
-    belief = believe(TRACK, doubt, HERE)
+    belief = believe(LAST, doubt, HERE)
     assert (belief.source, belief.doubt) == (Source.BACKGROUND, doubt)
-    assert believe(TRACK, doubt, None).source is None
+    assert believe(LAST, doubt, None).source is None
 
 
 def test_two_that_see_the_object_agree():

@@ -7,10 +7,13 @@ that continues the object's flight.
 
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from pixel2catch.perception.image_track import Blob, ImageTrack, find_blobs
+import torch
+
+from pixel2catch.perception.image_track import Blob, find_blobs
+from pixel2catch.perception.plausibility import PlausibilityCfg, is_jump
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     Image,
@@ -30,6 +33,8 @@ PATIENCE = 3
 
 LONGEST_WAIT = 0.6 * CONTROL_DT
 """Time that an image of a camera may take [s]. Source: ours: leaves a third for box, features and policy."""
+
+LONGEST_COAST = 3  #: Images that an unseen object is taken to go on as before. Source: ours.
 
 
 class Source(StrEnum):
@@ -51,12 +56,52 @@ class Doubt(StrEnum):
     DISAGREEMENT = "disagreement"
 
 
+@dataclass(frozen=True, kw_only=True)
+class LastPlace:
+    """Where the object was last, and how it moved."""
+
+    box: tuple[float, float, float, float]  #: Its box there [px].
+    velocity: tuple[float, float] = (0.0, 0.0)  #: Of the middle of its box, in an image interval [px].
+    num_missed: int = 0  #: Images since then.
+
+    @classmethod
+    def of(cls, prompt: Prompt) -> "LastPlace":
+        """Where a prompt says."""
+        u, v = prompt.center
+        return cls(box=prompt.box if isinstance(prompt, BoxPrompt) else (u, v, u, v))
+
+    @property
+    def expected(self) -> tuple[float, float]:
+        """Where the middle of its box should be in the next image [px]."""
+        steps = min(self.num_missed + 1, LONGEST_COAST)
+        (u, v), (du, dv) = BoxPrompt(box=self.box).center, self.velocity
+        return u + steps * du, v + steps * dv
+
+    def seen(self, blob: Blob | None) -> "LastPlace":
+        """The place after the next image, in which it is this region, or none."""
+        if blob is None:
+            return replace(self, num_missed=self.num_missed + 1)
+        (u, v), steps = BoxPrompt(box=self.box).center, self.num_missed + 1
+        velocity = (blob.center[0] - u) / steps, (blob.center[1] - v) / steps
+        return LastPlace(box=blob.box, velocity=velocity)
+
+    def likeliest(self, mask: Mask | None) -> Blob | None:
+        """The largest region of a mask that can be the object in the next image; others are specks."""
+        blobs = [] if mask is None else find_blobs(mask)
+        return next((blob for blob in blobs if blob.is_plausible and not self._is_jump(blob)), None)
+
+    def _is_jump(self, blob: Blob) -> bool:
+        before, now = torch.tensor([self.box]), torch.tensor([blob.box])
+        return is_jump(PlausibilityCfg(), now, before, self.num_missed + 1.0)
+
+
 class SideBySide(Segmenter):
     """Follows the object with SAM 2 in a thread and with background subtraction in the caller's.
 
-    What is believed is near to where the object should be and of an object's size, so neither the whole image
-    nor a jump. The mask is SAM 2's where it is believed. The score is the overlap (IoU) of both boxes, 0
-    where there are no two. SAM 2 is told anew, by the other's box, where it alone went wrong for some images.
+    What is believed has the size of an object and is where one can be since the last image, so neither the
+    whole image nor a jump. The mask is SAM 2's where it is believed. The score is the overlap (IoU) of both
+    boxes, 0 where there are no two. SAM 2 is told anew, by the other's box, where it alone went wrong for
+    some images.
     """
 
     def __init__(self, sam2: Segmenter, background: Segmenter, longest_wait: float | None = None) -> None:
@@ -64,34 +109,34 @@ class SideBySide(Segmenter):
         self._sam2, self._background, self._longest_wait = sam2, background, longest_wait
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="sam2")
         self._work: Future[Segmentation] | None = None
-        self._track: ImageTrack | None = None
+        self._last: LastPlace | None = None
         self._num_unbelieved = 0
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         """See `Segmenter.start`."""
         begin = time.perf_counter()
         self._tell(image, prompt)
-        self._track, self._num_unbelieved = ImageTrack(center=prompt.center), 0
+        self._last, self._num_unbelieved = LastPlace.of(prompt), 0
         other = self._background.start(image, prompt, ignored)
-        return self._judged(image, self._track, other, begin, is_asked=True)
+        return self._judged(image, self._last, other, begin, is_asked=True)
 
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
         """See `Segmenter.track`; where SAM 2 still looks at an earlier image, this one passes it by."""
         begin = time.perf_counter()
-        track = self._track
-        if track is None:
+        last = self._last
+        if last is None:
             return self._background.track(image, ignored)
         is_asked = self._is_free()
         if is_asked:
             self._work = self._thread.submit(self._sam2.track, self._kept(image))
-        return self._judged(image, track, self._background.track(image, ignored), begin, is_asked=is_asked)
+        return self._judged(image, last, self._background.track(image, ignored), begin, is_asked=is_asked)
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
         self._cancel()
         self._thread.submit(self._sam2.reset)
         self._background.reset()
-        self._track = None
+        self._last = None
 
     def _tell(self, image: Image, prompt: Prompt) -> None:
         """Have SAM 2 begin anew after what it does now, which nobody waits for any more."""
@@ -125,11 +170,11 @@ class SideBySide(Segmenter):
             return Doubt.FAILED
 
     def _judged(
-        self, image: Image, track: ImageTrack, other: Segmentation, begin: float, *, is_asked: bool
+        self, image: Image, last: LastPlace, other: Segmentation, begin: float, *, is_asked: bool
     ) -> Segmentation:
         """Decide whom to believe, and go on from there."""
-        belief = believe(track, self._look(begin) if is_asked else Doubt.LATE, other.mask)
-        self._track = track.missed() if belief.blob is None else track.seen(belief.blob.center)
+        belief = believe(last, self._look(begin) if is_asked else Doubt.LATE, other.mask)
+        self._last = last.seen(belief.blob)
         if belief.doubt is not Doubt.LATE:
             is_wrong = belief.blob is not None and belief.source is Source.BACKGROUND
             self._num_unbelieved = self._num_unbelieved + 1 if is_wrong else 0
@@ -154,11 +199,11 @@ class Belief:
     overlap: float  #: Intersection over union of both boxes, 0 where there are no two.
 
 
-def believe(track: ImageTrack, seen: Segmentation | Doubt, other: Mask | None) -> Belief:
+def believe(last: LastPlace, seen: Segmentation | Doubt, other: Mask | None) -> Belief:
     """Decide between what SAM 2 saw, or why it saw nothing, and what the background subtraction saw."""
-    motion, look = _likeliest(track, other), None
+    motion, look = last.likeliest(other), None
     if isinstance(seen, Segmentation):
-        look = _likeliest(track, seen.mask)
+        look = last.likeliest(seen.mask)
         doubt = Doubt.LOST if seen.mask is None else Doubt.IMPLAUSIBLE
     else:
         doubt = seen
@@ -169,15 +214,9 @@ def believe(track: ImageTrack, seen: Segmentation | Doubt, other: Mask | None) -
     overlap = _overlap(look, motion)
     if overlap >= LEAST_AGREEMENT:
         return Belief(blob=look, source=Source.BOTH, doubt=None, overlap=overlap)
-    is_look = look.distance(track.expected) <= motion.distance(track.expected)
+    is_look = look.distance(last.expected) <= motion.distance(last.expected)
     blob, source = (look, Source.SAM2) if is_look else (motion, Source.BACKGROUND)
     return Belief(blob=blob, source=source, doubt=Doubt.DISAGREEMENT, overlap=overlap)
-
-
-def _likeliest(track: ImageTrack, mask: Mask | None) -> Blob | None:
-    """The largest region of a mask that can be the object; others are specks."""
-    candidates = [] if mask is None else track.candidates(find_blobs(mask))
-    return max(candidates, key=lambda blob: blob.area, default=None)
 
 
 def _overlap(blob: Blob, other: Blob) -> float:
