@@ -10,7 +10,7 @@ import torch
 from tiny_sam2 import random_images, save_tiny_sam2
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from pixel2catch.perception.sam2 import MODULES, CapturedFunction, Module, Sam2Segmenter
+from pixel2catch.perception.sam2 import COMPILED, MODULES, CapturedFunction, Module, Sam2Segmenter
 from pixel2catch.perception.segmenter import BoxPrompt
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
@@ -82,7 +82,7 @@ def test_a_captured_function_follows_its_input_and_keeps_its_results() -> None:
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("compiled", [(), MODULES])
+@pytest.mark.parametrize("compiled", [(), COMPILED])
 def test_graphs_see_what_the_plain_model_sees(compiled: tuple[Module, ...], tmp_path: Path) -> None:
     """In float32: in bfloat16 noise would hide a memory that is not the right one."""
     folder = save_tiny_sam2(tmp_path)

@@ -127,6 +127,15 @@ def test_who_is_believed(
         assert belief.blob.area == 400
 
 
+def test_who_is_not_trusted_is_believed_with_the_other_only():
+    seen = Segmentation(mask=HERE, score=1.0)
+    assert believe(LAST, seen, HERE, is_trusted=False).source is Source.BOTH
+    apart = believe(LAST, seen, rectangle(100, 100, 120, 120), is_trusted=False)
+    assert (apart.source, apart.doubt) == (Source.BACKGROUND, Doubt.DISAGREEMENT)
+    alone = believe(LAST, seen, None, is_trusted=False)
+    assert (alone.blob, alone.source, alone.doubt) == (None, None, Doubt.ALONE)
+
+
 @pytest.mark.parametrize("doubt", [Doubt.LATE, Doubt.FAILED])
 def test_who_is_late_or_failed_is_not_believed(doubt: Doubt):
     belief = believe(LAST, doubt, HERE)
@@ -172,6 +181,19 @@ def test_sam2_goes_on_where_the_background_subtraction_loses_the_object():
         "sam2"
     ] + 5 * ["both"]
     assert look.num_starts == 1
+
+
+def test_who_went_wrong_is_not_believed_alone():
+    """Hidden for four images: a right look goes on alone, one that was wrong before must agree first."""
+    hidden = dict.fromkeys(range(NUM_EMPTY + 8, NUM_EMPTY + 12))
+    expected = {True: ["sam2"] * 4, False: [""] * 4}
+    for is_right, sources in expected.items():
+        look, motion = Troubled(ColorThreshold(RED)), Troubled(BackgroundSubtraction())
+        motion.masks = hidden
+        look.masks = {} if is_right else {6: WHOLE, 7: WHOLE}
+        results = follow(SideBySide(look, motion))
+        assert [found.source for found in results][8:12] == sources
+        assert results[12].source == "both"
 
 
 def test_a_jump_and_a_failure_are_bridged():

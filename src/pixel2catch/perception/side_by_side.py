@@ -101,7 +101,7 @@ class SideBySide(Segmenter):
     What is believed has the size of an object and is where one can be since the last image, so neither the
     whole image nor a jump. The mask is SAM 2's where it is believed. The score is the overlap (IoU) of both
     boxes, 0 where there are no two. SAM 2 is told anew, by the other's box, where it alone went wrong for
-    some images.
+    some images; from where it went wrong until both agree again, it is not believed alone.
     """
 
     def __init__(self, sam2: Segmenter, background: Segmenter, longest_wait: float | None = None) -> None:
@@ -110,13 +110,13 @@ class SideBySide(Segmenter):
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="sam2")
         self._work: Future[Segmentation] | None = None
         self._last: LastPlace | None = None
-        self._num_unbelieved = 0
+        self._num_unbelieved, self._is_trusted = 0, True
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         """See `Segmenter.start`."""
         begin = time.perf_counter()
         self._tell(image, prompt)
-        self._last, self._num_unbelieved = LastPlace.of(prompt), 0
+        self._last, self._num_unbelieved, self._is_trusted = LastPlace.of(prompt), 0, True
         other = self._background.start(image, prompt, ignored)
         return self._judged(image, self._last, other, begin, is_asked=True)
 
@@ -173,11 +173,14 @@ class SideBySide(Segmenter):
         self, image: Image, last: LastPlace, other: Segmentation, begin: float, *, is_asked: bool
     ) -> Segmentation:
         """Decide whom to believe, and go on from there."""
-        belief = believe(last, self._look(begin) if is_asked else Doubt.LATE, other.mask)
+        seen = self._look(begin) if is_asked else Doubt.LATE
+        belief = believe(last, seen, other.mask, is_trusted=self._is_trusted)
         self._last = last.seen(belief.blob)
-        if belief.doubt is not Doubt.LATE:
-            is_wrong = belief.blob is not None and belief.source is Source.BACKGROUND
+        if seen is not Doubt.LATE:
+            is_wrong = belief.source is Source.BACKGROUND
             self._num_unbelieved = self._num_unbelieved + 1 if is_wrong else 0
+            self._is_trusted &= not is_wrong and belief.doubt is not Doubt.IMPLAUSIBLE
+            self._is_trusted |= belief.source is Source.BOTH
         if belief.blob is not None and self._num_unbelieved >= PATIENCE:
             self._tell(image, BoxPrompt(box=belief.blob.box))
             self._num_unbelieved = 0
@@ -199,8 +202,13 @@ class Belief:
     overlap: float  #: Intersection over union of both boxes, 0 where there are no two.
 
 
-def believe(last: LastPlace, seen: Segmentation | Doubt, other: Mask | None) -> Belief:
-    """Decide between what SAM 2 saw, or why it saw nothing, and what the background subtraction saw."""
+def believe(
+    last: LastPlace, seen: Segmentation | Doubt, other: Mask | None, *, is_trusted: bool = True
+) -> Belief:
+    """Decide between what SAM 2 saw, or why it saw nothing, and what the background subtraction saw.
+
+    SAM 2 may be trusted, then it can be believed alone.
+    """
     motion, look = last.likeliest(other), None
     if isinstance(seen, Segmentation):
         look = last.likeliest(seen.mask)
@@ -210,11 +218,12 @@ def believe(last: LastPlace, seen: Segmentation | Doubt, other: Mask | None) -> 
     if look is None:
         return Belief(blob=motion, source=motion and Source.BACKGROUND, doubt=doubt, overlap=0.0)
     if motion is None:
-        return Belief(blob=look, source=Source.SAM2, doubt=Doubt.ALONE, overlap=0.0)
+        blob, source = (look, Source.SAM2) if is_trusted else (None, None)
+        return Belief(blob=blob, source=source, doubt=Doubt.ALONE, overlap=0.0)
     overlap = _overlap(look, motion)
     if overlap >= LEAST_AGREEMENT:
         return Belief(blob=look, source=Source.BOTH, doubt=None, overlap=overlap)
-    is_look = look.distance(last.expected) <= motion.distance(last.expected)
+    is_look = is_trusted and look.distance(last.expected) <= motion.distance(last.expected)
     blob, source = (look, Source.SAM2) if is_look else (motion, Source.BACKGROUND)
     return Belief(blob=blob, source=source, doubt=Doubt.DISAGREEMENT, overlap=overlap)
 
