@@ -40,6 +40,12 @@ def test_a_mask_of_the_whole_image_is_no_object(folder: Path, tmp_path: Path):
     assert {row["verdict"] for row in rows} == {"too large"}
 
 
+@pytest.mark.slow
+def test_compiled_modules_track(folder: Path, tmp_path: Path):
+    rows = track(folder, tmp_path / "out", "sam2", "--compile", "--seconds", "1.5")
+    assert {row["verdict"] for row in rows} == {"too large"}
+
+
 def test_background_subtraction_follows_where_sam2_goes_wrong(folder: Path, tmp_path: Path):
     rows = track(folder, tmp_path / "out", "sam2+background")
     assert {row["verdict"] for row in rows} == {"seen"}

@@ -53,7 +53,8 @@ class PerceptionArgs:
     #: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
     image_size: Count | None = None
     device: Device = "cpu"  #: Where SAM 2 runs: cpu, cuda, cuda:1, ...
-    compile: bool = False  #: Fuse SAM 2's kernels at the start: COMPILE_FACTS.
+    #: Fuse SAM 2's kernels at the start: a minute, for 2 of 12 ms an image on an H100. Needs a C compiler.
+    compile: bool = False
 
     def prepare(self) -> None:
         """Leave the cores to others, unless SAM 2 is to run on them."""
