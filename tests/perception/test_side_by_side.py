@@ -5,6 +5,7 @@ threshold of colour stands for one that sees the object by its look.
 """
 
 from concurrent.futures import wait
+from functools import cache
 from pathlib import Path
 from threading import Event
 from typing import final
@@ -33,10 +34,15 @@ def held_box() -> BoxPrompt:
     return BoxPrompt(box=(xmin, ymin, xmax, ymax))
 
 
+@cache
+def pictures() -> list[Image]:
+    return list(painted.images((BALL,), NUM_STEPS))
+
+
 def follow(segmenter: Segmenter) -> list[Segmentation]:
     """What is seen from the prompted image on."""
     results = []
-    for step, image in enumerate(painted.images((BALL,), NUM_STEPS)):
+    for step, image in enumerate(pictures()):
         found = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
         if step >= NUM_EMPTY:
             results.append(found)
@@ -214,7 +220,7 @@ def test_a_jump_and_a_failure_are_bridged():
 def test_who_is_late_is_passed_by_and_comes_back():
     segmenter, look = pair(longest_wait=0.0)
     sources = []
-    for step, image in enumerate(painted.images((BALL,), NUM_STEPS)):
+    for step, image in enumerate(pictures()):
         if step < NUM_EMPTY:
             segmenter.track(image)
             continue
@@ -242,15 +248,14 @@ def test_a_new_throw_forgets_the_one_before():
     segmenter, _ = pair()
     first = follow(segmenter)
     segmenter.reset()
-    image = next(painted.images((BALL,), 1))
-    assert segmenter.track(image).mask is None
+    assert segmenter.track(pictures()[0]).mask is None
     again = follow(segmenter)
     assert [found.source for found in again] == [found.source for found in first]
 
 
 def test_a_caller_may_paint_over_an_image_that_is_still_looked_at():
     segmenter, look = pair(longest_wait=0.0)
-    picture = list(painted.images((BALL,), NUM_EMPTY + 1))[-1]
+    picture = pictures()[NUM_EMPTY]
     segmenter.start(picture, held_box())
     assert segmenter._work is not None
     wait((segmenter._work,), PATIENCE)
