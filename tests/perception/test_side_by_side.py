@@ -135,7 +135,11 @@ def test_who_is_believed(
 
 def test_who_is_not_trusted_is_believed_with_the_other_only():
     seen = Segmentation(mask=HERE, score=1.0)
-    assert believe(LAST, seen, HERE, is_trusted=False).source is Source.BOTH
+    near = rectangle(95, 90, 115, 110)
+    both = believe(LAST, seen, near, is_trusted=False)
+    assert both.source is Source.BOTH
+    assert both.blob is not None
+    np.testing.assert_array_equal(both.blob.mask(), near)
     apart = believe(LAST, seen, rectangle(100, 100, 120, 120), is_trusted=False)
     assert (apart.source, apart.doubt) == (Source.BACKGROUND, Doubt.DISAGREEMENT)
     alone = believe(LAST, seen, None, is_trusted=False)

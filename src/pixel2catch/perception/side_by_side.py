@@ -207,7 +207,7 @@ def believe(
 ) -> Belief:
     """Decide between what SAM 2 saw, or why it saw nothing, and what the background subtraction saw.
 
-    SAM 2 may be trusted, then it can be believed alone.
+    SAM 2 may be trusted: then it can be believed alone, and the mask is its own where both agree.
     """
     motion, look = last.likeliest(other), None
     if isinstance(seen, Segmentation):
@@ -222,7 +222,8 @@ def believe(
         return Belief(blob=blob, source=source, doubt=Doubt.ALONE, overlap=0.0)
     overlap = _overlap(look, motion)
     if overlap >= LEAST_AGREEMENT:
-        return Belief(blob=look, source=Source.BOTH, doubt=None, overlap=overlap)
+        blob = look if is_trusted else motion  # noise agrees once by chance
+        return Belief(blob=blob, source=Source.BOTH, doubt=None, overlap=overlap)
     is_look = is_trusted and look.distance(last.expected) <= motion.distance(last.expected)
     blob, source = (look, Source.SAM2) if is_look else (motion, Source.BACKGROUND)
     return Belief(blob=blob, source=source, doubt=Doubt.DISAGREEMENT, overlap=overlap)
