@@ -138,6 +138,7 @@ def test_memory_is_flat_over_10_000_images(folder: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of PyTorch's own compiler
 def test_compiled_modules_see_what_plain_ones_see(folder: Path) -> None:
     images = random_images(6)
     plain = run(Sam2Segmenter(folder, "cpu"), images)

@@ -41,6 +41,7 @@ def test_a_mask_of_the_whole_image_is_no_object(folder: Path, tmp_path: Path):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of PyTorch's own compiler
 def test_compiled_modules_track(folder: Path, tmp_path: Path):
     rows = track(folder, tmp_path / "out", "sam2", "--compile", "--seconds", "1.5")
     assert {row["verdict"] for row in rows} == {"too large"}
