@@ -35,9 +35,12 @@ def track(folder: Path, out: Path, segmenter: str, *options: str) -> list[dict[s
         return list(csv.DictReader(file))[HELD:]
 
 
-def test_a_mask_of_the_whole_image_is_no_object(folder: Path, tmp_path: Path):
+def test_a_mask_of_the_whole_image_is_no_object(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     rows = track(folder, tmp_path / "out", "sam2")
     assert {row["verdict"] for row in rows} == {"too large"}
+    assert "ms for an image of 64 px on cpu: " in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -47,10 +50,24 @@ def test_compiled_modules_track(folder: Path, tmp_path: Path):
     assert {row["verdict"] for row in rows} == {"too large"}
 
 
-def test_background_subtraction_follows_where_sam2_goes_wrong(folder: Path, tmp_path: Path):
+def test_a_camera_is_not_followed_at_full_size_on_a_cpu(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    options = ["--segmenter", "sam2", "--checkpoint", str(folder), "--image-size", "1024"]
+    assert main(["track", "0", "--out", str(tmp_path / "out"), *options]) == 2
+    assert "takes seconds for an image of 1024 px on a CPU" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_background_subtraction_follows_where_sam2_goes_wrong(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     rows = track(folder, tmp_path / "out", "sam2+background")
     assert {row["verdict"] for row in rows} == {"seen"}
     edges = [[float(row[name]) for name in ("xmin", "ymin", "xmax", "ymax")] for row in rows]
     boxes = np.array(edges)
     assert np.abs(0.5 * (boxes[:, :2] + boxes[:, 2:]) - PATH[HELD:]).max() < 3.0
     assert {float(row["score"]) for row in rows} == {0.0}
+    assert {(row["source"], row["doubt"]) for row in rows} == {("background", "sam2 implausible")}
+    believed = f"background (sam2 implausible) {len(rows)}"
+    assert f"Believed: {believed}." in " ".join(capsys.readouterr().out.split())
