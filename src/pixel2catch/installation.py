@@ -4,8 +4,12 @@ import importlib.metadata
 import importlib.util
 import json
 import shlex
+from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlparse
+
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 PACKAGE = "pixel2catch"
 
@@ -17,6 +21,25 @@ def install_command(extra: str = "") -> str:
     """
     program = "pip install" if importlib.util.find_spec("pip") else "uv pip install"
     return f"{program} {requirement(_origin(), extra)}"
+
+
+@cache
+def requirements(extra: str = "") -> dict[str, SpecifierSet]:
+    """Ranges of versions by package: those that are always needed, or those of an extra.
+
+    None are known where the package is used without being installed.
+    """
+    try:
+        lines = importlib.metadata.requires(PACKAGE) or []
+    except importlib.metadata.PackageNotFoundError:
+        lines = []
+    parsed = [Requirement(line) for line in lines]
+    return {
+        each.name: each.specifier
+        for each in parsed
+        if ("extra" in str(each.marker)) == bool(extra)
+        and (each.marker is None or each.marker.evaluate({"extra": extra}))
+    }
 
 
 def requirement(origin: dict, extra: str) -> str:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 from tiny_sam2 import CERTAIN, HEIGHT, SIZE, WIDTH, random_images, save_tiny_sam2
+from transformers import Sam2VideoConfig, Sam2VideoModel
 
 from pixel2catch.errors import InvalidValueError, PerceptionError
-from pixel2catch.perception.sam2 import DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
+from pixel2catch.perception.sam2 import COMPILED, DEVIATION, MEAN, Sam2Segmenter, mask_of_logits
 from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt, Prompt, Segmentation
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
@@ -94,6 +95,75 @@ def test_found_has_a_mask_and_lost_has_none(folder: Path, tmp_path: Path) -> Non
     for result in run(Sam2Segmenter(lost_folder, "cpu"), random_images(3)):
         assert result.score < 0.01
         assert result.mask is None
+
+
+def test_what_was_lost_is_found_again(folder: Path) -> None:
+    """Forced by the bias of the head that says whether the object is there; the memory stays as large."""
+    segmenter, images = Sam2Segmenter(folder, "cpu"), random_images(24)
+    head = segmenter._model.mask_decoder.pred_obj_score_head.proj_out
+    results, sizes = [segmenter.start(images[0], BOX)], []
+    for step, image in enumerate(images[1:], start=1):
+        head.bias.fill_(-CERTAIN if 18 <= step < 21 else CERTAIN)
+        results.append(segmenter.track(image))
+        sizes.append(remembered_bytes(segmenter))
+    assert [result.mask is None for result in results] == 18 * [False] + 3 * [True] + 3 * [False]
+    assert len(set(sizes[17:])) == 1
+
+
+def test_bfloat16_sees_what_float32_sees(folder: Path) -> None:
+    images = random_images(6)
+    exact = run(Sam2Segmenter(folder, "cpu"), images)
+    rounded = run(Sam2Segmenter(folder, "cpu", dtype=torch.bfloat16), images)
+    for result, expected in zip(rounded, exact, strict=True):
+        assert result.mask is not None
+        assert expected.mask is not None
+        # With another past it is 0.3.
+        assert (result.mask != expected.mask).mean() < 0.02
+        assert result.score == pytest.approx(expected.score, abs=0.01)
+
+
+@pytest.mark.slow
+def test_memory_is_flat_over_10_000_images(folder: Path) -> None:
+    """Of 33 throws, and of one that never ends."""
+    segmenter, images, sizes = Sam2Segmenter(folder, "cpu"), random_images(8), set()
+    for step in range(10_000):
+        image = images[step % len(images)]
+        if step < 1_000 and step % 30 == 0:
+            segmenter.start(image, BOX)
+        else:
+            assert segmenter.track(image).mask is not None
+        if step % 30 == 29:
+            sizes.add(remembered_bytes(segmenter))
+    assert len(sizes) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of PyTorch's own compiler
+def test_compiled_modules_see_what_plain_ones_see(folder: Path) -> None:
+    images = random_images(6)
+    plain = run(Sam2Segmenter(folder, "cpu"), images)
+    compiled = run(Sam2Segmenter(folder, "cpu", compiled=COMPILED), images)
+    for result, expected in zip(compiled, plain, strict=True):
+        assert result.mask is not None
+        assert expected.mask is not None
+        assert (result.mask != expected.mask).mean() < 0.001
+        assert result.score == pytest.approx(expected.score, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_the_architecture_of_the_smallest_checkpoint(tmp_path: Path) -> None:
+    """39 million random weights at full size: a box, a point, and images with what they are remembered by."""
+    torch.manual_seed(0)
+    model = Sam2VideoModel(Sam2VideoConfig())
+    assert sum(weights.numel() for weights in model.parameters()) == pytest.approx(39e6, rel=0.01)
+    torch.nn.init.constant_(model.mask_decoder.pred_obj_score_head.proj_out.bias, CERTAIN)
+    model.save_pretrained(tmp_path)
+    segmenter, images = Sam2Segmenter(tmp_path, "cpu"), random_images(3)
+    assert segmenter.image_size == 1024
+    for prompt in (BOX, POINT):
+        for result in run(segmenter, images, prompt):
+            assert result.mask is not None
+            assert result.score > 0.99
 
 
 def test_nothing_is_found_before_start_and_after_reset(folder: Path) -> None:

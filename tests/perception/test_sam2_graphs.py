@@ -10,7 +10,7 @@ import torch
 from tiny_sam2 import random_images, save_tiny_sam2
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from pixel2catch.perception.sam2 import MODULES, CapturedFunction, Sam2Segmenter, capture
+from pixel2catch.perception.sam2 import COMPILED, MODULES, CapturedFunction, Module, Sam2Segmenter
 from pixel2catch.perception.segmenter import BoxPrompt
 
 BOX = BoxPrompt(box=(10.0, 12.0, 30.0, 34.0))
@@ -82,13 +82,12 @@ def test_a_captured_function_follows_its_input_and_keeps_its_results() -> None:
 
 
 @pytest.mark.gpu
-def test_graphs_see_what_the_plain_model_sees(tmp_path: Path) -> None:
+@pytest.mark.parametrize("compiled", [(), COMPILED])
+def test_graphs_see_what_the_plain_model_sees(compiled: tuple[Module, ...], tmp_path: Path) -> None:
     """In float32: in bfloat16 noise would hide a memory that is not the right one."""
     folder = save_tiny_sam2(tmp_path)
-    plain, graphs = (Sam2Segmenter(folder, "cuda", captured=()) for _ in range(2))
-    for segmenter in (plain, graphs):
-        segmenter._model.float()
-    capture(graphs._model, MODULES)
+    plain = Sam2Segmenter(folder, "cuda", captured=(), dtype=torch.float32)
+    graphs = Sam2Segmenter(folder, "cuda", compiled=compiled, dtype=torch.float32)
     differences = []
     for throw in range(2):
         images = random_images(40, seed=throw)

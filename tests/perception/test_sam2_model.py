@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 from tiny_sam2 import save_tiny_sam2
 
 from pixel2catch.errors import DeviceUnavailableError, PerceptionError
-from pixel2catch.perception import sam2
+from pixel2catch.perception import sam2_checkpoint
 from pixel2catch.perception.sam2 import Sam2Segmenter
 
 ADVICE = "hf download facebook/sam2.1-hiera-tiny --local-dir"
@@ -37,6 +37,27 @@ def drop_weights(folder: Path) -> None:
     save_file(kept, weights, metadata={"format": "pt"})
 
 
+def shorten_to_a_pointer(folder: Path) -> None:
+    """What git leaves where Git LFS is not installed."""
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 156008832\n"
+    (folder / "model.safetensors").write_text(pointer)
+
+
+def leave_a_part_of_a_download(folder: Path) -> None:
+    """One of two files is there, and the index that names both."""
+    weights = folder / "model.safetensors"
+    names = list(load_file(weights))
+    files = {
+        name: f"model-0000{1 + position % 2}-of-00002.safetensors" for position, name in enumerate(names)
+    }
+    weights.rename(folder / "model-00001-of-00002.safetensors")
+    (folder / "model.safetensors.index.json").write_text(json.dumps({"metadata": {}, "weight_map": files}))
+
+
+def replace_by_the_makers_file(folder: Path) -> None:
+    (folder / "model.safetensors").rename(folder / "sam2.1_hiera_tiny.pt")
+
+
 def remove_config(folder: Path) -> None:
     (folder / "config.json").unlink()
 
@@ -47,6 +68,10 @@ def cut_config(folder: Path) -> None:
 
 def change_type(folder: Path) -> None:
     change_config(folder, "model_type", "sam3_video")
+
+
+def change_type_to_images(folder: Path) -> None:
+    change_config(folder, "model_type", "sam2")
 
 
 def change_value(folder: Path) -> None:
@@ -68,6 +93,10 @@ def change_config(folder: Path, name: str, value: object) -> None:
         (remove_config, "there is no SAM 2 checkpoint in"),
         (cut_config, "config.json is damaged"),
         (change_type, "a model of type 'sam3_video', not 'sam2_video'"),
+        (change_type_to_images, "a model of type 'sam2', not 'sam2_video'"),
+        (shorten_to_a_pointer, "cannot be read as SAM 2"),
+        (leave_a_part_of_a_download, "cannot be read as SAM 2: .*model-00002-of-00002.safetensors"),
+        (replace_by_the_makers_file, "has no weights"),
         (change_value, "cannot be read as SAM 2: .*memory_attention_num_layers"),
         (change_layers, "cannot be read as SAM 2"),
         (remove_weights, "has no weights"),
@@ -94,13 +123,35 @@ def test_a_missing_device_is_named_before_anything_is_loaded(tmp_path: Path) -> 
         Sam2Segmenter(tmp_path, "cuda")
 
 
-def test_without_transformers_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "transformers", None)
-    spec = importlib.util.spec_from_file_location("fresh", sam2.__file__)
+def import_anew() -> None:
+    spec = importlib.util.spec_from_file_location("fresh", sam2_checkpoint.__file__)
     assert spec is not None
     assert spec.loader is not None
+    spec.loader.exec_module(importlib.util.module_from_spec(spec))
+
+
+def test_without_transformers_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "transformers", None)
     with pytest.raises(PerceptionError, match=r"pip install .*\[sam2\]"):
-        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+        import_anew()
+
+
+@pytest.mark.parametrize("version", ["4.57.1", "6.0.0"])
+def test_another_version_of_transformers_is_refused(
+    version: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    metadata = tmp_path / f"transformers-{version}.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: transformers\nVersion: {version}\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(PerceptionError, match=rf"transformers <6,>=5\.\d+, and {version} is .*\[sam2\]"):
+        import_anew()
+
+
+def test_compiling_without_a_compiler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(PerceptionError, match=r"needs a C compiler \(gcc or clang\).*apt install gcc"):
+        Sam2Segmenter(tmp_path, "cpu", compiled=("mask_decoder",))
 
 
 def test_a_torchvision_for_another_torch_is_named(tmp_path: Path) -> None:
@@ -110,7 +161,7 @@ def test_a_torchvision_for_another_torch_is_named(tmp_path: Path) -> None:
     metadata.mkdir()
     (package / "__init__.py").write_text("raise RuntimeError('operator torchvision::nms does not exist')")
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: torchvision\nVersion: 0.1.0\n")
-    path = os.pathsep.join([str(tmp_path), str(Path(sam2.__file__).parents[2])])
+    path = os.pathsep.join([str(tmp_path), str(Path(sam2_checkpoint.__file__).parents[2])])
     result = subprocess.run(
         [sys.executable, "-c", "import pixel2catch.perception.sam2"],
         env=os.environ | {"PYTHONPATH": path},
@@ -121,3 +172,4 @@ def test_a_torchvision_for_another_torch_is_named(tmp_path: Path) -> None:
     assert "PerceptionError: SAM 2 cannot be imported" in last_line
     assert "torchvision::nms does not exist" in last_line
     assert "pip uninstall torchvision" in last_line
+    assert "[sam2]" in last_line

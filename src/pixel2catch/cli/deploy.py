@@ -33,9 +33,10 @@ class Vision:
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: What looks for the object.
 
     def make_pipeline(
-        self, policy_path: Path | None, profile: "Profile", camera: "CameraSpec"
+        self, policy_path: Path | None, profile: "Profile", camera: "CameraSpec", *, is_live: bool
     ) -> "PolicyPipeline":
-        """Perception and policy, for this robot and camera."""
+        """Perception and policy, for this robot and camera, a live one or one that was recorded."""
+        from pixel2catch.cli.console import say
         from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.perception.robot_mask import RobotMask
@@ -47,7 +48,8 @@ class Vision:
         profile.require(policy.contract.commands)
         robot = RobotMask(workcell, camera) if self.mask_robot else None
         prompter = self.perception.make_prompter(camera)
-        return make_pipeline(controller, self.perception.make_segmenter(), prompter, camera, robot)
+        segmenter = self.perception.make_segmenter(is_live=is_live, say=say)
+        return make_pipeline(controller, segmenter, prompter, camera, robot)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +84,7 @@ class Deploy:
         self.vision.perception.prepare()
         notes: list[str] = []
         camera, profile = self.vision.perception.camera_spec(notes), self.link.robot.load()
-        pipeline = self.vision.make_pipeline(self.policy, profile, camera)
+        pipeline = self.vision.make_pipeline(self.policy, profile, camera, is_live=True)
         for note in notes:
             say(note)
         if self.vision.perception.checkpoint is None:  # a large network may want all cores, and for long

@@ -7,13 +7,11 @@ import platform
 import shutil
 import subprocess
 import sys
-import time
 import warnings
 from dataclasses import asdict, dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
-from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 from rich.table import Table
 from rich.text import Text
@@ -22,7 +20,7 @@ from pixel2catch.checks import AtMostFull, CameraPath
 from pixel2catch.cli.console import results_console
 from pixel2catch.files import json_text
 from pixel2catch.findings import Absent, Broken, Check, check
-from pixel2catch.installation import PACKAGE, install_command
+from pixel2catch.installation import PACKAGE, install_command, requirements
 from pixel2catch.ros2.transport import LOOPBACK, NetworkName
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
@@ -60,19 +58,6 @@ def optional(module: str, distribution: str, extra: str) -> str:
     if not wanted.contains(version, prereleases=True):
         raise Broken(f"{version} is not in {wanted}: {install_command(extra)} --upgrade")
     return version
-
-
-@cache
-def requirements(extra: str = "") -> dict[str, SpecifierSet]:
-    """Ranges of versions by package: those that are always needed, or those of an extra."""
-    lines = importlib.metadata.requires(PACKAGE) or []
-    parsed = [Requirement(line) for line in lines]
-    return {
-        each.name: each.specifier
-        for each in parsed
-        if ("extra" in str(each.marker)) == bool(extra)
-        and (each.marker is None or each.marker.evaluate({"extra": extra}))
-    }
 
 
 def python() -> str:
@@ -222,21 +207,13 @@ def sam2(checkpoint: Path | None) -> str:
     """A checkpoint that loads, and how long it takes for an image."""
     if checkpoint is None:
         raise Absent("not asked for: name its folder with --checkpoint")
-    import numpy as np
     import torch
 
     from pixel2catch.perception.sam2 import Sam2Segmenter
-    from pixel2catch.perception.segmenter import BoxPrompt
-    from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+    from pixel2catch.scene.constants import CONTROL_DT
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    segmenter = Sam2Segmenter(checkpoint, device)
-    image = np.random.default_rng(0).integers(0, 256, (RGB_CAMERA.height, RGB_CAMERA.width, 3), np.uint8)
-    segmenter.start(image, BoxPrompt(box=(300.0, 200.0, 340.0, 240.0)))
-    begin = time.perf_counter()
-    for _ in range(SAM2_IMAGES):
-        segmenter.track(image)
-    took = (time.perf_counter() - begin) / SAM2_IMAGES
+    took = Sam2Segmenter(checkpoint, device).seconds_an_image(SAM2_IMAGES)
     use = "fast enough for a camera" if took < CONTROL_DT else "for recordings only"
     return f"loads on {device}, {1e3 * took:.1f} ms an image: {use}"
 

@@ -56,7 +56,7 @@ class Replay:
                 "there is no folder to write to: add --out FOLDER, or --web to look at the recording."
             )
         self.vision.perception.prepare()
-        pipeline = self.vision.make_pipeline(self.policy, profile, camera)
+        pipeline = self.vision.make_pipeline(self.policy, profile, camera, is_live=False)
         perception_time = 1e-3 * self.perception_ms
         statistics = replay(self.recording, self.out, profile, camera, pipeline, perception_time)
         then, now = recorded_targets(self.recording), recorded_targets(self.out)

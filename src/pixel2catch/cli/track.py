@@ -89,7 +89,7 @@ class Track:
         from pixel2catch.evaluation.box_scores import scored
         from pixel2catch.perception.extractor import PixelFeatureExtractor
         from pixel2catch.perception.robot_mask import RobotMask
-        from pixel2catch.perception.sources import SourceCfg, ticks_of
+        from pixel2catch.perception.sources import SourceCfg, is_camera, ticks_of
         from pixel2catch.perception.tracking import follow
         from pixel2catch.workcells import find_workcell
 
@@ -101,7 +101,7 @@ class Track:
         if labels:
             labels.require_size(*fit.own)
         extractor = PixelFeatureExtractor(
-            self.perception.make_segmenter(),
+            self.perception.make_segmenter(is_live=is_camera(self.source), say=say),
             self._prompter(fit, camera),
             robot=RobotMask(workcell, camera) if self.mask_robot else None,
             camera=camera,
@@ -233,6 +233,8 @@ def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
     """What was seen and how fast, in words."""
     counts = ", ".join(f"{verdict} {count}" for verdict, count in summary["verdicts"].items())
     yield f"{summary['num_steps']} control steps in {summary['seconds']:.1f} s: {counts}"
+    if believed := summary["believed"]:
+        yield f"Believed: {', '.join(f'{name} {count}' for name, count in believed.items())}."
     share = summary["seen_since_first"]
     yield (
         "The object was never seen: point it out with --box, --point or --color, at the time --at."

@@ -52,6 +52,7 @@ class Annotator:
         age = f"{1e3 * seen.age:.0f} ms old" if seen.is_valid else "never seen"
         took = f"{1e3 * sighting.durations.get('total', 0.0):.1f} ms"
         words = [f"{sighting.time:7.2f} s", str(seen.verdict), age, f"score {seen.score:.2f}", took]
+        words += filter(None, (seen.source, seen.doubt))
         header = np.zeros((HEADER, self._camera.width, 3), dtype=np.uint8)
         _write(header, "   ".join(words), (8, HEADER - 8), _color(seen))
         return header

@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -65,6 +65,8 @@ class Extraction:
     message: str  #: What went wrong with an image that could not be used.
     #: Whether the box does not continue the one before it: no thrown object moves so.
     is_elsewhere: bool = False
+    source: str = ""  #: Which of several segmenters was believed, see `Segmentation`.
+    doubt: str = ""  #: What speaks against it, see `Segmentation`.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +79,8 @@ class _Finding:
     box: Float[Tensor, "1 4"] | None = None
     message: str = ""
     is_elsewhere: bool = False
+    source: str = ""
+    doubt: str = ""
 
 
 @dataclass(kw_only=True)
@@ -213,6 +217,8 @@ class PixelFeatureExtractor:
             mask=finding.mask,
             message=finding.message,
             is_elsewhere=finding.is_elsewhere,
+            source=finding.source,
+            doubt=finding.doubt,
         )
 
     def _look(self, frame: CameraFrame | None) -> _Finding:
@@ -242,7 +248,8 @@ class PixelFeatureExtractor:
         with self.clock.stage("segment"):
             segmentation = self._segment(frame.image, ignored)
         with self.clock.stage("box"):
-            finding = self._judged(segmentation, frame.stamp)
+            judged = self._judged(segmentation, frame.stamp)
+            finding = replace(judged, source=segmentation.source, doubt=segmentation.doubt)
         self._state.count(finding, frame.stamp, ignored)
         return finding
 

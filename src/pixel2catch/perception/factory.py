@@ -3,13 +3,14 @@
 OpenCV and SAM 2 are optional packages, which are imported only where something is made.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pixel2catch.checks import CameraPath, Count, Device, Share
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 
 if TYPE_CHECKING:
     from pixel2catch.perception.color import ColorRange
@@ -19,13 +20,24 @@ if TYPE_CHECKING:
 Span = tuple[float, float]
 Corners = tuple[float, float, float, float]
 
+TIMED_IMAGES = 10  #: Images from which it is told what one takes, on CUDA.
+
+HOPELESS_ON_CPU = 512
+"""Side of SAM 2's image from which on no processor keeps up with a camera [px]. Source: measured: 0.6 s at
+512, 5 s at 1,024 px on two cores."""
+
+LONGEST_LOOK = 2 * CONTROL_DT
+"""Longest time of an image with which a camera is worth following [s]. Source: rehearsals: where an image
+takes 60 ms as many objects are caught as with 10, with 100 ms a third of them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionArgs:
     """What looks for the object, and through which camera."""
 
-    #: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint.
-    segmenter: Literal["background", "color", "sam2"] = "background"
+    #: background: what moves; color: what has --color; sam2: SAM 2.1, needs --checkpoint; sam2+background:
+    #: both on the same images, the one where the other loses the object or is late.
+    segmenter: Literal["background", "color", "sam2", "sam2+background"] = "background"
     box: Corners | None = None  #: The object when the throw begins: xmin, ymin, xmax, ymax [px].
     point: tuple[float, float] | None = None  #: A point on the object when the throw begins: u, v [px].
     #: Where the object may be found by its colour or flight: xmin, ymin, xmax, ymax [px].
@@ -41,6 +53,8 @@ class PerceptionArgs:
     #: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
     image_size: Count | None = None
     device: Device = "cpu"  #: Where SAM 2 runs: cpu, cuda, cuda:1, ...
+    #: Fuse SAM 2's kernels at the start: a minute, for 2 of 12 ms an image on an H100. Needs a C compiler.
+    compile: bool = False
 
     def prepare(self) -> None:
         """Leave the cores to others, unless SAM 2 is to run on them."""
@@ -60,20 +74,18 @@ class PerceptionArgs:
             notes.append(f"{self.camera} has a lens: give rectified images, such as image_rect.")
         return file.camera
 
-    def make_segmenter(self) -> "Segmenter":
-        """What finds the object's pixels.
+    def make_segmenter(
+        self, *, is_live: bool = False, say: Callable[[str], None] | None = None
+    ) -> "Segmenter":
+        """What finds the object's pixels, for a recording or for a live camera.
+
+        What SAM 2 costs on this device is said as soon as it is measured.
 
         Raises:
-            InvalidValueError: If it needs what is not given.
+            InvalidValueError: If it needs what is not given, or is too slow for a camera.
         """
-        if self.segmenter == "sam2":
-            if self.checkpoint is None:
-                raise InvalidValueError(
-                    "the segmenter sam2 needs --checkpoint, the folder of a SAM 2.1 model."
-                )
-            from pixel2catch.perception.sam2 import Sam2Segmenter
-
-            return Sam2Segmenter(self.checkpoint, self.device, self.image_size)
+        if self.segmenter in ("sam2", "sam2+background"):
+            return self._make_sam2(is_live, say)
         if self.segmenter == "color":
             from pixel2catch.perception.color import ColorThreshold
 
@@ -85,6 +97,35 @@ class PerceptionArgs:
         from pixel2catch.perception.background import BackgroundSubtraction
 
         return BackgroundSubtraction()
+
+    def _make_sam2(self, is_live: bool, say: Callable[[str], None] | None) -> "Segmenter":
+        if self.checkpoint is None:
+            raise InvalidValueError(
+                f"the segmenter {self.segmenter} needs --checkpoint, the folder of a SAM 2.1 model."
+            )
+        from pixel2catch.perception.sam2 import COMPILED, Sam2Segmenter
+        from pixel2catch.perception.sam2_checkpoint import image_size_of
+
+        size = self.image_size or image_size_of(self.checkpoint)
+        if is_live and self.device == "cpu" and size >= HOPELESS_ON_CPU:
+            raise _too_slow(f"SAM 2 takes seconds for an image of {size} px on a CPU")
+        sam2 = Sam2Segmenter(
+            self.checkpoint, self.device, self.image_size, compiled=COMPILED if self.compile else ()
+        )
+        if is_live or say is not None:
+            took = sam2.seconds_an_image(1 if self.device == "cpu" else TIMED_IMAGES)
+            cost = f"SAM 2 takes {1e3 * took:.1f} ms for an image of {size} px on {self.device}"
+            if is_live and took > LONGEST_LOOK:
+                raise _too_slow(cost)
+            if say is not None:
+                use = "fast enough for a camera" if took < CONTROL_DT else "a camera gives one every 33 ms"
+                say(f"{cost}: {use}.")
+        if self.segmenter == "sam2":
+            return sam2
+        from pixel2catch.perception.background import BackgroundSubtraction
+        from pixel2catch.perception.side_by_side import LONGEST_WAIT, SideBySide
+
+        return SideBySide(sam2, BackgroundSubtraction(), LONGEST_WAIT if is_live else None)
 
     def make_prompter(self, camera: CameraSpec = RGB_CAMERA) -> "Prompter":
         """What points the object out: what a person gave, and after a loss its colour, then its flight.
@@ -110,6 +151,13 @@ class PerceptionArgs:
         from pixel2catch.perception.color import ColorRange
 
         return self.color and ColorRange(hue=self.color, saturation=self.saturation, value=self.value)
+
+
+def _too_slow(cost: str) -> InvalidValueError:
+    return InvalidValueError(
+        f"{cost}, and a camera gives one every {1e3 * CONTROL_DT:.0f} ms: take --device cuda, a smaller "
+        "--image-size or --segmenter background, or record a video and track that."
+    )
 
 
 def _on_image(name: str, box: Corners, camera: CameraSpec) -> Corners:

@@ -41,6 +41,8 @@ class Segmentation:
 
     mask: Mask | None  #: The object's pixels, not empty; None where the object is not found.
     score: float  #: How sure the segmenter is, larger is surer; the scale is its own.
+    source: str = ""  #: Which of several segmenters was believed; empty where there is one.
+    doubt: str = ""  #: What speaks against it; empty where nothing does.
 
 
 NOT_FOUND = Segmentation(mask=None, score=0.0)

@@ -21,7 +21,7 @@ BOX_EDGES = ("xmin", "ymin", "xmax", "ymax")
 
 COLUMNS = (
     *("time", "stamp", *BOX_EDGES, *PIXEL_FEATURES, "verdict", "is_valid", "is_fresh", "age", "score"),
-    *("num_skipped", *(f"{stage}_ms" for stage in STAGES), "message"),
+    *("source", "doubt", "num_skipped", *(f"{stage}_ms" for stage in STAGES), "message"),
 )
 """Columns of a table of sightings: box, differences [px], centre and size as shares, times [s] or [ms]."""
 
@@ -47,7 +47,7 @@ class Sighting:
         }
         box = {name: f"{value:g}" for name, value in zip(BOX_EDGES, seen.box[0].tolist(), strict=True)}
         features = zip(PIXEL_FEATURES, seen.features[0].tolist(), strict=True)
-        others = ("verdict", "is_valid", "is_fresh", "num_skipped", "message")
+        others = ("verdict", "is_valid", "is_fresh", "source", "doubt", "num_skipped", "message")
         row = numbers | box | times | {name: getattr(seen, name) for name in others}
         return row | {name: f"{value:.6g}" for name, value in features}
 
@@ -78,6 +78,7 @@ class Tally:
         """Begin with none."""
         self.num_steps = self.num_without_joints = 0
         self._verdicts: Counter[Verdict] = Counter()
+        self._sources: Counter[str] = Counter()
         self._durations: dict[str, list[float]] = {}
         self._num_valid = self._num_seen = self._num_skipped = self._num_identical = 0
         self._last_image: np.ndarray | None = None
@@ -89,6 +90,9 @@ class Tally:
         self.num_steps += 1
         self.num_without_joints += frame.joint_pos is None
         self._verdicts[seen.verdict] += 1
+        if seen.source or seen.doubt:
+            believed = seen.source or "nobody"
+            self._sources[f"{believed} ({seen.doubt})" if seen.doubt else believed] += 1
         self._seconds = sighting.time
         self._num_skipped += seen.num_skipped
         self._longest_pause = max(self._longest_pause, sighting.tick.now - frame.stamp)
@@ -122,6 +126,7 @@ class Tally:
             "num_steps": self.num_steps,
             "seconds": self._seconds,
             "verdicts": {str(verdict): count for verdict, count in self._verdicts.most_common()},
+            "believed": dict(self._sources.most_common()),
             "seen_since_first": self._num_seen / self._num_valid if self._num_valid else None,
             "num_skipped": self._num_skipped,
             "num_identical": self._num_identical,
