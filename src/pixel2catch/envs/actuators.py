@@ -21,6 +21,15 @@ FRICTION_SPEED = 0.1
 """Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""
 
 
+def friction_grip(armature: np.ndarray, dt: float) -> np.ndarray:
+    """How stiffly dry friction holds a joint [N·m/rad]: as stiffly as a time step [s] allows.
+
+    A joint that sticks swings on its friction at √(grip / inertia), and the inertia is at least the armature
+    [kg·m²]; the integration is stable up to 2 / dt, this is a half of it.
+    """
+    return armature / dt**2
+
+
 class JointActuators:
     """Command path, limits, friction and gains of every joint in every environment.
 

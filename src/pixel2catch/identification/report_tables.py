@@ -29,7 +29,7 @@ WELL_KNOWN = 0.1
 """Half-width of an interval up to which a parameter counts as identified: 10 %, or 1 ms. Source: ours."""
 
 NOTABLE = 0.3  # share of a weak direction's largest component from which a parameter is named (ours)
-UNKNOWN_SHARE = 0.9  # an interval of this share of the prior's tells nothing that was not assumed (ours)
+UNKNOWN_WIDTH = 1.1  # half-width from which a parameter is not identifiable: a factor of 3 (ours)
 WIDE = 0.3  # half-width from which an interval is told as a factor, not in percent (ours)
 
 
@@ -147,20 +147,20 @@ def parameters_grid(result: Identification) -> Grid:
         for name in names:
             value, old = getattr(fit.dynamics, name)[j], getattr(before, name)[j]
             width = widths[name][j] if name in widths else None
-            cells.append(_parameter(name, value, old, width, fit.prior))
+            cells.append(_parameter(name, value, old, width))
         rows.append(tuple(cells))
     columns = ("joint", *(f"{name} [{TOLD[name].unit}]" for name in names))
     return Grid(title="Parameters with 95 % intervals", columns=columns, rows=tuple(rows))
 
 
-def _parameter(name: str, value: float, old: float, width: float | None, prior: float) -> Cell:
+def _parameter(name: str, value: float, old: float, width: float | None) -> Cell:
     scale = 1e3 if name == "latency" else 1.0
     note = f"before {_number(scale * old)}" if np.isfinite(old) else "no filter before"
     if width is None:
         text = _number(scale * value) if np.isfinite(value) else "no filter"
         return Cell(text, "unknown", "not fitted" if value == old else f"assumed; {note}")
-    if width > UNKNOWN_SHARE * CONFIDENCE * prior:
-        return Cell(f"{_number(scale * value)}, unknown", "BAD", note)
+    if width > UNKNOWN_WIDTH:
+        return Cell(f"not identifiable ({_number(scale * value)})", "BAD", note)
     return _interval(name, value, width, note)
 
 
