@@ -3,10 +3,10 @@
 python benchmarks/identify_independent_truth.py [--seeds 20] [--seconds 20] [--all-joints] [--out FILE]
 
 The robot: independent_robot.py. Every seed draws each joint anew, moves it alone by two of `excite`'s
-trajectories, and fits it alone, from the nominal joint. Friction has a range, from the Coulomb level in motion
-to what it takes to leave rest: errors are distances to the range, intervals hold it if they reach into it, and
-what is beside the Coulomb level alone is printed, too. Where a parameter is called not identifiable, neither
-its error nor its interval counts.
+trajectories, and fits it alone, from the nominal joint. Friction has a range, from the Coulomb level in
+motion to what it takes to leave rest: errors are distances to the range, and intervals hold it if they reach
+into it; what is beside the Coulomb level alone is printed, too. Where a parameter is called not identifiable,
+neither its error nor its interval counts.
 """
 
 import argparse

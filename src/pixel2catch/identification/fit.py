@@ -45,7 +45,8 @@ LATENCY_UNIT = 0.01  # latency that counts as much as a factor e of another para
 MAX_FACTOR = 1e3  # largest factor between the start and the result of any other parameter (ours)
 LEAST_VALUE = 1e-9  # what a fit takes for 0 where it needs a logarithm
 COARSENESS = 2.0  # length of the time steps with which a fit begins, in those with which it ends (ours)
-COARSE_ROUNDS = 3  # evaluations of the Jacobian with these (ours)
+COARSE_ROUNDS = 2  # evaluations of the Jacobian with these (ours)
+COARSE = 0.01  # share of the squares that is worth a step with coarse time steps (ours)
 ROUGH = 0.03  # share of the squares that is worth a step while only the lag moves (ours)
 OUTLYING = 4.0  # residual that counts half, in mean absolute ones (ours; lost commands are far beyond)
 FINE = 0.3  # step that is worth to be taken, in standard errors of what is fitted (ours)
@@ -54,7 +55,7 @@ DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; of their steps, tried at onc
 
 
 class Linear(NamedTuple):
-    """What is fitted itself, not its logarithm: the unit that counts as a factor e of others, and its range."""
+    """What is fitted itself, not its logarithm: a unit that counts as a factor e of others, and the range."""
 
     unit: float
     lower: float
@@ -110,7 +111,7 @@ class Fit:
 
     dynamics: JointDynamics  #: the fitted dynamics
     free: tuple[str, ...]  #: the parameters that were fitted
-    #: of each joint's free parameters, in the coordinates of the fit; the prior is in it, and what models lack
+    #: of each joint's free parameters, in the coordinates of the fit, with the prior and what models lack
     covariance: Float[np.ndarray, "num_joints num_free num_free"]
     prior: float  #: standard deviation of the prior: where it is not reduced, the recordings tell nothing
     encoders: Encoders  #: fitted play, and drift of the clocks
@@ -134,9 +135,9 @@ def fit_dynamics(
         lag = coarse.directions(LAG_PARAMETERS, is_coupled=False)
         point, _ = _followed(coarse, point, coarse.jacobian(point, lag), ROUGH)
     directions = coarse.directions(coarse.names, is_coupled=True)
-    point, _ = _solved(coarse, point, directions, COARSE_ROUNDS)
+    point, _ = _solved(coarse, point, directions, COARSE_ROUNDS, COARSE)
     fine = _Problem(recordings, start, cfg, report)
-    point, jacobian = _solved(fine, point, directions, cfg.max_rounds)
+    point, jacobian = _solved(fine, point, directions, cfg.max_rounds, 0.0)
     covariance, num = fine.covariance(point, jacobian), len(cfg.free)
     deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * fine.unit
     return Fit(
@@ -281,7 +282,7 @@ class _Problem:
 
 
 def _solved(
-    problem: _Problem, point: Point, directions: Directions, max_rounds: int
+    problem: _Problem, point: Point, directions: Directions, max_rounds: int, least_share: float
 ) -> tuple[Point, Jacobian]:
     """Move along some directions to where the squares are least; the point, residuals and Jacobian there.
 
@@ -289,16 +290,16 @@ def _solved(
     """
     jacobian = problem.jacobian(point, directions)
     for _ in range(max_rounds - 1):
-        followed, _ = _followed(problem, point, jacobian)
+        followed, _ = _followed(problem, point, jacobian, least_share)
         if (followed == point).all():
             return point, jacobian
         point, jacobian = followed, problem.jacobian(followed, directions)
-    point, residuals = _followed(problem, point, jacobian)
+    point, residuals = _followed(problem, point, jacobian, least_share)
     return point, replace(jacobian, residuals=residuals)
 
 
 def _followed(
-    problem: _Problem, point: Point, jacobian: Jacobian, least_share: float = 0.0
+    problem: _Problem, point: Point, jacobian: Jacobian, least_share: float
 ) -> tuple[Point, Residuals]:
     """Take steps under the same Jacobian while they are worth it and lessen the squares."""
     residuals = jacobian.residuals
