@@ -26,7 +26,7 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 
 FEW = ("elbow_joint", "wrist_3_joint", "index_joint_1")
 GOALS = {"lag": 0.02, "frictionloss": 0.3, "armature": 0.2, "latency": 1e-3}
-Row = dict[str, float | bool | None]
+Row = dict[str, float]
 
 
 def main() -> None:
@@ -80,7 +80,7 @@ def judged(robot: Robot, j: int, recordings: list[Recording]) -> dict[str, Row]:
         else:
             error = float(np.log(value / truth[name]))
             rest = np.log(robot.faults.stribeck) if name == "frictionloss" else 0.0
-            rows[name] = row(error, width, rest) | {"is_known": bool(width < UNKNOWN_WIDTH)}
+            rows[name] = row(error, width, rest) | {"is known": float(width < UNKNOWN_WIDTH)}
     lag = np.log(fit.dynamics.damping / fit.dynamics.stiffness * truth["stiffness"] / truth["damping"])
     rows["lag"] = row(float(lag[0]), np.inf)
     play = robot.faults.play * GEARS[JOINTS[robot.names[j]][-1]][1]
@@ -107,7 +107,7 @@ def print_summary(found: dict[str, list[dict[str, Row]]]) -> None:
     for name, seeds in found.items():
         print(f"\n{name}: error in the median and in nine of ten seeds; intervals that hold [%]")
         for key in seeds[0]:
-            rows = [each[key] for each in seeds if each[key].get("is_known", True)]
+            rows = [each[key] for each in seeds if each[key].get("is known", 1.0)]
             if not rows:
                 print(f"  {key:<13} not identifiable in any of {len(seeds)} seeds")
                 continue

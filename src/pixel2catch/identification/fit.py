@@ -244,7 +244,8 @@ class _Problem:
 
     def residuals(self, points: Sequence[Point]) -> Float[np.ndarray, "num_points num_settled num_joints"]:
         """Simulated minus measured positions [rad]."""
-        dynamics, encoders = ([of(point) for point in points] for of in (self.dynamics, self.encoders))
+        dynamics = [self.dynamics(point) for point in points]
+        encoders = [self.encoders(point) for point in points]
         return self._motion.simulate(dynamics, encoders) - self._measured
 
     def squares(self, point: Point, residuals: Residuals, weight: Weight) -> float:

@@ -78,7 +78,8 @@ def model_covariance(
             friction[:, i] = FRICTION_DEVIATION
         if name == "latency":
             latency[:, i] = LATENCY_DEVIATION / latency_unit
-    return sum(np.einsum("ja,jb->jab", each, each) for each in (scale, link, friction, latency))
+    deviations = np.stack((scale, link, friction, latency))
+    return np.einsum("mja,mjb->jab", deviations, deviations)
 
 
 def play_deviation(dynamics: JointDynamics) -> Float[np.ndarray, " num_joints"]:
