@@ -20,6 +20,7 @@ from pixel2catch.identification.directions import Directions, Jacobian, NormalEq
 from pixel2catch.identification.encoders import Encoders, encoders_of
 from pixel2catch.identification.intervals import (
     BLOCK,
+    LATENCY_DEVIATION,
     block_covariance,
     block_scores,
     model_covariance,
@@ -157,7 +158,7 @@ class _Problem:
         self, recordings: Sequence[Recording], start: JointDynamics, cfg: FitCfg, report: Report
     ) -> None:
         """Prepare the simulation; arguments and errors are those of `fit_dynamics`."""
-        self._motion = RecordedMotion(recordings, cfg.physics_dt)
+        self._recordings, self._motion = recordings, RecordedMotion(recordings, cfg.physics_dt)
         if self._motion.joints != start.joints:
             raise InvalidValueError(
                 f"the recordings are of {self._motion.joints}, the start is of {start.joints}; "
@@ -235,7 +236,13 @@ class _Problem:
         covariance[:, :num, :num] += model_covariance(
             dynamics, self._dynamics.armature, self._motion.link_inertia, self._cfg.free, LATENCY_UNIT
         )
-        covariance[:, num, num] += (play_deviation(dynamics) / self.unit[num]) ** 2
+        seconds = [np.ptp(recording.t_meas) for recording in self._recordings]
+        beside = [
+            play_deviation(dynamics),
+            *(np.full(len(covariance), LATENCY_DEVIATION / s) for s in seconds),
+        ]
+        for column, deviation in enumerate(beside, start=num):
+            covariance[:, column, column] += (deviation / self.unit[column]) ** 2
         return covariance
 
     def report(self, residuals: Residuals) -> None:

@@ -24,8 +24,9 @@ FRICTION_DEVIATION = 0.1
 """Of dry friction, as a share. Source: ours; friction at rest is 10 to 30 % above that in motion, and motion
 shows something in between."""
 
-LATENCY_DEVIATION = 2.5e-4
-"""Of the latency [s]. Source: ours, half a cycle of 500 Hz: a command waits for the servo's next one."""
+LATENCY_DEVIATION = 4e-4
+"""Of the latency [s], and of its change in a recording. Source: ours, of the order of a servo's cycle: a
+command waits for the next one."""
 
 Hessian = Float[np.ndarray, "num_directions num_directions"]
 

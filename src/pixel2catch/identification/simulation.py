@@ -124,7 +124,7 @@ class Servos:
         link_inertia: PerJoint,
         dt: float,
     ) -> None:
-        """Give every copy its dynamics and largest torques [N·m].
+        """Give every copy, which is where it begins, its dynamics and largest torques [N·m].
 
         The inertia of the links is what a joint moves beside its armature [kg·m²]; the time step is in [s].
         """
@@ -330,10 +330,10 @@ class RecordedMotion:
         num_threads = 0 if len(copies) >= THREADED_COPIES else 1
         simulation = BatchSimulation(self._model, len(copies), num_threads)
         candidates = [dynamics for dynamics, _ in copies]
-        servos = Servos(simulation, candidates, self._efforts, self.link_inertia, self._dt)
         qpos, qvel = (simulation.bind(name).numpy() for name in ("qpos", "qvel"))
         start = np.stack([motion.start for _, motion in copies], axis=1)
         qpos[:], qvel[:] = start
+        servos = Servos(simulation, candidates, self._efforts, self.link_inertia, self._dt)
         path = Filters(self._dt, start, candidates)
         commands, index = _commands(copies, self._dt)
         paths = np.empty((len(commands) + 1, *qpos.shape))
