@@ -205,7 +205,7 @@ def play_warnings(fit: Fit) -> list[str]:
         return []
     return [
         f"Play between servo and encoder [mrad]: {', '.join(loose)}. The fit makes up for it; training has "
-        "none: tighten it, or train with an error of the encoders as large (randomization.joint_bias)."
+        "none: tighten it, or train with an error of the encoders as large (sensing.joint_bias)."
     ]
 
 
