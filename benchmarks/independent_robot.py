@@ -1,7 +1,7 @@
 """A robot that shares nothing with our simulation: single joints with play, sticking friction and a servo.
 
 Each joint is one mass (semi-implicit Euler, 0.25 ms); its encoder is behind the play of the gear. Friction is
-the LuGre model of Canudas de Wit et al. 1995: bristles that stick, more friction at rest than in motion
+the LuGre model (Lund and Grenoble, 1995): bristles that stick, more friction at rest than in motion
 (Stribeck), the Coulomb level in motion. The servo runs at 1 kHz: commands wait for its cycle, and its pull
 is held for one, while the drive damps at every step. Commands and measurements get lost; encoders have
 steps; the clock of the measurements runs faster than that of the commands.
