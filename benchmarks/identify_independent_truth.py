@@ -91,14 +91,9 @@ def judged(robot: Robot, j: int, recordings: list[Recording]) -> dict[str, Row]:
 
 
 def row(error: float, width: float, rest: float = 0.0) -> Row:
-    """An error, half of its interval, and whether that reaches what is true: 0, or up to what is at rest."""
-    holds = bool(-width <= error <= width + rest)
-    return {
-        "error": float(error),
-        "width": float(width),
-        "holds": holds,
-        "holds strictly": bool(abs(error) <= width),
-    }
+    """An error beyond a range from 0, half of its interval, and whether that reaches into the range."""
+    beyond = float(error - np.clip(error, 0.0, rest))
+    return {"error": beyond, "width": width, "holds": float(abs(beyond) <= width), "from 0": float(error)}
 
 
 def print_summary(found: dict[str, list[dict[str, Row]]]) -> None:
