@@ -1,10 +1,13 @@
 """Known truth: simulated joints with noise, latency and stalled clocks give their dynamics back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from known_truth import NOISE, record, tracking_error
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.identification.encoders import behind_play
 from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg, correlation_time, fit_dynamics
 from pixel2catch.identification.identify import half_widths, ratios
 from pixel2catch.identification.rehearsal import unlike_nominal
@@ -21,13 +24,14 @@ def test_servo_is_recovered(truth_dt: float):
     nominal = JointDynamics.nominal(JOINTS)
     truth = unlike_nominal(rng, nominal, latency=0.012)
     fitted, held_out = (record(rng, truth, seconds, truth_dt) for seconds in (6.0, 2.0))
-    fit = fit_dynamics([fitted], nominal, FitCfg(physics_dt=DT, max_rounds=2))
+    fit = fit_dynamics([fitted], nominal, FitCfg(physics_dt=DT))
     found = fit.dynamics
     np.testing.assert_allclose(found.damping / found.stiffness, truth.damping / truth.stiffness, rtol=0.012)
     np.testing.assert_allclose(found.armature[1], truth.armature[1], rtol=0.03)
     np.testing.assert_allclose(found.latency, truth.latency, atol=6e-4)
     assert (tracking_error([held_out], nominal, DT) > 10 * NOISE).all()
-    np.testing.assert_allclose(tracking_error([held_out], found, DT), NOISE, rtol=0.15)
+    best = tracking_error([held_out], truth, DT)  # beyond noise: a joint sticks where noise says it began
+    assert (tracking_error([held_out], found, DT) < 1.2 * best).all()
     widths = dict(zip(fit.free, half_widths(fit).T, strict=True))
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         error = np.abs(np.log(getattr(found, name) / getattr(truth, name)))
@@ -46,7 +50,36 @@ def test_command_filter_is_recovered():
     np.testing.assert_allclose(found.filter_gain, 300.0, rtol=0.02)
     np.testing.assert_allclose(found.filter_lookahead, 0.1, rtol=0.02)
     np.testing.assert_allclose(found.latency, 0.004, atol=0.001)
-    np.testing.assert_allclose(tracking_error([held_out], found, DT), NOISE, rtol=0.15)
+    best = tracking_error([held_out], truth, DT)
+    np.testing.assert_allclose(tracking_error([held_out], found, DT), best, rtol=0.05)
+
+
+def test_clocks_that_drift_and_play_are_found():
+    """The clock of the measurements is 0.1 % fast, the finger's encoder 4 mrad loose, the elbow's not."""
+    rng = np.random.default_rng(4)
+    nominal = JointDynamics.nominal(JOINTS)
+    recording = record(rng, nominal.with_values(latency=0.012), 4.0, DT)
+    read = behind_play(recording.q, np.array((0.0, 4e-3)))
+    late = replace(recording, t_meas=1.001 * recording.t_meas, q=read)
+    fit = fit_dynamics([late], nominal, FitCfg(free=("damping", "frictionloss", "latency"), physics_dt=DT))
+    np.testing.assert_allclose(fit.encoders.drift, 1e-3, atol=1e-4)
+    np.testing.assert_allclose(fit.encoders.play, (0.0, 4e-3), atol=4e-4)
+    np.testing.assert_allclose(fit.dynamics.latency, 0.012, atol=2e-4)
+    assert (fit.encoder_deviations.play < (5e-4, 1.2e-3)).all()
+
+
+def test_a_lost_command_hardly_moves_a_fit():
+    """A jump that arrives 40 ms late counts as one odd event, not as a lag of the joint."""
+    rng = np.random.default_rng(5)
+    nominal = JointDynamics.nominal(JOINTS[1:])
+    recording = record(rng, nominal, 4.0, DT)
+    jump = int(np.argmax(np.abs(np.diff(recording.q_cmd[:, 0])))) + 1
+    sent = recording.t_cmd.copy()
+    sent[jump] -= min(0.04, 0.9 * (sent[jump] - sent[jump - 1]))
+    late = replace(recording, t_cmd=sent)
+    start = nominal.with_values(damping=1.2 * nominal.damping)
+    found = fit_dynamics([late], start, FitCfg(free=("damping", "latency"), physics_dt=DT)).dynamics
+    np.testing.assert_allclose(found.damping, nominal.damping, rtol=0.01)
 
 
 def test_the_armature_alone_is_recovered():

@@ -8,6 +8,7 @@ import pytest
 from recorded import ARM, ROBOTS, clean, short
 
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
+from pixel2catch.identification.encoders import Encoders
 from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit, FitCfg
 from pixel2catch.identification.identify import (
     CheckedRecording,
@@ -24,6 +25,7 @@ from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robots.joint_dynamics import PARAMETERS, JointDynamics
 
 HAND = ROBOTS["allegro"]
+PERFECT = Encoders.perfect(1, len(HAND))
 
 
 def named(*names: str) -> list[Recording]:
@@ -104,6 +106,8 @@ def hand_fit() -> Fit:
         free=SERVO_PARAMETERS,
         covariance=np.tile(1e-4 * np.eye(5), (len(HAND), 1, 1)),
         prior=2.0,
+        encoders=PERFECT,
+        encoder_deviations=PERFECT,
     )
 
 

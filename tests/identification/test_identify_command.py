@@ -15,6 +15,7 @@ import pytest
 from recorded import ARM, clean, position
 
 from pixel2catch.cli.main import main
+from pixel2catch.identification.encoders import behind_play
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
@@ -141,6 +142,44 @@ def test_the_report_says_what_a_reader_must_know(out: Path):
         assert part in words, part
     assert "Nothing was held out" not in words
     assert "&lt;arm&gt; &amp; co" in text
+
+
+def test_clocks_that_drift_and_play_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Clocks that part by 2 ms in a second, and 6 mrad of play: in the terminal and the page."""
+    paths = []
+    for seed in range(2):
+        recording, play = simulated(seed), np.array((0.0, 0.0, 0.0, 0.0, 0.0, 6e-3))
+        loose = replace(recording, t_meas=1.002 * recording.t_meas, q=behind_play(recording.q, play))
+        paths.append(tmp_path / f"{seed}.npz")
+        loose.save(paths[-1])
+    assert main(["identify", *map(str, paths), *SMALL, "--out", str(tmp_path / "out")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    page = unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert re.search(r"0.npz: the clock of the measurements is (19|20)\d\d ± \d+ ppm fast", printed)
+    assert re.search(r"Play between servo and encoder \[mrad\]: wrist 3 [567]", printed)
+    for words in ("ppm fast", "Play between servo and encoder"):
+        assert words in page
+    drift = result(tmp_path / "out")["drift"][str(paths[0])]["elbow_joint"]["value"]
+    assert drift == pytest.approx(0.002, rel=0.02)
+
+
+def test_targets_that_are_no_commands_are_told_and_the_file_is_marked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """What a controller calls its target is where the joint is: no servo with a lag predicts it as well."""
+    paths = []
+    for seed in range(2):
+        recording = simulated(seed)
+        target = replace(recording, t_cmd=recording.t_meas, q_cmd=recording.q + 1e-4)
+        paths.append(tmp_path / f"{seed}.npz")
+        target.save(paths[-1])
+    small = (*SMALL[:4], "--free", "latency")
+    assert main(["identify", *map(str, paths), *small, "--out", str(tmp_path / "out")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "shoulder pan, shoulder lift, elbow, wrist 1, wrist 2, wrist 3, the command predicts" in printed
+    assert result(tmp_path / "out")["worse_than_command"] == list(ARM)
+    with pytest.warns(UserWarning, match="the command alone predicts motion better"):
+        assert DynamicsFile.load(tmp_path / "out" / "dynamics.json").worse_than_command == ARM
 
 
 def test_results_are_never_overwritten(recordings: list[str], out: Path, capsys: pytest.CaptureFixture[str]):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pixel2catch.identification.encoders import Encoders
 from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit
 from pixel2catch.identification.identify import gain_ranges, half_widths, ratios
 from pixel2catch.identification.report_tables import weak_directions
@@ -11,6 +12,7 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 JOINTS = ("elbow_joint", "wrist_3_joint", "index_joint_1")
+PERFECT = Encoders.perfect(1, 1)
 SCALE = np.array((1.0, 1.0, 1.0, 1.0, 0.0))
 ONLY_FRICTION = np.array((0.0, 0.0, 1.0, 0.0, 0.0))
 ONLY_LATENCY = np.array((0.0, 0.0, 0.0, 0.0, 1.0))
@@ -20,7 +22,14 @@ DAMPING_FOR_LATENCY = np.array((0.0, 1.0, 0.0, 0.0, -1.0))
 def fit_of(covariance: np.ndarray, free: tuple[str, ...] = ("stiffness", "damping", "armature")) -> Fit:
     """A fit of these covariances, one of each joint."""
     dynamics = JointDynamics.nominal(JOINTS[: len(covariance)])
-    return Fit(dynamics=dynamics, free=free, covariance=covariance, prior=2.0)
+    return Fit(
+        dynamics=dynamics,
+        free=free,
+        covariance=covariance,
+        prior=2.0,
+        encoders=PERFECT,
+        encoder_deviations=PERFECT,
+    )
 
 
 def fit_with(*directions: np.ndarray) -> Fit:
@@ -128,6 +137,8 @@ def test_ranges_of_other_joints_stay():
         free=GAINS,
         covariance=np.stack([2.5e-7 * np.eye(3)] * 2),
         prior=2.0,
+        encoders=PERFECT,
+        encoder_deviations=PERFECT,
     )
     both = gain_ranges(wrist, earlier)
     assert both.stiffness_scale[ELBOW] == earlier.stiffness_scale[ELBOW]

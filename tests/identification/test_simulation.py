@@ -1,18 +1,21 @@
 """The forward model of the fit: it is the simulator that a policy trains in, with commands on their way."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 import torch
 from recorded import JOINT_SPECS, ROBOTS
 
-from pixel2catch.envs.actuators import FRICTION_SPEED, Servos
+from pixel2catch.envs import actuators
 from pixel2catch.errors import RecordingError
+from pixel2catch.identification.encoders import Encoders, behind_play
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import (
     FIT_DT,
+    DryFriction,
     RecordedMotion,
-    friction_torque,
     mean_commands,
     step_commands,
 )
@@ -51,10 +54,11 @@ def test_without_latency_and_filter_it_is_the_scene():
     model.actuator_ctrllimited[:] = 0
     data = mujoco.MjData(model)
     data.qpos[:19] = HOME
+    friction = DryFriction(loss, model.dof_armature[:19], data.qpos[:19], model.opt.timestep)
     path = [HOME]
     for _ in range(fine * (len(recording.t_meas) - 1)):
         data.ctrl[:] = recording.held(np.array([data.time]))[0]
-        data.qfrc_applied[:19] = -loss * np.tanh(data.qvel[:19] / FRICTION_SPEED)
+        data.qfrc_applied[:19] = friction.torque(data.qpos[:19])
         mujoco.mj_step(model, data)
         path.append(data.qpos[:19].copy())
     result = simulated(recording, JointDynamics.nominal(ALL))
@@ -142,9 +146,46 @@ def test_a_step_knows_what_arrives_before_and_after_a_jump():
 
 def test_dry_friction_is_that_of_training():
     """The law is written for PyTorch in `envs/actuators.py`, and for NumPy here."""
-    nominal, speeds = JointDynamics.nominal(), np.linspace(-1.0, 1.0, 19)[None]
-    servos = Servos.on(
-        torch.device("cpu"), torch.float64, nominal, np.ones(19).tolist(), np.ones(19).tolist()
-    )
-    expected = servos.friction(torch.from_numpy(speeds)).numpy()
-    np.testing.assert_allclose(friction_torque(nominal.frictionloss, speeds), expected, rtol=1e-12)
+    nominal, path = JointDynamics.nominal(), np.random.default_rng(0).uniform(-1e-3, 1e-3, (50, 1, 19))
+    ours = DryFriction(nominal.frictionloss[None], nominal.armature[None], path[0], DT)
+    theirs = actuators.DryFriction(nominal, DT, torch.from_numpy(path[0]))
+    for joint_pos in path:
+        expected = theirs.torque(torch.from_numpy(joint_pos)).numpy()
+        np.testing.assert_allclose(ours.torque(joint_pos), expected, rtol=1e-12)
+
+
+def test_dry_friction_holds_up_to_its_bound():
+    """Of 0.4 N·m on 0.14 kg·m² and in steps of 1/240 s: a grip of 8,064 N·m/rad, bent by 50 µrad."""
+    grip = 0.14 * 240**2
+    friction = DryFriction(np.array([[0.4]]), np.array([[0.14]]), np.zeros((1, 1)), 1 / 240)
+    positions = np.array((2e-5, 4e-5, 1e-3, 0.99e-3, 0.5e-3))
+    torques = [float(friction.torque(np.array([[position]]))[0, 0]) for position in positions]
+    np.testing.assert_allclose(torques, (-2e-5 * grip, -4e-5 * grip, -0.4, -0.4 + 1e-5 * grip, 0.4))
+
+
+def test_a_joint_stops_within_its_friction_of_its_command():
+    """A finger of 3 N·m/rad and 0.03 N·m of friction, slowly led to 0.3 rad, stays 10 mrad short of it."""
+    nominal = JointDynamics.nominal(["index_joint_2"]).with_values(frictionloss=0.03)
+    time = np.arange(0.0, 3.0, DT)
+    command = np.clip(0.2 * time, 0.0, 0.3)[:, None]
+    recording = Recording(joints=nominal.joints, t_cmd=time, q_cmd=command, t_meas=time, q=0.0 * command)
+    np.testing.assert_allclose(simulated(recording, nominal)[-1], 0.29, atol=2e-4)
+
+
+def test_encoders_behind_play_stay_behind():
+    """Half a play of 2 mrad behind the joint, whichever way it moves, and still while it crosses the play."""
+    positions = np.array((0.0, 0.5, 3.0, 2.0, 1.0, 0.0))[:, None] * 1e-3
+    expected = np.array((0.0, 0.0, 2.0, 2.0, 2.0, 1.0))[:, None] * 1e-3
+    np.testing.assert_allclose(behind_play(positions, np.array([2e-3])), expected)
+
+
+def test_clocks_that_drift_read_earlier_positions():
+    """After 1 s by a clock that is 1 % fast, the joint is where it was after 0.99 s."""
+    recording = held_steps(ALL)
+    motion, nominal = RecordedMotion([recording], DT), JointDynamics.nominal(ALL)
+    perfect = Encoders.perfect(1, len(ALL))
+    exact, late = motion.simulate([nominal] * 2, [perfect, replace(perfect, drift=perfect.drift + 0.01)])
+    time = recording.t_meas[-len(exact) :] - recording.t_meas[0]
+    expected = [np.interp(0.99 * time, time, column) for column in exact.T]
+    is_inside = 0.99 * time > time[0]
+    np.testing.assert_allclose(late[is_inside], np.stack(expected, axis=-1)[is_inside], atol=5e-4)

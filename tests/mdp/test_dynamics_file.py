@@ -38,6 +38,13 @@ def test_file_keeps_every_value(tmp_path):
     assert content["gain_ranges"]["damping_scale"] == [[0.95, 1.05], [0.7, 1.3]]
 
 
+def test_a_file_that_is_worse_than_its_command_says_so(tmp_path):
+    file = DynamicsFile(dynamics=DYNAMICS, gains=GAINS, worse_than_command=("elbow_joint",))
+    file.save(tmp_path / "dynamics.json")
+    with pytest.warns(UserWarning, match="dynamics.json: of elbow_joint, the command alone predicts motion"):
+        assert DynamicsFile.load(tmp_path / "dynamics.json") == file
+
+
 def test_absent_file_is_the_nominal_robot():
     assert DynamicsFile.load(None) == DynamicsFile(dynamics=JointDynamics.nominal(), gains=GainRanges())
 
@@ -52,6 +59,7 @@ def test_file_without_ranges_keeps_the_papers(tmp_path):
     ("entry", "value", "message"),
     [
         ("format_version", 9, "format_version is 9"),
+        ("worse_than_command", ["wrist_9_joint"], "unknown joint in worse_than_command"),
         ("joints", ["elbow_joint", "index_joint_9"], "Did you mean"),
         ("joints", ["index_joint_1", "elbow_joint"], "in the order"),
         ("joints", [], "stiffness has 2 entries; it needs 0"),

@@ -21,13 +21,23 @@ FRICTION_SPEED = 0.1
 """Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""
 
 
+def friction_grip(armature: np.ndarray, dt: float) -> np.ndarray:
+    """How stiffly dry friction holds a joint [N·m/rad]: as stiffly as a time step [s] allows.
+
+    A joint that sticks swings on its friction at √(grip / inertia), and the inertia is at least the armature
+    [kg·m²]; the integration is stable up to 2 / dt, this is a half of it.
+    """
+    return armature / dt**2
+
+
 class JointActuators:
     """Command path, limits, friction and gains of every joint in every environment.
 
     Nominal joints have no command path: in a physics step their servos aim at the command of its end, as in
     the training of the shipped policies. That is a step earlier than behind a path without latency. Their
-    damping is MuJoCo's, which acts on the speed at the end of a step. Of identified joints half of it does:
-    so they move as in the simulation that they were identified with, at any time step nearly alike.
+    damping is MuJoCo's, which acts on the speed at the end of a step, and their dry friction is smooth in the
+    speed. Of identified joints half of the damping does so, and dry friction holds them where they are: so
+    they move as in the simulation that they were identified with, at any time step nearly alike.
     """
 
     def __init__(
@@ -49,10 +59,11 @@ class JointActuators:
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
         self._command = torch.zeros_like(self._ctrl)
-        self._path, self._implicit = None, 1.0
+        self._path, self._dry_friction, self._implicit = None, None, 1.0
         if dynamics != nominal:
-            self._path = CommandPath(dynamics, simulation.model.opt.timestep, self._command)
-            self._implicit = 0.5
+            dt = simulation.model.opt.timestep
+            self._path = CommandPath(dynamics, dt, self._command)
+            self._dry_friction, self._implicit = DryFriction(dynamics, dt, self._command), 0.5
         #: Largest torque of each joint [N·m].
         self.effort_limit: Float[Tensor, " num_joints"] = self._servos.effort_limit
 
@@ -64,8 +75,9 @@ class JointActuators:
     ) -> None:
         """Begin in the masked environments, with new gains, at joint positions [rad] that are the command."""
         self._command.copy_(select(mask, joint_pos, self._command))
-        if self._path is not None:
+        if self._path is not None and self._dry_friction is not None:
             self._path.reset(mask, joint_pos)
+            self._dry_friction.reset(mask, joint_pos)
         stiffness = self._stiffness * parameters.stiffness_scale
         damping = self._damping * parameters.damping_scale
         gainprm = self._simulation.expand("actuator_gainprm")
@@ -95,7 +107,8 @@ class JointActuators:
         )
         explicit = (1.0 - self._implicit) * state.damping / state.stiffness
         self._ctrl.copy_(self._servos.limited(aim, state) - explicit * self._qvel)
-        self._friction.copy_(self._servos.friction(self._qvel))
+        dry = self._dry_friction
+        self._friction.copy_(self._servos.friction(self._qvel) if dry is None else dry.torque(self._qpos))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,12 +161,44 @@ class Servos:
     def friction(
         self, joint_vel: Float[Tensor, "num_envs num_joints"]
     ) -> Float[Tensor, "num_envs num_joints"]:
-        """Torque of dry friction [N·m], as a smooth function of the speed.
+        """Torque of dry friction of nominal joints [N·m], as a smooth function of the speed.
 
-        Differs: MuJoCo's own `frictionloss` is a constraint, which doubles the time of a physics step here,
-        for torques that move a servo's rest position by less than 0.004 rad.
+        Below `FRICTION_SPEED` it is less than a robot's, which hardly depends on the speed: a fit of slow
+        motion with it finds up to 7 times too much. Differs: MuJoCo's own `frictionloss` is a constraint,
+        which doubles the time of a physics step here, for torques that move a servo's rest position by less
+        than 0.004 rad.
         """
         return -self.frictionloss * torch.tanh(joint_vel / FRICTION_SPEED)
+
+
+class DryFriction:
+    """Dry friction of identified joints in all environments: it stays up to rest, where it holds them.
+
+    Each joint drags a spring along whose force is at most its friction (one Maxwell slip element): as sharp
+    as the time step allows, without an inertia that would have to be known. MuJoCo's own `frictionloss`
+    means the same; why it is not used: `Servos.friction`.
+    """
+
+    def __init__(
+        self, dynamics: JointDynamics, dt: float, joint_pos: Float[Tensor, "num_envs num_joints"]
+    ) -> None:
+        """Make it for physics steps `dt` [s], for joints of this number, type and device."""
+        grip = friction_grip(dynamics.armature, dt)
+        self._grip = torch.as_tensor(grip).to(joint_pos)
+        self._slip = torch.as_tensor(dynamics.frictionloss / grip).to(joint_pos)
+        self._bend, self._last = torch.zeros_like(joint_pos), joint_pos.clone()
+
+    def reset(self, mask: Bool[Tensor, " num_envs"], joint_pos: Float[Tensor, "num_envs num_joints"]) -> None:
+        """Let the masked environments' joints rest at their positions [rad]."""
+        self._bend.masked_fill_(mask[:, None], 0.0)
+        self._last.copy_(select(mask, joint_pos, self._last))
+
+    def torque(self, joint_pos: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
+        """Torque of the next physics step [N·m], of joints that have come to some positions [rad]."""
+        bend = self._bend + (joint_pos - self._last)
+        self._last.copy_(joint_pos)
+        self._bend.copy_(torch.minimum(torch.maximum(bend, -self._slip), self._slip))
+        return -self._grip * self._bend
 
 
 class CommandPath:

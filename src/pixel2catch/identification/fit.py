@@ -10,11 +10,22 @@ one simulation.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.identification.directions import Directions, Jacobian, NormalEquations, Point, Residuals
+from pixel2catch.identification.encoders import Encoders, encoders_of
+from pixel2catch.identification.intervals import (
+    BLOCK,
+    LATENCY_DEVIATION,
+    block_covariance,
+    block_scores,
+    model_covariance,
+    play_deviation,
+)
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import FIT_DT, RecordedMotion
 from pixel2catch.robots.joint_dynamics import PARAMETERS, SERVOJ_GAIN, SERVOJ_LOOKAHEAD, JointDynamics
@@ -32,25 +43,45 @@ LAG_PARAMETERS = ("damping", "filter_lookahead", "latency")
 """What is fitted first, alone: else an unexplained lag drives the armature into a far, wrong minimum."""
 
 LATENCY_UNIT = 0.01  # latency that counts as much as a factor e of another parameter [s] (ours)
-MAX_LATENCY = 0.2  # largest latency that a fit tries [s] (ours)
 MAX_FACTOR = 1e3  # largest factor between the start and the result of any other parameter (ours)
 LEAST_VALUE = 1e-9  # what a fit takes for 0 where it needs a logarithm
 COARSENESS = 2.0  # length of the time steps with which a fit begins, in those with which it ends (ours)
 COARSE_ROUNDS = 2  # evaluations of the Jacobian with these (ours)
+COARSE = 0.01  # share of the squares that is worth a step with coarse time steps (ours)
 ROUGH = 0.03  # share of the squares that is worth a step while only the lag moves (ours)
-FINE = 0.2  # step that is worth to be taken, in standard errors of what is fitted (ours)
-MAX_STEPS = 6  # steps under one Jacobian (ours; each is about a fifth of the one before, or of no use)
-MAX_STEP = 1.0  # longest step of a coordinate (ours; farther away motion is another)
+OUTLYING = 4.0  # residual that counts half, in mean absolute ones (ours; lost commands are far beyond)
+FINE = 0.3  # step that is worth to be taken, in standard errors of what is fitted (ours)
+MAX_STEPS = 3  # steps under one Jacobian (ours; each is about a fifth of the one before, or of no use)
 DAMPINGS = (0.0, 0.1, 10.0)  # Marquardt's factors; of their steps, tried at once, the best is taken (ours)
+
+
+class Linear(NamedTuple):
+    """What is fitted itself, not its logarithm: a unit that counts as a factor e of others, and the range."""
+
+    unit: float
+    lower: float
+    upper: float
+
+
+LINEAR = {
+    "latency": Linear(LATENCY_UNIT, 0.0, 0.2),
+    "play": Linear(1e-3, 0.0, 0.05),
+    "drift": Linear(2e-4, -5e-3, 5e-3),
+}
+"""Latency [s], play of an encoder [rad], drift of the clocks. Source: ours; crystals drift by 1e-4 at most,
+clocks that are just being set by 5e-4."""
+
+CLOCKS = (
+    "latency",
+    "drift",
+)  # what the joints of a group share: their commands and measurements come together
 
 DIFFERENCE = 1e-2
 """Step of the finite differences, in the coordinates of the fit. Source: ours; much less than a 95 % interval
 of what is worth fitting, and more than the kinks that a torque limit makes."""
 
 LEAST_RESIDUAL = 1e-6  # residuals count as at least so large [rad] (ours, far below the noise of encoders)
-Point = Float[np.ndarray, "num_joints num_free"]
-Residuals = Float[np.ndarray, "num_settled num_joints"]
-Weight = Float[np.ndarray, " num_joints"]
+Weight = Float[np.ndarray, "num_settled num_joints"]
 Report = Callable[[str], None]
 
 
@@ -81,9 +112,11 @@ class Fit:
 
     dynamics: JointDynamics  #: the fitted dynamics
     free: tuple[str, ...]  #: the parameters that were fitted
-    #: of each joint's free parameters, in the coordinates of the fit; the prior is in it
+    #: of each joint's free parameters, in the coordinates of the fit, with the prior and what models lack
     covariance: Float[np.ndarray, "num_joints num_free num_free"]
     prior: float  #: standard deviation of the prior: where it is not reduced, the recordings tell nothing
+    encoders: Encoders  #: fitted play, and drift of the clocks
+    encoder_deviations: Encoders  #: standard deviations of these
 
 
 def fit_dynamics(
@@ -102,74 +135,20 @@ def fit_dynamics(
     if set(LAG_PARAMETERS) & set(cfg.free):
         lag = coarse.directions(LAG_PARAMETERS, is_coupled=False)
         point, _ = _followed(coarse, point, coarse.jacobian(point, lag), ROUGH)
-    directions = coarse.directions(cfg.free, is_coupled=True)
-    point, _ = _solved(coarse, point, directions, COARSE_ROUNDS)
+    directions = coarse.directions(coarse.names, is_coupled=True)
+    point, _ = _solved(coarse, point, directions, COARSE_ROUNDS, COARSE)
     fine = _Problem(recordings, start, cfg, report)
-    point, jacobian = _solved(fine, point, directions, cfg.max_rounds)
-    weight = _information(jacobian.residuals) / correlation_time(jacobian.residuals)
+    point, jacobian = _solved(fine, point, directions, cfg.max_rounds, 0.0)
+    covariance, num = fine.covariance(point, jacobian), len(cfg.free)
+    deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * fine.unit
     return Fit(
         dynamics=fine.dynamics(point),
         free=cfg.free,
-        covariance=fine.normal_equations(point, jacobian, weight).covariance,
+        covariance=covariance[:, :num, :num],
         prior=cfg.prior,
+        encoders=fine.encoders(point),
+        encoder_deviations=encoders_of(deviations[:, num:]),
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Directions:
-    """Ways in which a point can move."""
-
-    steps: Float[np.ndarray, "num_directions num_joints num_free"]  #: a unit step of each
-    felt_by: Bool[np.ndarray, "num_directions num_joints"]  #: which joints move otherwise then
-
-    def together(self) -> list[list[int]]:
-        """Directions by number, in batches that no joint feels more than one of."""
-        batches: list[list[int]] = []
-        for number, joints in enumerate(self.felt_by):
-            fitting = (batch for batch in batches if not (self.felt_by[batch] & joints).any())
-            batch = next(fitting, None)
-            if batch is None:
-                batches.append([number])
-            else:
-                batch.append(number)
-        return batches
-
-
-@dataclass(frozen=True, kw_only=True)
-class NormalEquations:
-    """The squares about a point, as a quadratic function of the coordinates of some directions."""
-
-    directions: Directions  #: what moves
-    hessian: Float[np.ndarray, "num_directions num_directions"]  #: half the curvature: an inverse covariance
-    gradient: Float[np.ndarray, " num_directions"]  #: half of the derivatives
-
-    def step(self, damping: float) -> Point:
-        """The step to the least squares; damping, as Marquardt's, makes it shorter and steeper."""
-        matrix = self.hessian + damping * np.diag(np.diagonal(self.hessian))
-        step = -np.linalg.solve(matrix, self.gradient)
-        return np.tensordot(step.clip(-MAX_STEP, MAX_STEP), self.directions.steps, axes=1)
-
-    @property
-    def decrease(self) -> float:
-        """By how much the squares would become less without damping, if they were quadratic."""
-        return float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "num_joints num_free num_free"]:
-        """Covariance of each joint's parameters, with those of the other joints unknown as well."""
-        steps = self.directions.steps
-        return np.einsum("kja,kl,ljb->jab", steps, np.linalg.inv(self.hessian), steps)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Jacobian:
-    """Derivatives of the simulated positions at a point."""
-
-    residuals: Residuals  #: simulated minus measured positions at the point [rad]
-    directions: Directions  #: what moves
-    #: change of the positions in each of some simulations, in which several directions moved
-    changes: Float[np.ndarray, "num_simulations num_settled num_joints"]
-    source: Int[np.ndarray, " num_directions"]  #: in which of these each direction moved
 
 
 class _Problem:
@@ -179,7 +158,7 @@ class _Problem:
         self, recordings: Sequence[Recording], start: JointDynamics, cfg: FitCfg, report: Report
     ) -> None:
         """Prepare the simulation; arguments and errors are those of `fit_dynamics`."""
-        self._motion = RecordedMotion(recordings, cfg.physics_dt)
+        self._recordings, self._motion = recordings, RecordedMotion(recordings, cfg.physics_dt)
         if self._motion.joints != start.joints:
             raise InvalidValueError(
                 f"the recordings are of {self._motion.joints}, the start is of {start.joints}; "
@@ -193,22 +172,29 @@ class _Problem:
             )
         self._measured = self._motion.measured
         self._dynamics, self._cfg, self._report = start, cfg, report
-        self._is_latency = np.array([name == "latency" for name in cfg.free])
+        self.names = (*cfg.free, "play", *("drift" for _ in recordings))
+        self.num_free, self._is_linear = len(cfg.free), np.array([name in LINEAR for name in self.names])
+        linear = [LINEAR.get(name, Linear(1.0, 0.0, 0.0)) for name in self.names]
+        self.unit, self._lower, self._upper = np.array(linear).T
         values = np.stack([getattr(start, name) for name in cfg.free], axis=-1)
+        values = np.pad(values, ((0, 0), (0, len(self.names) - self.num_free)))
         logarithms = np.log(np.maximum(values, LEAST_VALUE))
-        self.start = np.where(self._is_latency, values / LATENCY_UNIT, logarithms)
+        self.start = np.where(self._is_linear, values / self.unit, logarithms)
 
     def dynamics(self, point: Point) -> JointDynamics:
-        with np.errstate(over="ignore"):  # a latency is no exponent
-            values = np.where(self._is_latency, point * LATENCY_UNIT, np.exp(point))
+        with np.errstate(over="ignore"):  # what is linear is no exponent
+            values = np.where(self._is_linear, point * self.unit, np.exp(point))
         columns = {name: values[:, i].copy() for i, name in enumerate(self._cfg.free)}
         return self._dynamics.with_values(**columns)
+
+    def encoders(self, point: Point) -> Encoders:
+        return encoders_of((point * self.unit)[:, self.num_free :])
 
     def bounded(self, point: Point) -> Point:
         """The nearest point that a fit may try."""
         width = np.log(MAX_FACTOR)
-        lower = np.where(self._is_latency, 0.0, self.start - width)
-        upper = np.where(self._is_latency, MAX_LATENCY / LATENCY_UNIT, self.start + width)
+        lower = np.where(self._is_linear, self._lower / self.unit, self.start - width)
+        upper = np.where(self._is_linear, self._upper / self.unit, self.start + width)
         return point.clip(lower, upper)
 
     def directions(self, names: Sequence[str], is_coupled: bool) -> Directions:
@@ -219,17 +205,45 @@ class _Problem:
         scale shows weakly, and differences of large derivatives would not tell it. Coupled directions are
         felt by the joints that the motion of a joint moves, too.
         """
-        free, coupled = self._cfg.free, self._motion.coupled
-        groups = self._motion.groups
+        groups, coupled = self._motion.groups, self._motion.coupled
         together = groups == np.array(list(dict.fromkeys(groups)))[:, None]
         steps, felt_by = [], []
-        for name in free:
-            along = np.isin(free, SCALE if name == "stiffness" else name) & np.isin(free, names)
-            moved = together if name == "latency" else np.eye(len(groups), dtype=bool)
+        for column, name in enumerate(self.names):
+            along = np.arange(len(self.names)) == column
+            if name == "stiffness":
+                along = np.isin(self.names, SCALE) & np.isin(self.names, names)
+            moved = together if name in CLOCKS else np.eye(len(groups), dtype=bool)
             for joints in moved if name in names else ():
                 steps.append(np.outer(joints, along).astype(float))
-                felt_by.append(coupled[joints].any(axis=0) if is_coupled else joints)
+                is_moving_others = is_coupled and column < self.num_free
+                felt_by.append(coupled[joints].any(axis=0) if is_moving_others else joints)
         return Directions(steps=np.array(steps), felt_by=np.array(felt_by))
+
+    def covariance(
+        self, point: Point, jacobian: Jacobian
+    ) -> Float[np.ndarray, "num_joints num_columns num_columns"]:
+        """Covariance of each joint's row of a point that is a fit."""
+        weight, starts = _information(jacobian.residuals), self._motion.block_starts(BLOCK)
+        equations = self.normal_equations(point, jacobian, weight)
+        scores = np.zeros((len(starts), len(equations.hessian)))
+        for j, is_felt in enumerate(jacobian.directions.felt_by.T):
+            moving = np.flatnonzero(is_felt)
+            columns = jacobian.changes[jacobian.source[moving], :, j]
+            scores[:, moving] += block_scores(columns, weight[:, j] * jacobian.residuals[:, j], starts)
+        steps = jacobian.directions.steps
+        covariance = np.einsum("kja,kl,ljb->jab", steps, block_covariance(equations.hessian, scores), steps)
+        dynamics, num = self.dynamics(point), self.num_free
+        covariance[:, :num, :num] += model_covariance(
+            dynamics, self._dynamics.armature, self._motion.link_inertia, self._cfg.free, LATENCY_UNIT
+        )
+        seconds = [np.ptp(recording.t_meas) for recording in self._recordings]
+        beside = [
+            play_deviation(dynamics),
+            *(np.full(len(covariance), LATENCY_DEVIATION / s) for s in seconds),
+        ]
+        for column, deviation in enumerate(beside, start=num):
+            covariance[:, column, column] += (deviation / self.unit[column]) ** 2
+        return covariance
 
     def report(self, residuals: Residuals) -> None:
         size = 1e3 * np.sqrt(np.mean(residuals**2))
@@ -237,12 +251,14 @@ class _Problem:
 
     def residuals(self, points: Sequence[Point]) -> Float[np.ndarray, "num_points num_settled num_joints"]:
         """Simulated minus measured positions [rad]."""
-        return self._motion.simulate([self.dynamics(point) for point in points]) - self._measured
+        dynamics = [self.dynamics(point) for point in points]
+        encoders = [self.encoders(point) for point in points]
+        return self._motion.simulate(dynamics, encoders) - self._measured
 
     def squares(self, point: Point, residuals: Residuals, weight: Weight) -> float:
         """Weighted squares of the residuals, and of the distance from the start over the prior."""
         distance = (point - self.start) / self._cfg.prior
-        return float((residuals**2).sum(axis=0) @ weight + (distance**2).sum())
+        return float((weight * residuals**2).sum() + (distance**2).sum())
 
     def jacobian(self, point: Point, directions: Directions) -> Jacobian:
         """How the positions change about a point; what moves different joints moves at once."""
@@ -264,8 +280,9 @@ class _Problem:
         for j, is_felt in enumerate(directions.felt_by.T):
             moving = np.flatnonzero(is_felt)
             columns = jacobian.changes[jacobian.source[moving], :, j]
-            hessian[np.ix_(moving, moving)] += weight[j] * columns @ columns.T
-            gradient[moving] += weight[j] * columns @ jacobian.residuals[:, j]
+            weighted = weight[:, j] * columns
+            hessian[np.ix_(moving, moving)] += weighted @ columns.T
+            gradient[moving] += weighted @ jacobian.residuals[:, j]
         ways = -np.sign(gradient)[:, None, None] * steps
         is_free = np.array([(self.bounded(point + LEAST_VALUE * way) != point).any() for way in ways])
         hessian = np.where(np.outer(is_free, is_free), hessian, np.diag(np.diagonal(hessian)))
@@ -273,7 +290,7 @@ class _Problem:
 
 
 def _solved(
-    problem: _Problem, point: Point, directions: Directions, max_rounds: int
+    problem: _Problem, point: Point, directions: Directions, max_rounds: int, least_share: float
 ) -> tuple[Point, Jacobian]:
     """Move along some directions to where the squares are least; the point, residuals and Jacobian there.
 
@@ -281,16 +298,16 @@ def _solved(
     """
     jacobian = problem.jacobian(point, directions)
     for _ in range(max_rounds - 1):
-        followed, _ = _followed(problem, point, jacobian)
+        followed, _ = _followed(problem, point, jacobian, least_share)
         if (followed == point).all():
             return point, jacobian
         point, jacobian = followed, problem.jacobian(followed, directions)
-    point, residuals = _followed(problem, point, jacobian)
+    point, residuals = _followed(problem, point, jacobian, least_share)
     return point, replace(jacobian, residuals=residuals)
 
 
 def _followed(
-    problem: _Problem, point: Point, jacobian: Jacobian, least_share: float = 0.0
+    problem: _Problem, point: Point, jacobian: Jacobian, least_share: float
 ) -> tuple[Point, Residuals]:
     """Take steps under the same Jacobian while they are worth it and lessen the squares."""
     residuals = jacobian.residuals
@@ -298,7 +315,7 @@ def _followed(
         weight = _information(residuals)
         squares = problem.squares(point, residuals, weight)
         equations = problem.normal_equations(point, replace(jacobian, residuals=residuals), weight)
-        noise = correlation_time(residuals).mean() * len(equations.gradient)
+        noise = correlation_time(np.sqrt(weight) * residuals).mean() * len(equations.gradient)
         if equations.decrease < max(FINE**2 * noise, least_share * squares):
             break
         points = [problem.bounded(point + equations.step(damping)) for damping in DAMPINGS]
@@ -313,11 +330,17 @@ def _followed(
 
 
 def _information(residuals: Residuals) -> Weight:
-    """What a square of each joint's residuals weighs [1/rad²]: one over their mean square."""
-    return 1.0 / np.maximum(np.mean(residuals**2, axis=0), LEAST_RESIDUAL**2)
+    """What the square of each residual weighs [1/rad²]: one over their mean square, less where it is far off.
+
+    These are the weights of Cauchy's distribution: a command that was lost counts little.
+    """
+    scale = OUTLYING * np.mean(np.abs(residuals), axis=0)
+    share = 1.0 / (1.0 + (residuals / np.maximum(scale, LEAST_RESIDUAL)) ** 2)
+    square = (share * residuals**2).sum(axis=0) / share.sum(axis=0)
+    return share / np.maximum(square, LEAST_RESIDUAL**2)
 
 
-def correlation_time(residuals: Residuals) -> Weight:
+def correlation_time(residuals: Residuals) -> Float[np.ndarray, " num_joints"]:
     """How many consecutive samples tell one independent thing: 1 for white noise, more for model errors.
 
     It is 1 plus twice the sum of the autocorrelations up to the first that is not positive.

@@ -10,7 +10,9 @@ from jaxtyping import Bool, Float
 
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
 from pixel2catch.identification.checks import Check, check_recording
+from pixel2catch.identification.encoders import Encoders
 from pixel2catch.identification.fit import Fit, FitCfg, fit_dynamics
+from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.joints import groups_of, joints_of, parts
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion
@@ -27,7 +29,6 @@ feed-forward makes that servo look stiffer than positions can tell."""
 
 STIFF_LAG = 0.003  # damping over stiffness of that servo [s]. Source: real UR5, target to position.
 NO_HOLD_OUT = "none"  # what is held out if everything is to be fitted
-CONFIDENCE = 1.96  # standard deviations in half a 95 % interval
 LAG = "damping / stiffness"  # name of the ratio that says how far a joint lags behind its command
 
 RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "rad"}
@@ -206,23 +207,40 @@ def identify(
     fitted = [source.recording for source in sources if not source.is_held_out]
     fit = fit_dynamics(fitted, start.first, cfg, report)
     report("simulating all recordings before and after")
-    before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics]))
-    return Identification(
-        start=start,
-        fit=fit,
-        file=identified(fit, start),
-        motions=tuple(
-            Motion(source=source, before=path_before, after=path_after)
-            for source, path_before, path_after in zip(sources, before, after, strict=True)
-        ),
-        physics_dt=cfg.physics_dt,
+    is_out = np.array([source.is_held_out for source in sources])
+    encoders = Encoders.perfect(len(sources), len(fit.dynamics.joints)), found_encoders(fit, is_out)
+    before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics], encoders))
+    motions = tuple(
+        Motion(source=source, before=path_before, after=path_after)
+        for source, path_before, path_after in zip(sources, before, after, strict=True)
     )
+    file, fitted_joints = identified(fit, start), fit.dynamics.joints
+    worse = [name for name in file.worse_than_command if name not in fitted_joints]
+    worse += worse_than_command([motion for motion in motions if motion.source.is_held_out])
+    file = dataclasses.replace(file, worse_than_command=tuple(worse))
+    return Identification(start=start, fit=fit, file=file, motions=motions, physics_dt=cfg.physics_dt)
+
+
+def found_encoders(fit: Fit, is_held_out: Bool[np.ndarray, " num_recordings"]) -> Encoders:
+    """Encoders of all recordings; where nothing was fitted, the clocks drift as they do in the mean."""
+    mean = fit.encoders.drift.mean(axis=0)
+    drift = np.tile(mean, (len(is_held_out), 1))
+    drift[~is_held_out] = fit.encoders.drift
+    return dataclasses.replace(fit.encoders, drift=drift)
+
+
+def worse_than_command(motions: Sequence[Motion]) -> list[str]:
+    """Joints of which the command alone predicts these motions better than the fitted simulation."""
+    errors = tracking_errors(motions) if motions else {"after": np.zeros(0), "command": np.zeros(0)}
+    worse = np.flatnonzero(errors["after"] > errors["command"])
+    return [motions[0].recording.joints[j] for j in worse]
 
 
 def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " num_joints"]]:
     """Root mean square of predicted minus measured positions of all motions together, per joint [rad].
 
-    Predicted by the `command`, as if the joint were there at once, and by simulation `before` and `after`.
+    Predicted by the `command`, as if the joint were there at once, and by simulation `before` and `after`,
+    this one measured by encoders with the play and the drift that were found.
     """
     errors = {
         name: np.concatenate([getattr(motion, name) - motion.measured for motion in motions])
@@ -235,8 +253,7 @@ def half_widths(fit: Fit) -> Float[np.ndarray, "num_joints num_free"]:
     """Half of each parameter's 95 % interval, in the coordinates of the fit.
 
     That is of the logarithm, so that 0.1 is ±10 %, and for the latency of 10 ms. Where it is
-    `CONFIDENCE * fit.prior`, the recordings tell nothing. It is by how much noise may move the result; what
-    a robot does and no simulation of its joints is not in it.
+    `CONFIDENCE * fit.prior`, the recordings tell nothing. What is in it: `identification/intervals.py`.
     """
     return CONFIDENCE * np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
 

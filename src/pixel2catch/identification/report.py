@@ -19,15 +19,18 @@ from matplotlib.figure import Figure
 from pixel2catch.files import json_text, require_free_folder, write_atomically
 from pixel2catch.identification.fit import LATENCY_UNIT
 from pixel2catch.identification.identify import Identification, Motion, half_widths, ratios, tracking_errors
+from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.joints import short, specs_of
 from pixel2catch.identification.recording import Trajectory
 from pixel2catch.identification.rehearsal import Assessment
 from pixel2catch.identification.report_tables import (
     Grid,
+    drift_warnings,
     errors_grid,
     joint_checks_grid,
     open_questions,
     parameters_grid,
+    play_warnings,
     ranges_grid,
     ratios_grid,
     whole_checks_grid,
@@ -40,11 +43,6 @@ DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names
 NOTHING_HELD_OUT = (
     "Nothing was held out: the errors are those of motion that was fitted, and do not tell how well other "
     "motion is simulated. Record at least two motions."
-)
-COMMAND_IS_BETTER = (
-    "Of some joints, the command predicts the motion better than the simulation does. Either the model does "
-    "not fit, or what was recorded as command is the controller's own target (such as RTDE's target_q), "
-    "which is not what was sent."
 )
 TRACKING = (
     "Predicted minus measured positions. 'command' predicts that the joint is where it is told to be at "
@@ -130,8 +128,8 @@ def _summary(result: Identification) -> Iterable[str]:
         f"{after:.2f} mrad after it; the worst is {short(joints[worst])} with "
         f"{1e3 * errors['after'][worst]:.2f} mrad."
     ] = "good" if held_out else "unknown"
-    if (errors["after"] > errors["command"]).any():
-        texts[COMMAND_IS_BETTER] = "weak"
+    warnings = (*errors_grid(result).warnings, *drift_warnings(result), *play_warnings(result.fit))
+    texts |= dict.fromkeys(warnings, "weak")
     if open_questions(result.fit):
         texts["Not everything is identified; below is what to fix, or how to move for it."] = "weak"
     failed = {c.joint for m in result.motions for c in m.source.checks if c.is_good is False}
@@ -197,6 +195,18 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
             for ratio in ratios(fit)
         },
         "not_identified": open_questions(fit),
+        "worse_than_command": list(result.file.worse_than_command),
+        "play": {
+            joint: _plus_minus(fit.encoders.play[j], fit.encoder_deviations.play[j])
+            for j, joint in enumerate(joints)
+        },
+        "drift": {
+            motion.recording.name: {
+                joint: _plus_minus(fit.encoders.drift[i, j], fit.encoder_deviations.drift[i, j])
+                for j, joint in enumerate(joints)
+            }
+            for i, motion in enumerate(result.of(is_held_out=False))
+        },
         "recordings": [
             {
                 "name": motion.recording.name,
@@ -225,6 +235,12 @@ def _parameters(result: Identification, j: int) -> Content:
         finite = {key: each if np.all(np.isfinite(each)) else None for key, each in content.items()}
         found[name] = finite | {"before": before if np.isfinite(before) else None}
     return found
+
+
+def _plus_minus(value: float, deviation: float) -> Content:
+    """A value that has an interval itself."""
+    width = CONFIDENCE * float(deviation)
+    return {"value": float(value), "interval": [float(value) - width, float(value) + width]}
 
 
 def _interval(value: float, half_width: float) -> Content:

@@ -11,14 +11,15 @@ from rich.text import Text
 from pixel2catch.identification.checks import Check, num_reversals, smoothed
 from pixel2catch.identification.fit import LATENCY_UNIT, SCALE, Fit
 from pixel2catch.identification.identify import (
-    CONFIDENCE,
     RATIOS,
     Identification,
     Motion,
     half_widths,
     ratios,
     tracking_errors,
+    worse_than_command,
 )
+from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.joints import short
 from pixel2catch.identification.rehearsal import Assessment
 from pixel2catch.mdp.randomization import GainRanges
@@ -29,7 +30,7 @@ WELL_KNOWN = 0.1
 """Half-width of an interval up to which a parameter counts as identified: 10 %, or 1 ms. Source: ours."""
 
 NOTABLE = 0.3  # share of a weak direction's largest component from which a parameter is named (ours)
-UNKNOWN_SHARE = 0.9  # an interval of this share of the prior's tells nothing that was not assumed (ours)
+UNKNOWN_WIDTH = 1.1  # half-width from which a parameter is not identifiable: a factor of 3 (ours)
 WIDE = 0.3  # half-width from which an interval is told as a factor, not in percent (ours)
 
 
@@ -55,6 +56,15 @@ FILTER = ("filter_gain", "filter_lookahead")  # parameters that a joint without 
 STYLES = {"good": "green", "BAD": "bold red", "weak": "yellow", "unknown": "dim"}
 """Colour of each verdict; the word tells without colour, too."""
 
+NOTABLE_DRIFT = 5e-4  # difference of the clocks at the end of a recording that is told [s] (ours)
+NOTABLE_PLAY = 2e-4  # play that is told [rad] (ours, a UR's noise)
+
+COMMAND_IS_BETTER = (
+    "Of {}, the command predicts the motion better than the simulation does. Either the model does not fit, "
+    "or what was recorded as command is the controller's own target (such as RTDE's target_q), which is not "
+    "what was sent. If that motion was held out, the dynamics file says so, and what reads it warns."
+)
+
 NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
@@ -65,10 +75,12 @@ class Grid:
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
+    warnings: tuple[str, ...] = ()  #: what a reader of the table must know
 
     def for_terminal(self) -> Table:
-        """The table without the notes."""
-        table = Table(title=Text(self.title))
+        """The table without the notes of its cells, and below it the warnings."""
+        caption = Text("\n".join(self.warnings), style="bold yellow", justify="left")
+        table = Table(title=Text(self.title), caption=caption if self.warnings else None)
         for column in self.columns:
             table.add_column(Text(column), overflow="fold")
         for row in self.rows:
@@ -133,7 +145,13 @@ def errors_grid(result: Identification) -> Grid:
             verdict = "BAD" if row[i] >= row[i - 1] else "weak" if row[i] >= row[i - 2] else "good"
             cells[i] = cells[i]._replace(verdict=verdict)
         rows.append((Cell(name), *cells))
-    return Grid(title="Tracking error, RMS [mrad]", columns=("joint", *columns), rows=tuple(rows))
+    worse = ", ".join(map(short, worse_than_command(result.motions)))
+    return Grid(
+        title="Tracking error, RMS [mrad]",
+        columns=("joint", *columns),
+        rows=tuple(rows),
+        warnings=(COMMAND_IS_BETTER.format(worse),) if worse else (),
+    )
 
 
 def parameters_grid(result: Identification) -> Grid:
@@ -147,20 +165,58 @@ def parameters_grid(result: Identification) -> Grid:
         for name in names:
             value, old = getattr(fit.dynamics, name)[j], getattr(before, name)[j]
             width = widths[name][j] if name in widths else None
-            cells.append(_parameter(name, value, old, width, fit.prior))
+            cells.append(_parameter(name, value, old, width))
         rows.append(tuple(cells))
     columns = ("joint", *(f"{name} [{TOLD[name].unit}]" for name in names))
-    return Grid(title="Parameters with 95 % intervals", columns=columns, rows=tuple(rows))
+    return Grid(
+        title="Parameters with 95 % intervals",
+        columns=columns,
+        rows=tuple(rows),
+        warnings=(*drift_warnings(result), *play_warnings(result.fit)),
+    )
 
 
-def _parameter(name: str, value: float, old: float, width: float | None, prior: float) -> Cell:
+def drift_warnings(result: Identification) -> list[str]:
+    """What is to be said of recordings whose clocks drift apart."""
+    texts = []
+    drifts, deviations = result.fit.encoders.drift, result.fit.encoder_deviations.drift
+    for motion, row, deviation in zip(result.of(is_held_out=False), drifts, deviations, strict=True):
+        seconds = float(np.ptp(motion.recording.t_meas))
+        for drift, known in dict.fromkeys(zip(row.tolist(), deviation.tolist(), strict=True)):
+            if abs(drift) > CONFIDENCE * known and abs(drift) * seconds > NOTABLE_DRIFT:
+                texts.append(
+                    f"{motion.recording.name}: the clock of the measurements is {1e6 * abs(drift):.0f} ± "
+                    f"{1e6 * CONFIDENCE * known:.0f} ppm {'fast' if drift > 0 else 'slow'}, "
+                    f"{1e3 * abs(drift) * seconds:.1f} ms in {seconds:.0f} s. The fit makes up for it, the "
+                    "latency is that of the beginning. Take both times from one clock, or synchronise them."
+                )
+    return texts
+
+
+def play_warnings(fit: Fit) -> list[str]:
+    """What is to be said of joints with play."""
+    play, known = fit.encoders.play, CONFIDENCE * fit.encoder_deviations.play
+    loose = [
+        f"{short(joint)} {1e3 * play[j]:.1f} ± {1e3 * known[j]:.1f}"
+        for j, joint in enumerate(fit.dynamics.joints)
+        if play[j] > max(known[j], NOTABLE_PLAY)
+    ]
+    if not loose:
+        return []
+    return [
+        f"Play between servo and encoder [mrad]: {', '.join(loose)}. The fit makes up for it; training has "
+        "none: tighten it, or train with an error of the encoders as large (sensing.joint_bias)."
+    ]
+
+
+def _parameter(name: str, value: float, old: float, width: float | None) -> Cell:
     scale = 1e3 if name == "latency" else 1.0
     note = f"before {_number(scale * old)}" if np.isfinite(old) else "no filter before"
     if width is None:
         text = _number(scale * value) if np.isfinite(value) else "no filter"
         return Cell(text, "unknown", "not fitted" if value == old else f"assumed; {note}")
-    if width > UNKNOWN_SHARE * CONFIDENCE * prior:
-        return Cell(f"{_number(scale * value)}, unknown", "BAD", note)
+    if width > UNKNOWN_WIDTH:
+        return Cell(f"not identifiable ({_number(scale * value)})", "BAD", note)
     return _interval(name, value, width, note)
 
 

@@ -16,8 +16,9 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from pixel2catch.envs.actuators import EFFORT_MARGIN, FRICTION_SPEED, filtered
+from pixel2catch.envs.actuators import EFFORT_MARGIN, filtered, friction_grip
 from pixel2catch.errors import RecordingError
+from pixel2catch.identification.encoders import Encoders, behind_play
 from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of
 from pixel2catch.identification.recording import Recording, held
 from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
@@ -83,8 +84,27 @@ def step_commands(
 
 
 def friction_torque(frictionloss: np.ndarray, joint_vel: np.ndarray) -> np.ndarray:
-    """Torque of dry friction [N·m] at some speeds [rad/s]: that of `envs/actuators.py`, of NumPy arrays."""
-    return -frictionloss * np.tanh(joint_vel / FRICTION_SPEED)
+    """Torque of dry friction [N·m] of joints that move at some speeds [rad/s]."""
+    return -frictionloss * np.sign(joint_vel)
+
+
+class DryFriction:
+    """Dry friction of all copies: that of `envs/actuators.py`, of NumPy arrays."""
+
+    def __init__(
+        self, frictionloss: np.ndarray, armature: np.ndarray, joint_pos: np.ndarray, dt: float
+    ) -> None:
+        """Take friction [N·m], armature [kg·m²] and positions [rad] of all joints, and the time step [s]."""
+        self._grip = friction_grip(armature, dt)
+        self._slip = frictionloss / self._grip
+        self._bend, self._last = np.zeros_like(self._slip), joint_pos.copy()
+
+    def torque(self, joint_pos: np.ndarray) -> np.ndarray:
+        """Torque of the next step [N·m], of joints that have come to some positions [rad]."""
+        bend = self._bend + (joint_pos - self._last)
+        self._last[:] = joint_pos
+        self._bend = np.minimum(np.maximum(bend, -self._slip), self._slip)
+        return -self._grip * self._bend
 
 
 class Servos:
@@ -104,11 +124,11 @@ class Servos:
         link_inertia: PerJoint,
         dt: float,
     ) -> None:
-        """Give every copy its dynamics and largest torques [N·m].
+        """Give every copy, which is where it begins, its dynamics and largest torques [N·m].
 
         The inertia of the links is what a joint moves beside its armature [kg·m²]; the time step is in [s].
         """
-        self._stiffness, self._damping, self._friction, armature = (
+        self._stiffness, self._damping, frictionloss, armature = (
             np.stack([getattr(each, name) for each in dynamics])
             for name in ("stiffness", "damping", "frictionloss", "armature")
         )
@@ -122,6 +142,7 @@ class Servos:
         self._ctrl, self._applied, self._qpos, self._qvel = (
             simulation.bind(name).numpy() for name in ("ctrl", "qfrc_applied", "qpos", "qvel")
         )
+        self._friction = DryFriction(frictionloss, armature, self._qpos, dt)
 
     def drive(self, first: np.ndarray, last: np.ndarray, share: np.ndarray) -> None:
         """Set what drives the joints in the next step, of which the first target [rad] holds in a share."""
@@ -134,7 +155,7 @@ class Servos:
         implicit = np.where(is_at_limit, 0.0, self._half)
         self._bias[:] = -implicit
         self._ctrl[:] = self._qpos + (torque + implicit * self._qvel) / self._stiffness
-        self._applied[:] = friction_torque(self._friction, self._qvel)
+        self._applied[:] = self._friction.torque(self._qpos)
 
     def _limited(self, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean torque of a step in which an unlimited servo would begin with one, and the time at the limit.
@@ -204,10 +225,16 @@ class _Motion:
         weight = settled / dt - index
         return cls(recording=recording, edges=edges, start=start, index=index, weight=weight)
 
-    def sample(self, path: Float[np.ndarray, "num_edges num_joints"]) -> Settled:
-        """Simulated positions at the measurement times."""
-        before, after = path[self.index], path[self.index + 1]
-        return before + self.weight[:, None] * (after - before)
+    def sample(self, path: Float[np.ndarray, "num_edges num_joints"], drift: PerJoint) -> Settled:
+        """Simulated positions at the measurement times of clocks that drift."""
+        if not drift.any():
+            before, after = path[self.index], path[self.index + 1]
+            return before + self.weight[:, None] * (after - before)
+        steps = np.arange(len(path))
+        places = (self.index + self.weight)[:, None] * (1.0 - drift)
+        return np.stack(
+            [np.interp(*pair) for pair in zip(places.T, [steps] * len(drift), path.T, strict=True)], axis=-1
+        )
 
 
 def is_settled(recording: Recording) -> Bool[np.ndarray, " num_samples"]:
@@ -242,7 +269,7 @@ class RecordedMotion:
         data.qpos[:] = self._motions[0].start[0]
         mujoco.mj_forward(self._model, data)
         mujoco.mj_fullM(self._model, data, inertia)
-        self._link_inertia = np.diagonal(inertia) - self._model.dof_armature
+        self.link_inertia = np.diagonal(inertia) - self._model.dof_armature  # beside the armature [kg·m²]
 
     @property
     def coupled(self) -> Bool[np.ndarray, "num_joints num_joints"]:
@@ -256,25 +283,45 @@ class RecordedMotion:
         recordings = [motion.recording for motion in self._motions]
         return np.concatenate([recording.q[is_settled(recording)] for recording in recordings])
 
+    def block_starts(self, seconds: float) -> Int[np.ndarray, " num_blocks"]:
+        """Where blocks of about a length [s] begin among the measurements compared."""
+        starts, num_before = [], 0
+        for motion in self._motions:
+            time = motion.recording.t_meas[is_settled(motion.recording)]
+            edges = np.linspace(time[0], time[-1], max(1, round(np.ptp(time) / seconds)), endpoint=False)
+            starts.append(num_before + np.unique(np.searchsorted(time, edges)))
+            num_before += len(time)
+        return np.concatenate(starts)
+
     def split(self, positions: Settled) -> list[np.ndarray]:
         """Simulated positions, recording by recording."""
         return np.split(positions, np.cumsum([len(motion.index) for motion in self._motions])[:-1])
 
     def simulate(
-        self, candidates: Sequence[JointDynamics]
+        self, candidates: Sequence[JointDynamics], encoders: Sequence[Encoders] = ()
     ) -> Float[np.ndarray, "num_candidates num_settled num_joints"]:
-        """Positions at the measurement times under each candidate [rad]."""
-        chunk = max(1, MAX_COPIES // len(self._motions))
-        parts = [self._simulate(candidates[i : i + chunk]) for i in range(0, len(candidates), chunk)]
-        return np.concatenate(parts)
+        """What encoders read at the measurement times under each candidate [rad]; perfect ones by default.
 
-    def _simulate(self, candidates: Sequence[JointDynamics]) -> np.ndarray:
-        """One batch: a copy for every recording under every candidate, candidate after candidate."""
-        copies = [(candidate, motion) for candidate in candidates for motion in self._motions]
-        paths = self._roll_out(copies)
-        sampled = [motion.sample(paths[: len(motion.edges), i]) for i, (_, motion) in enumerate(copies)]
+        Candidates that are the same are simulated once, however they are measured.
+        """
         num = len(self._motions)
-        return np.stack([np.concatenate(sampled[i : i + num]) for i in range(0, len(sampled), num)])
+        encoders = encoders or [Encoders.perfect(num, len(self.joints))] * len(candidates)
+        different = list(dict.fromkeys(candidates))
+        chunk = max(1, MAX_COPIES // num)
+        batches = [different[i : i + chunk] for i in range(0, len(different), chunk)]
+        copies = [[(each, motion) for each in batch for motion in self._motions] for batch in batches]
+        paths = [path for batch in copies for path in np.moveaxis(self._roll_out(batch), 1, 0)]
+        measured = []
+        for candidate, own in zip(candidates, encoders, strict=True):
+            first = num * different.index(candidate)
+            parts = [
+                behind_play(motion.sample(path[: len(motion.edges)], drift), own.play)
+                for motion, path, drift in zip(
+                    self._motions, paths[first : first + num], own.drift, strict=True
+                )
+            ]
+            measured.append(np.concatenate(parts))
+        return np.stack(measured)
 
     def _roll_out(
         self, copies: Sequence[tuple[JointDynamics, _Motion]]
@@ -283,10 +330,10 @@ class RecordedMotion:
         num_threads = 0 if len(copies) >= THREADED_COPIES else 1
         simulation = BatchSimulation(self._model, len(copies), num_threads)
         candidates = [dynamics for dynamics, _ in copies]
-        servos = Servos(simulation, candidates, self._efforts, self._link_inertia, self._dt)
         qpos, qvel = (simulation.bind(name).numpy() for name in ("qpos", "qvel"))
         start = np.stack([motion.start for _, motion in copies], axis=1)
         qpos[:], qvel[:] = start
+        servos = Servos(simulation, candidates, self._efforts, self.link_inertia, self._dt)
         path = Filters(self._dt, start, candidates)
         commands, index = _commands(copies, self._dt)
         paths = np.empty((len(commands) + 1, *qpos.shape))

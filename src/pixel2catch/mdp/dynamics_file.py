@@ -2,12 +2,13 @@
 
 import dataclasses
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.files import read_json_object, reading, write_atomically
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
@@ -27,6 +28,8 @@ class DynamicsFile:
     #: How the gains are randomised; those of other joints are not in the file.
     gains: GainRanges = field(default_factory=GainRanges)
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: Whose joints they are.
+    #: Joints whose motion, held out from the fit, their command alone predicts better than these dynamics.
+    worse_than_command: tuple[str, ...] = ()
 
     def save(self, path: Path) -> None:
         """Write the file, all of it or nothing. Its folder must exist."""
@@ -36,13 +39,15 @@ class DynamicsFile:
         rows = _rows(dynamics, self.workcell)
         ranges = {name: [values[row] for row in rows] for name, values in full.items()}
         content = {"format_version": FORMAT_VERSION, **dynamics.to_dict(), "gain_ranges": ranges}
+        if self.worse_than_command:
+            content["worse_than_command"] = list(self.worse_than_command)
         write_atomically({path: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()})
 
     @classmethod
     def load(cls, path: Path | None, workcell: WorkcellSpec = UR5E_ALLEGRO) -> "DynamicsFile":
         """Read a file of a work cell's joints; no file is the nominal robot.
 
-        Without ranges in it, the gains keep the paper's.
+        Without ranges in it, the gains keep the paper's. Warns of joints that are worse than their command.
 
         Raises:
             InvalidValueError: The file is missing or damaged, of another version, or has a bad value.
@@ -54,10 +59,19 @@ class DynamicsFile:
             version, ranges = content.pop("format_version"), content.pop("gain_ranges", {})
             if version != FORMAT_VERSION:
                 raise InvalidValueError(f"format_version is {version}, this code reads {FORMAT_VERSION}")
+            worse = tuple(content.pop("worse_than_command", ()))
             dynamics = JointDynamics.from_dict(content)
             dynamics.require(workcell.joints)
+            if unknown := [name for name in worse if name not in dynamics.joints]:
+                raise UnknownNameError("joint in worse_than_command", unknown[0], dynamics.joints)
             gains = _gains(ranges, _rows(dynamics, workcell), workcell)
-            return cls(dynamics=dynamics, gains=gains, workcell=workcell)
+        if worse:
+            warnings.warn(
+                f"{path}: of {', '.join(worse)}, the command alone predicts motion better than these "
+                "dynamics. Record the commands that are sent, not the controller's target; identify again.",
+                stacklevel=2,
+            )
+        return cls(dynamics=dynamics, gains=gains, workcell=workcell, worse_than_command=worse)
 
 
 def _rows(dynamics: JointDynamics, workcell: WorkcellSpec) -> list[int]:

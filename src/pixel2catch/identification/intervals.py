@@ -1,0 +1,92 @@
+"""How well a fit is known: noise, what changes from motion to motion, and what models leave out.
+
+The last is stated, not measured: a robot's torque limit, its friction at rest and its cycle are not quite
+those of any simulation, whatever the recordings say.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import stdtrit
+
+from pixel2catch.robots.joint_dynamics import JointDynamics
+
+CONFIDENCE = 1.96  # standard deviations in half a 95 % interval
+BLOCK = 2.0  # length of the parts of the motion that are compared [s] (ours, the length of a kind of motion)
+
+LIMIT_DEVIATION = 0.15
+"""Of the torque limit, and of the inertia of the links, as a share. Source: ours. They are all that tells the
+common scale of a joint's torques; viscous friction that the limit does not hold back was 8 % of it
+(`benchmarks/identify_independent_truth.py`)."""
+
+FRICTION_DEVIATION = 0.1
+"""Of dry friction, as a share. Source: ours; friction at rest is 10 to 30 % above that in motion, and motion
+shows something in between."""
+
+LATENCY_DEVIATION = 4e-4
+"""Of the latency [s], and of its change in a recording. Source: ours, of the order of a servo's cycle: a
+command waits for the next one."""
+
+Hessian = Float[np.ndarray, "num_directions num_directions"]
+
+
+def block_covariance(hessian: Hessian, scores: Float[np.ndarray, "num_blocks num_directions"]) -> Hessian:
+    """Covariance of the minimum of squares, from the derivatives that each block of the motion adds to it.
+
+    The derivatives add up to zero there; how far those of single blocks are from it tells how much
+    the minimum moves from motion to motion, noise that is correlated and wrong models included: the sandwich
+    estimator (Huber 1967), with Student's factor for few blocks. That of white noise is added.
+    """
+    num = len(scores)
+    factor = (float(stdtrit(num - 1, 0.975)) / CONFIDENCE) ** 2 * num / (num - 1) if num > 1 else 1.0
+    inverse = np.linalg.inv(hessian)
+    return inverse + factor * inverse @ (scores.T @ scores) @ inverse
+
+
+def block_scores(
+    changes: Float[np.ndarray, "num_directions num_settled"],
+    weighted: Float[np.ndarray, " num_settled"],
+    starts: Int[np.ndarray, " num_blocks"],
+) -> Float[np.ndarray, "num_blocks num_directions"]:
+    """Derivatives that each block adds, from those of every position and the weighted residuals."""
+    return np.add.reduceat(changes * weighted, starts, axis=1).T
+
+
+def model_covariance(
+    dynamics: JointDynamics,
+    armature: Float[np.ndarray, " num_joints"],
+    link_inertia: Float[np.ndarray, " num_joints"],
+    free: Sequence[str],
+    latency_unit: float,
+) -> Float[np.ndarray, "num_joints num_free num_free"]:
+    """Covariance of the logarithms of free parameters, and of the latency in a unit [s], of what models lack.
+
+    With another torque limit, the same motion has another common scale; the armature makes up for what
+    the inertia of the links [kg·m²] should have changed. Where the armature is the smaller part it tells
+    nothing: it is at most what it was in the beginning [kg·m²] there, as logarithms are lopsided.
+    """
+    heaviness = link_inertia / np.minimum(dynamics.armature, armature)
+    has_scale = "stiffness" in free
+    scale, link, friction, latency = (np.zeros((len(dynamics.joints), len(free))) for _ in range(4))
+    for i, name in enumerate(free):
+        if name in ("stiffness", "damping", "frictionloss"):
+            scale[:, i] = has_scale * LIMIT_DEVIATION
+        if name == "armature":
+            scale[:, i] = has_scale * LIMIT_DEVIATION * (1.0 + heaviness)
+            link[:, i] = LIMIT_DEVIATION * heaviness
+        if name == "frictionloss":
+            friction[:, i] = FRICTION_DEVIATION
+        if name == "latency":
+            latency[:, i] = LATENCY_DEVIATION / latency_unit
+    deviations = np.stack((scale, link, friction, latency))
+    return np.einsum("mja,mjb->jab", deviations, deviations)
+
+
+def play_deviation(dynamics: JointDynamics) -> Float[np.ndarray, " num_joints"]:
+    """How far the play of an encoder is open as long as dry friction is [rad].
+
+    A joint that turns around stays where it is until its command has moved by the play and
+    2 frictionloss / stiffness.
+    """
+    return 2.0 * FRICTION_DEVIATION * dynamics.frictionloss / dynamics.stiffness
