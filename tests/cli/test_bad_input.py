@@ -119,6 +119,7 @@ def test_the_defaults_of_commands_are_valid(command: type, tmp_path: Path, monke
         "identify": "x --robot ur5e --out new",
         "replay": "x --out new",
         "track": "0",
+        "label": "x.mp4",
         "operate": "/dev/input/event3",
     }
     name = command.__name__.lower()

@@ -22,6 +22,7 @@ LATE = ("--env.sensing.latency-steps", "1", "3", "--env.throws.hover-steps", "7"
 
 COVARIANCE = tuple(tuple(0.5 if i == j else 0.0 for j in range(6)) for i in range(6))
 OTHER = {
+    "engine": "physx",
     "workcell": "ur5e_leap",
     "physics_hz": 240.0,
     "object_scale": 1.1,

@@ -34,7 +34,7 @@ def test_log_folders_are_checked(tmp_path: Path):
     result = check(write_logs(tmp_path / "first"), write_logs(tmp_path / "second"))
     assert result.returncode == 0, result.stderr
     for name in ("first", "second"):
-        assert f"{name}: 0 of 24 checks failed" in result.stdout
+        assert f"{name}: 0 of 25 checks failed" in result.stdout
     assert result.stdout.count("4000 times in 8.0 s, median step 2.0 ms") == 4
 
 

@@ -22,11 +22,11 @@ from pixel2catch.errors import PerceptionError
 from pixel2catch.files import json_text, require_free_folder, write_atomically
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
-from pixel2catch.perception.labels import Labels
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.box_scores import Score
     from pixel2catch.perception.image_fit import ImageFit
+    from pixel2catch.perception.labels import Labels
     from pixel2catch.perception.prompt import Prompter
     from pixel2catch.perception.sources import SourceCfg
     from pixel2catch.perception.tracking import Sighting, Tally
@@ -65,6 +65,8 @@ class Track:
         with needs_extra("perception"):
             from pixel2catch.evaluation import box_scores
             from pixel2catch.perception.tracking import Tally
+        from pixel2catch.perception.labels import Labels
+
         require_free_folder(self.out)
         labels = self.truth and Labels.load(self.truth)
         self.perception.prepare()
@@ -84,7 +86,7 @@ class Track:
         _print_result(tally, summary, as_json=self.json)
         say(f"wrote {self.out}: {VIDEO}, {TABLE}, {SUMMARY}")
 
-    def _record(self, tally: "Tally", labels: Labels | None, notes: list[str]) -> "list[Score]":
+    def _record(self, tally: "Tally", labels: "Labels | None", notes: list[str]) -> "list[Score]":
         """Follow the object and write video and table until the end, or until Ctrl-C; compare with labels."""
         from pixel2catch.evaluation.box_scores import scored
         from pixel2catch.perception.extractor import PixelFeatureExtractor
