@@ -240,9 +240,9 @@ def changed(
 
 def _stop(state: ServoState, found: Findings) -> Bits:
     """The faults that stop a row in this tick; armed, it waits for a policy, but for one that makes sense."""
-    nothing = found.robot | found.policy
-    if not np.count_nonzero(nothing):
-        return nothing
+    faults = found.robot | found.policy
+    if not np.count_nonzero(faults):
+        return faults
     speaks = state.is_in(Mode.ARMED) & ((found.policy & _LATE) == 0)
     of_policy = found.policy * state.is_driven | (found.policy & _SENSELESS) * speaks
     return found.robot * state.is_active | of_policy
