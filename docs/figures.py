@@ -13,25 +13,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy import ndarray
 
+from drawn_scene import AIM, ARM, PATH, RELEASE, SIDE, TOP, VIEW, WOOD, arm_points, draw_scene, range_box
 from pixel2catch.camera.box_history import FIT_FEATURES, box_fit
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.camera.pinhole import project
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
-from pixel2catch.evaluation.comparison.figures import (
-    PALETTE,
-    RELEASE,
-    SIDE,
-    STYLE,
-    TOP,
-    WOOD,
-    arm_points,
-    draw_scene,
-    range_box,
-    throws_figure,
-)
+from pixel2catch.evaluation.comparison.figures import PALETTE, STYLE
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.mdp.throws import Range, ThrowCfg, sample_paths
 from pixel2catch.robots.geometry import arm_shape, first_chain
 from pixel2catch.robots.workcell import TABLE
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
@@ -54,6 +44,7 @@ OBJECT = "cube_s"
 FEATURES_SEED = 4  #: A throw that crosses the image.
 NUM_THROWS = 30  #: Throws that a median is of.
 LONG = len(FIT_FEATURES)  #: Where the features of the long fit begin.
+NUM_PATHS = 40  #: Paths that are drawn.
 TRUTH, BOX, FIT, SHORT = PALETTE[5], PALETTE[3], PALETTE[0], PALETTE[6]
 
 LATE: dict[str, dict[str, Any]] = {
@@ -118,8 +109,41 @@ def task(**sensing: Any) -> CatchEnvCfg:
 
 
 def throws() -> Figure:
-    """Camera, robot and throws."""
-    return throws_figure(ThrowCfg())
+    """Camera, robot and throws from release to aim."""
+    cfg, arm = ThrowCfg(), arm_points()
+    ranges = {
+        "release": (cfg.release_x, cfg.release_y, cfg.release_z),
+        "aim": (cfg.aim_x, cfg.aim_y, cfg.aim_z),
+    }
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(8.0, 7.4), layout="constrained")
+        side, top = figure.subplots(2, 1, sharex=True, height_ratios=(2.45, 1.3))
+        for axes, view in ((side, SIDE), (top, TOP)):
+            draw_scene(axes, view, arm)
+            for path in sample_paths(cfg, NUM_PATHS).numpy():
+                axes.plot(*path[:, view].T, color=PATH, linewidth=0.8, alpha=0.45)
+            for name, color in (("release", RELEASE), ("aim", AIM)):
+                axes.add_patch(range_box(ranges[name][view[0]], ranges[name][view[1]], color))
+        side.set(title="side view", ylabel="z [m]", ylim=(0.0, 2.45))
+        top.set(title="top view", xlabel="x [m], from the robot to the thrower", ylabel="y [m]")
+        top.set(xlim=(-0.65, 3.05), ylim=(-0.65, 0.65))
+        _label(side, arm, ranges)
+        return figure
+
+
+def _label(axes: Axes, arm: ndarray, ranges: dict[str, tuple[Range, Range, Range]]) -> None:
+    (release_x, _, release_z), (aim_x, _, aim_z) = ranges["release"], ranges["aim"]
+    texts = (
+        ("camera and its view", (RGB_CAMERA.pos[0] + 0.1, RGB_CAMERA.pos[2] + 0.03), "left", VIEW),
+        ("palm at the start", (arm[-1, 0] + 0.1, arm[-1, 2] + 0.07), "center", "black"),
+        ("robot", (arm[0, 0] - 0.1, arm[0, 2] + 0.08), "right", ARM),
+        ("table", (TABLE.center[0], TABLE.center[2] - TABLE.thickness - 0.1), "center", "#7A6A4F"),
+        ("release box", (sum(release_x) / 2, release_z[0] - 0.1), "center", RELEASE),
+        ("aim box", (aim_x[0] - 0.03, aim_z[0] + 0.02), "right", AIM),
+        (f"{NUM_PATHS} sampled throws", ((sum(aim_x) + sum(release_x)) / 4, 1.3), "center", PATH),
+    )
+    for text, place, align, color in texts:
+        axes.text(*place, text, ha=align, color=color, bbox={"facecolor": "white", "linewidth": 0, "pad": 1})
 
 
 def features() -> Figure:

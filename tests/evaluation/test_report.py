@@ -25,7 +25,7 @@ TABLES = {f"table.{ending}" for ending in ("md", "tex", "csv", "json")} | {
     "by_object.csv",
     "trainings.csv",
 }
-PICTURES = {"curves.png", "objects.png", "throws.png"}
+PICTURES = {"curves.png", "objects.png"}
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def test_report_of_a_study_that_has_just_begun(tmp_path: Path):
     folder.open(plan(), [SESSION])
     write_report(folder)
     names = {path.name for path in folder.report.iterdir()}
-    assert names == TABLES | {"throws.png", "README.md"}
+    assert names == TABLES | {"README.md"}
     assert "curves.png" not in (folder.report / "README.md").read_text()
 
 

@@ -8,7 +8,15 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pixel2catch.mdp.throws import Throw, ThrowCfg, drawn, launch_velocity, sample_throws, uniform
+from pixel2catch.mdp.throws import (
+    Throw,
+    ThrowCfg,
+    drawn,
+    launch_velocity,
+    sample_paths,
+    sample_throws,
+    uniform,
+)
 from pixel2catch.scene.constants import GRAVITY
 
 CFG = ThrowCfg()
@@ -179,3 +187,15 @@ def test_flight_time_by_hand():
     assert Throw(**cfg, aim=still, hover_steps=hover).flight_time().item() == pytest.approx(1.0)
     peak = torch.tensor([[0.0, 0.0, GRAVITY / 8]])
     assert Throw(**cfg, aim=peak, hover_steps=hover).flight_time().item() == pytest.approx(0.5, abs=1e-3)
+
+
+def test_sampled_paths_lead_from_release_to_aim_in_free_fall():
+    cfg = ThrowCfg()
+    paths = sample_paths(cfg, 30, seed=1)
+    throw = sample_throws(cfg, 30, torch.Generator().manual_seed(1))
+    torch.testing.assert_close(paths[:, 0], throw.pos.double())
+    torch.testing.assert_close(paths[:, -1], throw.aim.double(), atol=1e-3, rtol=0.0)
+    bend = paths.diff(n=2, dim=1)
+    torch.testing.assert_close(bend[..., :2], torch.zeros_like(bend[..., :2]), atol=1e-5, rtol=0.0)
+    flight = (-bend[:, 0, 2] / GRAVITY).sqrt() * (paths.shape[1] - 1)
+    assert ((flight > 0.7) & (flight < 1.2)).all()

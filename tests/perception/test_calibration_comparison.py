@@ -8,12 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.camera.camera_file import NO_POSE_ERROR, CameraFile
-from pixel2catch.evaluation.comparison.figures import sample_paths
-from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.mdp.throws import ThrowCfg, sample_paths
 from pixel2catch.perception.calibration.comparison import Comparison, advice, compare
 from pixel2catch.scene.constants import RGB_CAMERA, CameraSpec
 
-PATHS = sample_paths(ThrowCfg(), 50, seed=0).reshape(-1, 3)
+PATHS = sample_paths(ThrowCfg(), 50).reshape(-1, 3).numpy()
 
 
 def turned(axis: tuple[float, float, float], angle: float) -> CameraSpec:

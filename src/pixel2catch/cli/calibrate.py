@@ -177,8 +177,7 @@ class Calibrate:
                     break
 
     def _calibrate(self) -> None:
-        from pixel2catch.evaluation.comparison.figures import sample_paths
-        from pixel2catch.mdp.throws import ThrowCfg
+        from pixel2catch.mdp.throws import ThrowCfg, sample_paths
         from pixel2catch.perception.calibration.comparison import compare
         from pixel2catch.perception.calibration.extrinsics import calibrate
 
@@ -189,7 +188,7 @@ class Calibrate:
             )
         intrinsics = self._lens(self.intrinsics)
         result = calibrate(self._hand_views(self.views, intrinsics), intrinsics, self._board())
-        paths = sample_paths(ThrowCfg(), NUM_THROWS, seed=0).reshape(-1, 3)
+        paths = sample_paths(ThrowCfg(), NUM_THROWS).reshape(-1, 3).numpy()
         comparison = compare(result.file, RGB_CAMERA, paths)
         result.file.save(self.out)
         _print_result(result, intrinsics, comparison, as_json=self.json)

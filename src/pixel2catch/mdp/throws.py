@@ -205,6 +205,13 @@ def flight_path(
     return torch.stack(path)
 
 
+def sample_paths(cfg: ThrowCfg, num_throws: int, seed: int = 0) -> Float[Tensor, "num_throws num_points 3"]:
+    """Points on drawn flights without air, from the release to the aim [m]."""
+    throw = sample_throws(cfg, num_throws, torch.Generator().manual_seed(seed))
+    path = flight_path(throw.pos, throw.lin_vel, torch.zeros(num_throws), throw.flight_time())
+    return path.transpose(0, 1).double()
+
+
 def _acceleration(lin_vel: Tensor, drag: Tensor) -> Tensor:
     """Drag and gravity [m/s²]."""
     acceleration = -drag * torch.linalg.vector_norm(lin_vel, dim=-1, keepdim=True) * lin_vel

@@ -25,7 +25,6 @@ from pixel2catch.evaluation.report import (
     write_files,
 )
 from pixel2catch.files import json_text
-from pixel2catch.mdp.throws import ThrowCfg
 
 DASH = "\N{EN DASH}"  #: What stands where there is no number.
 
@@ -39,12 +38,6 @@ PICTURES = {
     "objects.png": (
         "Success by object",
         "S.R. of the deterministic policies over the throws of all seeds, with 95 % Wilson intervals.",
-    ),
-    "throws.png": (
-        "Throws",
-        "Sampled throws from release to aim. Boxes: where they are released, and where they come down "
-        "through the catch height; grey: the arm in its start pose; dashed: edges of the camera's view, of "
-        "its middle column from the side, of its middle row from above.",
     ),
 }
 """Title and caption of every picture."""
@@ -173,9 +166,9 @@ def _tables(folder: ComparisonFolder, plan: Plan) -> tuple[dict[str, str], dict[
 
 def _pictures(folder: ComparisonFolder, plan: Plan) -> dict[str, str | bytes]:
     """The pictures that there is something to draw for, with the numbers of the curves."""
-    from pixel2catch.evaluation.comparison.figures import curves_figure, objects_figure, throws_figure
+    from pixel2catch.evaluation.comparison.figures import curves_figure, objects_figure
 
-    files: dict[str, str | bytes] = {"throws.png": png(throws_figure(ThrowCfg()))}
+    files: dict[str, str | bytes] = {}
     if curves := all_curves(folder, plan):
         files |= {"curves.png": png(curves_figure(curves)), "curves.csv": curves_csv(curves)}
     if objects := list(object_rows(folder, plan)):
