@@ -22,7 +22,7 @@ from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.images import jpeg
 from pixel2catch.viewer.server import OwnPage, open_server, page_files
 from pixel2catch.viewer.visitors import HeldButton, Visitor, Visitors
-from pixel2catch.viewer.wire import StatusDetails, WireScene
+from pixel2catch.viewer.wire import WireScene, status_rows
 
 PATH = "/operate"  #: Where the page is on its server.
 
@@ -76,10 +76,9 @@ class OperatorPage:
         self._server = open_server(cfg, title, own)
         self._server.viser.gui.main_panel.minimize()
         self.scene = WireScene(self._server.viser, scene, profile, transport, clock)  #: What is in the frame.
-        self._details = StatusDetails(scene.camera)
         self._status = console.status
         self._status_time = self._image_time = self._refusal_time = self._shown_time = -SILENCE
-        self._rows, self._refusal, self._image = list[tuple[str, str]](), "", b""
+        self._refusal, self._image = "", b""
         self._is_stopping, self._num_heard, self._is_switched = False, 0, Event()
         self.state: dict[str, Any] = {}  #: What the page was told last.
 
@@ -132,7 +131,6 @@ class OperatorPage:
     def _hear(self, status: dict[str, Any], now: float) -> None:
         """Take a status that has just arrived."""
         self._status, self._status_time = status, now
-        self._rows = self._details.rows(status)
         if (refusal := refusal_words(status)) or status.get("mode") in ACTIVE:
             self._refusal, self._refusal_time = refusal, now
         if self._is_stopping and status.get("mode") not in ACTIVE:
@@ -169,7 +167,7 @@ class OperatorPage:
             "sight": sight_words(status),
             "is_seen": (status.get("object") or status.get("verdict")) == Verdict.SEEN,
             "latency_ms": latencies(status),
-            "details": self._rows if is_heard else [],
+            "details": status_rows(status) if is_heard else [],
         }
 
     def _heed(self, visitor: Visitor, asked: dict[str, Any]) -> None:

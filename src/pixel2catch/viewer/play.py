@@ -2,11 +2,9 @@
 
 from collections import Counter
 from collections.abc import Callable
-from threading import Event
-from typing import Any
+from typing import Any, final
 
 import numpy as np
-import torch
 import viser
 
 from pixel2catch.errors import Pixel2CatchError
@@ -16,7 +14,7 @@ from pixel2catch.scene.scene import OBJECT_START
 from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
 from pixel2catch.viewer.config import PlayCfg
 from pixel2catch.viewer.disturbances import DISTURBANCES, Setting
-from pixel2catch.viewer.playback import Playback
+from pixel2catch.viewer.process import PlayingPage
 from pixel2catch.viewer.server import PageServer, open_server
 from pixel2catch.viewer.stage import Stage
 from pixel2catch.viewer.throws import PlayedThrow, Thrower, ThrowOrder
@@ -27,7 +25,8 @@ RELEASE_LIMITS = ((1.2, 3.6), (-1.0, 1.0), (0.4, 1.6))  #: Where the release poi
 GREEN, RED = (47, 158, 68), (224, 49, 49)  #: Colours of throws that were caught, and that were not.
 
 
-class PlayPage:
+@final
+class PlayPage(PlayingPage):
     """The page; `run` plays until it is closed."""
 
     def __init__(self, cfg: PlayCfg, server: PageServer | None = None) -> None:
@@ -36,16 +35,14 @@ class PlayPage:
         Raises:
             Pixel2CatchError: If the policy, an object or a file does not do, or the page cannot be served.
         """
-        self._cfg, self._closed, self._wanted = cfg, Event(), Event()
-        self._thrower = Thrower(cfg.dynamics, cfg.camera)
+        self._cfg, self._thrower = cfg, Thrower(cfg.dynamics, cfg.camera)
         select_objects(cfg.objects)  # refused before the page is there
         self._policy = str(cfg.policy or DEFAULT_POLICY)
         self._task = self._thrower.task(self._policy)
-        self.playback = Playback()  #: How time goes.
         self.throws: dict[int, PlayedThrow] = {}  #: Throws that can be looked at again, by number.
         self._counts: Counter[tuple[ThrowOrder, bool]] = Counter()
         self._again: PlayedThrow | None = None  #: What shall be looked at again.
-        self.server = server or open_server(cfg.page, "Pixel2Catch")
+        super().__init__(server or open_server(cfg.page, "Pixel2Catch"))
         viser = self.server.viser
         viser.on_client_connect(lambda _: self._welcome())
         self.stage = Stage(viser, self._task.scene, self.playback)  #: What the page shows of a throw.
@@ -64,57 +61,42 @@ class PlayPage:
             release_pos=(x, y, z) if self.is_release_set.value else None,
         )
 
-    def run(self) -> None:
+    def _play(self) -> None:
         """Throw, or show again, as it is asked for; a first throw comes with the first visitor."""
-        torch.set_num_threads(1)
-        while not self._closed.is_set():
-            self._wanted.wait()
-            if self._closed.is_set():
-                return
-            self._wanted.clear()
-            self.playback.begin()
-            again, self._again = self._again, None
-            try:
-                if again is None:
-                    self._throw()
-                else:
-                    self.stage.replay(again)
-            except Pixel2CatchError as error:
-                self.stage.tell(f"**{error}**")
-                continue
-            if again is None and self.is_repeated.value and self.server.viser.get_clients():
-                self.playback.wait(BETWEEN_THROWS * self.playback.speed)
-                self._wanted.set()
+        again, self._again = self._again, None
+        try:
+            if again is None:
+                self._throw()
+            else:
+                self.stage.replay(again)
+        except Pixel2CatchError as error:
+            self.stage.tell(f"**{error}**")
+            return
+        if again is None and self.is_repeated.value and self.server.viser.get_clients():
+            self.playback.wait(BETWEEN_THROWS * self.playback.speed)
+            self._wanted.set()
 
     def throw(self) -> None:
         """Begin a throw now; one that goes on is forgotten."""
-        self._begin(None)
+        self._again = None
+        self.begin()
 
     def look_again(self, number: int) -> None:
         """Show a throw again."""
         self.is_repeated.value = False
-        self._begin(self.throws[number])
-
-    def close(self) -> None:
-        """End the page, and `run`."""
-        self._closed.set()
-        self._begin(None)
+        self._again = self.throws[number]
+        self.begin()
 
     def free(self) -> None:
-        """Free what the page holds, after `run`."""
+        """Free environment and drawing, too."""
         self.stage.close()
         self._thrower.close()
-        self.server.close()
+        super().free()
 
     def _welcome(self) -> None:
         """Throw for a visitor, if nothing is thrown by itself any more or yet."""
         if self.is_repeated.value or not self._thrower.num_throws:
             self._wanted.set()
-
-    def _begin(self, again: PlayedThrow | None) -> None:
-        self._again = again
-        self.playback.interrupt()
-        self._wanted.set()
 
     def _throw(self) -> None:
         """A throw, from its beginning to its end."""

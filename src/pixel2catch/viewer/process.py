@@ -3,40 +3,64 @@
 import os
 import signal
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
-from typing import Any, Protocol
+from threading import Event
+from typing import Any
 
 import torch
 
 from pixel2catch.interruption import StopRequest, end_with_parent
 from pixel2catch.viewer.config import PageCfg
+from pixel2catch.viewer.playback import Playback
 from pixel2catch.viewer.server import PageServer, require_address
 
 NICENESS = 10  #: Of the process of a page that only shows. Source: ours, below all that has to keep a time.
 
 
-class RunningPage(Protocol):
-    """A page that plays something."""
+class PlayingPage(ABC):
+    """A page that plays something whenever that is asked for, until it is closed."""
 
-    server: PageServer
+    def __init__(self, server: PageServer) -> None:
+        """Play nothing yet."""
+        self.server = server  #: What serves it.
+        self.playback = Playback()  #: How time goes.
+        self._closed, self._wanted = Event(), Event()
+
+    def begin(self) -> None:
+        """Play from the beginning; what is played now is broken off."""
+        self.playback.interrupt()
+        self._wanted.set()
 
     def run(self) -> None:
         """Play until `close`."""
-        ...
+        torch.set_num_threads(1)
+        while True:
+            self._wanted.wait()
+            self._wanted.clear()
+            if self._closed.is_set():
+                return
+            self.playback.begin()
+            self._play()
 
     def close(self) -> None:
         """End `run`."""
-        ...
+        self._closed.set()
+        self.begin()
 
     def free(self) -> None:
         """Free what the page holds, after `run`."""
-        ...
+        self.server.close()
+
+    @abstractmethod
+    def _play(self) -> None:
+        """Play what is asked for, once."""
 
 
-def serve_until_interrupted(make_page: Callable[[], RunningPage]) -> None:
+def serve_until_interrupted(make_page: Callable[[], PlayingPage]) -> None:
     """Make a page, say where it is, and run it until Ctrl-C."""
     with StopRequest() as stop, ThreadPoolExecutor(1) as pool:
         page = make_page()

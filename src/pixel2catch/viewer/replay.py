@@ -2,8 +2,7 @@
 
 from contextlib import suppress
 from pathlib import Path
-from threading import Event
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
@@ -20,13 +19,14 @@ from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.viewer.config import PageCfg
 from pixel2catch.viewer.images import Picture
-from pixel2catch.viewer.playback import Playback
+from pixel2catch.viewer.process import PlayingPage
 from pixel2catch.viewer.server import open_server
 from pixel2catch.viewer.stage import add_time_controls
-from pixel2catch.viewer.wire import StatusDetails, WireScene
+from pixel2catch.viewer.wire import WireScene, status_rows
 
 
-class RecordingPage:
+@final
+class RecordingPage(PlayingPage):
     """A page that plays a recording; `run` plays it until the page is closed."""
 
     def __init__(self, cfg: PageCfg, recording: Path, profile: Profile, camera: CameraSpec) -> None:
@@ -36,16 +36,14 @@ class RecordingPage:
             InvalidValueError: If this machine cannot listen on the page's address.
             PerceptionError: If the recording cannot be read.
         """
-        self._recording, self._closed, self._wanted = recording, Event(), Event()
-        self._clock = StepClock(lambda _: None)
+        self._recording, self._clock = recording, StepClock(lambda _: None)
         broker = Broker()
         laboratory, node = broker.node(self._clock), broker.node(self._clock)
         topics = {part.state_topic for part in profile.robots} | {profile.camera.image}
         self._node, self._topics = laboratory, topics | {profile.operator.status}
         with BagPlayer(recording, laboratory, self._topics):
             pass  # it can be read
-        self.playback = Playback()  #: How time goes.
-        self.server = open_server(cfg, "Pixel2Catch recording")
+        super().__init__(open_server(cfg, "Pixel2Catch recording"))
         server = self.server.viser
         self._statuses = node.subscription(profile.operator.status)
         self._images = node.subscription(profile.camera.image)
@@ -61,32 +59,7 @@ class RecordingPage:
         server.gui.add_button("from the beginning").on_click(lambda _: self.begin())
         with server.gui.add_folder("Details", expand_by_default=False):
             self.table = server.gui.add_markdown("")  #: What else is in the newest status.
-        self._details = StatusDetails(camera)
         self._wanted.set()
-
-    def begin(self) -> None:
-        """Play it from the beginning."""
-        self.playback.interrupt()
-        self._wanted.set()
-
-    def run(self) -> None:
-        """Play whenever that is asked for."""
-        while True:
-            self._wanted.wait()
-            self._wanted.clear()
-            if self._closed.is_set():
-                return
-            self.playback.begin()
-            self._play()
-
-    def close(self) -> None:
-        """End `run`."""
-        self._closed.set()
-        self.begin()
-
-    def free(self) -> None:
-        """End the server."""
-        self.server.close()
 
     def _play(self) -> None:
         status: dict[str, Any] = {}
@@ -103,7 +76,7 @@ class RecordingPage:
         """Show what has arrived, and the newest status."""
         self.wire.update({})
         self.words.content = f"**{status_words(status).headline}** {status.get('message', '')}"
-        rows = "\n".join(f"| {name} | {text} |" for name, text in self._details.rows(status))
+        rows = "\n".join(f"| {name} | {text} |" for name, text in status_rows(status))
         self.table.content = f"| | |\n|---|---|\n{rows}"
         for message in self._images.take():
             with suppress(DeploymentError):  # a message that cannot be read shows nothing

@@ -1,14 +1,11 @@
 """What is on the wire of a deployment, on a page: the robot as a scene, and the states behind the words."""
 
-from collections import deque
 from contextlib import suppress
 from typing import Any, final
 
 import numpy as np
-import torch
 import viser
 
-from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.deployment.status_words import sight_words
 from pixel2catch.errors import DeploymentError
 from pixel2catch.rendering.camera import Exposure, Moment
@@ -16,7 +13,6 @@ from pixel2catch.rendering.room import Bystanders
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Transport
-from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.scene.scene import OBJECT_START, SceneCfg
 from pixel2catch.servo.fault_words import fault_words
 from pixel2catch.twin.simulated_lab import Phase
@@ -69,39 +65,17 @@ class WireScene:
         self.view.show(shown)
 
 
-@final
-class StatusDetails:
-    """What is in statuses, in rows of a name and a text, for those who want to know more than the words."""
-
-    def __init__(self, camera: CameraSpec) -> None:
-        """Begin before the first status; the camera is that of the boxes."""
-        self._camera, self._boxes = camera, deque[list[float]](maxlen=2)
-
-    def rows(self, status: dict[str, Any]) -> list[tuple[str, str]]:
-        """The rows of a status that has just arrived."""
-        box = status.get("box")
-        if box and (not self._boxes or box != self._boxes[-1]):
-            self._boxes.append(box)
-        rows = [
-            ("servo", status.get("mode", "not heard of")),
-            *(
-                (name, _what(status.get(key)))
-                for name, key in (("stopped by", "stopped_by"), ("finds now", "found"))
-            ),
-            ("commands held back by", listed(status.get("clamped"))),
-            ("camera", sight_words(status) or "no image yet"),
-            ("box of the object [px]", listed([f"{edge:.0f}" for edge in box or ()])),
-            ("steps without a new image", str(status.get("num_missed", 0))),
-        ]
-        return rows + self._features()
-
-    def _features(self) -> list[tuple[str, str]]:
-        """What a policy reads of the boxes that the deployment sees."""
-        if len(self._boxes) < 2:
-            return []
-        before, now = (torch.tensor([box], dtype=torch.float32) for box in self._boxes)
-        values = pixel_features(before, now, self._camera)[0].tolist()
-        return [(name, f"{value:.2f}") for name, value in zip(PIXEL_FEATURES, values, strict=True)]
+def status_rows(status: dict[str, Any]) -> list[tuple[str, str]]:
+    """What is in a status, in rows of a name and a text, for those who want to know more than the words."""
+    return [
+        ("servo", status.get("mode", "not heard of")),
+        ("stopped by", _what(status.get("stopped_by"))),
+        ("finds now", _what(status.get("found"))),
+        ("commands held back by", listed(status.get("clamped"))),
+        ("camera", sight_words(status) or "no image yet"),
+        ("box of the object [px]", listed([f"{edge:.0f}" for edge in status.get("box") or ()])),
+        ("steps without a new image", str(status.get("num_missed", 0))),
+    ]
 
 
 def listed(values: Any) -> str:
