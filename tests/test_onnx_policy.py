@@ -208,7 +208,7 @@ def test_another_contract_is_refused_by_its_field(file: Path, tmp_path: Path) ->
     agents = json.loads(json.dumps(dataclasses.asdict(CONTRACT)))["agents"]
     for change, message in (
         ({"format_version": 99}, "'format_version' is 99, this code reads 2"),
-        ({"colour": "red"}, "field 'colour' is unknown"),
+        ({"colour": "red"}, "unknown field 'colour'"),
         ({"recurrent": 7}, r"'hidden_state\.\w+' has size None, and 7 by its contract"),
         ({"agents": agents}, r"'observation\.\w+' has size"),
     ):

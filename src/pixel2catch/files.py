@@ -9,13 +9,13 @@ import math
 import os
 import reprlib
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from pixel2catch.errors import InvalidValueError, Pixel2CatchError
+from pixel2catch.errors import InvalidValueError, Pixel2CatchError, UnknownNameError
 
 JSON_KINDS = {list: "a list", str: "a text", int: "a number", float: "a number", bool: "true or false"}
 """What JSON may hold instead of an object, in words."""
@@ -233,55 +233,77 @@ def shown(value: Any) -> str:
 
 
 def decoded(kind: Any, value: Any, name: str = "") -> Any:
-    """Read a value of a declared type from JSON: `dataclasses.asdict` and `as_json` backwards.
+    """Read a value of a declared type from JSON or YAML: `dataclasses.asdict` and `as_json` backwards.
 
     Args:
         kind: A dataclass, with a `from_dict` of its own or without; `Path`, what JSON knows, or tuples,
-            dictionaries and unions of these. In a union one member at most is a tuple or a dataclass.
-        value: What `json.loads` returned.
+            dictionaries and unions of these. In a union one member at most is a tuple or a dataclass. What
+            is annotated with something that has a `from_text` is what that makes of a text.
+        value: What `parse_json` or `parse_yaml` returned.
         name: Its name, for messages.
 
     Raises:
-        InvalidValueError: A field is unknown or missing, or has another shape.
+        InvalidValueError: A field is unknown or missing, or has another shape or a bad value.
     """
     kind = _chosen(kind, value)
     origin, inner = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        text = decoded(str, value, name)
+        return _located(name, lambda: inner[1].from_text(text))
     if (_is_nested(kind) and not _has_shape(origin, value)) or not _is_of(kind, value):
-        raise InvalidValueError(f"field '{name}' is {shown(value)}")
+        raise InvalidValueError(f"field '{name}' is {shown(value)}; it must be {_in_words(kind)}")
     if origin is tuple:
         kinds = inner if Ellipsis not in inner else inner[:1] * len(value)
         if len(kinds) != len(value):
             raise InvalidValueError(f"field '{name}' has {len(value)} entries; it needs {len(kinds)}")
-        return tuple(decoded(each, entry, name) for each, entry in zip(kinds, value, strict=True))
+        pairs = enumerate(zip(kinds, value, strict=True))
+        return tuple(decoded(each, entry, f"{name}[{i}]") for i, (each, entry) in pairs)
     if origin in (dict, Mapping):
-        return {key: decoded(inner[1], entry, f"{name}.{key}") for key, entry in value.items()}
+        names = {key: f"{name}.{key}" for key in value}
+        return {
+            decoded(inner[0], key, names[key]): decoded(inner[1], value[key], names[key]) for key in value
+        }
     if name and hasattr(kind, "from_dict"):
         return kind.from_dict(value)
     if dataclasses.is_dataclass(kind):
-        return _decoded_dataclass(kind, value, f"{name}." if name else "")
-    return Path(value) if kind is Path else value
+        return _decoded_dataclass(kind, value, name)
+    return kind(value) if kind in (Path, float) else value
 
 
-def _decoded_dataclass(kind: Any, values: dict[str, Any], where: str) -> Any:
-    kinds, fields = get_type_hints(kind), dataclasses.fields(kind)
+def _decoded_dataclass(kind: Any, values: dict[str, Any], name: str) -> Any:
+    where = f"{name}." if name else ""
+    kinds, fields = get_type_hints(kind, include_extras=True), dataclasses.fields(kind)
     required = {each.name for each in fields if each.default is each.default_factory is dataclasses.MISSING}
-    for problem, found in (
-        ("is missing", required - set(values)),
-        ("is unknown to this code", set(values) - {each.name for each in fields}),
-    ):
-        if found:
-            raise InvalidValueError(f"field '{where}{min(found)}' {problem}")
-    return kind(**{name: decoded(kinds[name], value, where + name) for name, value in values.items()})
+    for each in values:
+        if each not in kinds:
+            unknown = UnknownNameError("field", f"{where}{each}", [where + field.name for field in fields])
+            raise InvalidValueError(str(unknown).rstrip("."))
+    if missing := required - set(values):
+        raise InvalidValueError(f"field '{where}{min(missing)}' is missing; add it")
+    given = {each: decoded(kinds[each], value, where + each) for each, value in values.items()}
+    return _located(name, lambda: kind(**given))
+
+
+def _located(name: str, make: Callable[[], Any]) -> Any:
+    """What a function makes of the value by that name, or an error that says where it is."""
+    try:
+        return make()
+    except Pixel2CatchError as error:
+        if not name:
+            raise
+        raise InvalidValueError(f"field '{name}': {error}") from error
 
 
 def _chosen(kind: Any, value: Any) -> Any:
-    """The member of a union that a value is of; any other type is itself."""
+    """The member of a union that a value is of; any other type is itself, without its annotations."""
+    if get_origin(kind) is Annotated and not hasattr(get_args(kind)[1], "from_text"):
+        return _chosen(get_args(kind)[0], value)
     if get_origin(kind) not in (Union, UnionType):
         return kind
     is_nested = isinstance(value, list | dict)
-    members = [each for each in get_args(kind) if (each is NoneType) is (value is None)]
+    members = [_chosen(each, value) for each in get_args(kind) if (each is NoneType) is (value is None)]
     fitting = (each for each in members if _is_nested(each) is is_nested and _is_of(each, value))
-    return next(fitting, get_args(kind)[0])
+    return next(fitting, (members or get_args(kind))[0])
 
 
 def _is_of(kind: Any, value: Any) -> bool:
@@ -300,6 +322,15 @@ def _has_shape(origin: Any, value: Any) -> bool:
 
 def _is_nested(kind: Any) -> bool:
     return get_origin(kind) in (tuple, dict, Mapping) or dataclasses.is_dataclass(kind)
+
+
+def _in_words(kind: Any) -> str:
+    """What a value of a type is, for messages."""
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}"
+    if _is_nested(kind):
+        return "a list" if get_origin(kind) is tuple else "entries of a name and a value"
+    return {int: "a whole number", Path: "a text", NoneType: "null"}.get(kind) or JSON_KINDS[kind]
 
 
 def require_free_folder(folder: Path, option: str = "--out") -> None:

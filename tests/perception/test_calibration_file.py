@@ -79,7 +79,7 @@ def changed(path: Path, name: str, value: object) -> None:
         ("camera.fx", -1.0, "must be positive"),
         ("camera.fx", "wide", "wide"),
         ("camera.cy", float("nan"), "'cy' has the number nan"),
-        ("camera.zoom", 2.0, "field 'camera.zoom' is unknown"),
+        ("camera.zoom", 2.0, "unknown field 'camera.zoom'"),
         ("camera.quat", [1.0, 1.0, 0.0, 0.0], "unit quaternion"),
         ("camera.pos", [1.0, 2.0], "field 'camera.pos' has 2 entries; it needs 3"),
         ("distortion", [0.1], "distortion has 1 numbers"),

@@ -89,7 +89,7 @@ class PolicyContract:
         try:
             contract = decoded(cls, dict(data))
         except InvalidValueError as error:
-            raise PolicyMismatchError(f"policy {error}; train again.") from error
+            raise PolicyMismatchError(f"policy: {error}; train again.") from error
         sizes = [each.num_inputs for each in contract.agents.values()]
         if not 1 <= len(sizes) <= MOST_AGENTS or not all(1 <= size <= MOST_INPUTS for size in sizes):
             raise PolicyMismatchError(

@@ -5,18 +5,17 @@ name file, key and fix.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import inf, pi
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from pixel2catch.errors import DeploymentError, InvalidValueError, Pixel2CatchError, UnknownNameError
-from pixel2catch.files import MOST_YAML, parse_yaml, read_text, reading, shown
+from pixel2catch.files import MOST_YAML, decoded, parse_yaml, read_text, reading, shown
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import ImageReading, JointReading
 from pixel2catch.ros2.transport import Topic
@@ -31,6 +30,14 @@ class TopicType:
 
     type: str  #: ROS type of its messages.
     is_latched: bool = False  #: Whether late subscribers get the last one.
+
+    def from_text(self, name: str) -> Topic:
+        """The topic of that name."""
+        if not name.startswith("/"):
+            raise InvalidValueError(
+                f"{shown(name)} is no topic; write its whole name, such as '/joint_states'"
+            )
+        return Topic(name=name, type=self.type, is_latched=self.is_latched)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -301,8 +308,7 @@ class Profile:
                 raise UnknownNameError("profile", str(name_or_path), [*shipped, "a .yaml file of yours"])
             path = shipped[str(name_or_path)]
         with reading("profile", path, "Correct it.", DeploymentError):
-            content = parse_yaml(read_text(path, MOST_YAML))
-        return _parse(str(path), content, cls)
+            return decoded(cls, parse_yaml(read_text(path, MOST_YAML)))
 
     def require(self, joints: Iterable[str]) -> None:
         """Refuse a policy that moves joints which this robot does not have.
@@ -316,66 +322,3 @@ class Profile:
                 f"profile '{self.name}' has no {', '.join(missing)}, which the policy moves: add them to the "
                 "joints of a part, or take a policy for this robot."
             )
-
-
-def _parse(place: str, value: Any, kind: Any) -> Any:
-    """A value of a type, or an error that names the place."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if origin is Annotated:
-        return _topic(place, _plain(place, value, str), kind.__metadata__[0])
-    if origin is UnionType or NoneType in arguments:
-        inner = next(argument for argument in arguments if argument is not NoneType)
-        return None if value is None else _parse(place, value, inner)
-    if origin is Literal:
-        if value not in arguments:
-            raise DeploymentError(f"{place}: {UnknownNameError('value', str(value), arguments)}")
-        return value
-    if origin is tuple:
-        entries = enumerate(_plain(place, value, list))
-        return tuple(_parse(f"{place}[{i}]", entry, arguments[0]) for i, entry in entries)
-    if origin is dict:
-        pairs = _mapping(place, value).items()
-        return {_parse(place, k, arguments[0]): _parse(f"{place}.{k}", v, arguments[1]) for k, v in pairs}
-    if is_dataclass(kind):
-        return _record(place, _mapping(place, value), kind)
-    return _plain(place, value, kind)
-
-
-def _topic(place: str, name: str, sends: TopicType) -> Topic:
-    if not name.startswith("/"):
-        raise DeploymentError(
-            f"{place}: {shown(name)} is no topic; write its whole name, such as '/joint_states'."
-        )
-    return Topic(name=name, type=sends.type, is_latched=sends.is_latched)
-
-
-def _record(place: str, value: Mapping[Any, Any], kind: Any) -> Any:
-    hints = get_type_hints(kind, include_extras=True)
-    for key in value:
-        if key not in hints:
-            raise DeploymentError(f"{place}: {UnknownNameError('key', str(key), hints)}")
-    needed = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
-    missing = [name for name in needed if name not in value]
-    if missing:
-        raise DeploymentError(f"{place}: {', '.join(missing)} missing; add it.")
-    try:
-        return kind(**{key: _parse(f"{place}: {key}", entry, hints[key]) for key, entry in value.items()})
-    except DeploymentError:
-        raise
-    except Pixel2CatchError as error:
-        raise DeploymentError(f"{place}: {error}") from error
-
-
-def _plain(place: str, value: Any, kind: type) -> Any:
-    """A text or a number; a whole number is one with a fraction, too."""
-    if kind is float and type(value) is int:
-        return float(value)
-    if type(value) is not kind:
-        raise DeploymentError(f"{place}: {shown(value)} is not of type {kind.__name__}; correct it.")
-    return value
-
-
-def _mapping(place: str, value: Any) -> Mapping[Any, Any]:
-    if not isinstance(value, dict):
-        raise DeploymentError(f"{place}: {shown(value)} has no keys; write 'key: value'.")
-    return value
