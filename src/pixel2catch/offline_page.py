@@ -101,7 +101,8 @@ def picture(data: bytes, kind: str, caption: str) -> str:
 def circumstances_lines(circumstances: Mapping[str, Any]) -> list[str]:
     """When, where and with which versions something was done."""
     versions = ", ".join(f"{name} {version or '?'}" for name, version in circumstances["versions"].items())
-    where = f"{circumstances['platform']}, {circumstances['cpu_cores']} CPU cores"
+    gpus = ", ".join(circumstances.get("gpus", ())) or "no GPU"
+    where = f"{circumstances['platform']}, {circumstances['cpu_cores']} CPU cores, {gpus}"
     return [
         f"{circumstances['started']}; revision {circumstances['git_revision'] or 'unknown'}; {where}",
         f"Python {circumstances['python']}, {versions}",

@@ -3,8 +3,7 @@
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from math import inf, isinf, isnan, nan
+from math import isnan, nan
 from pathlib import Path
 
 from rich.console import Console
@@ -14,32 +13,24 @@ from rich.table import Table
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.comparison.jobs import Status
 from pixel2catch.evaluation.comparison.plan import GROUPS
-from pixel2catch.evaluation.comparison.summary import Columns, read_metrics
+from pixel2catch.evaluation.comparison.summary import read_metrics
 from pixel2catch.progress import duration
 
 SUMMARY_SECONDS = 30.0  #: Time between two summaries where there is no terminal [s].
 REFRESH_SECONDS = 1.0  #: Time between two pictures of the live table [s].
 
+COLUMNS = ("transitions", "transitions_per_second", "success_rate")
+"""What is shown of a training: how much it has learnt from, how fast, and the S.R. of the last episodes."""
+
 COLORS = {Status.RUNNING: "cyan", Status.DONE: "green", Status.FAILED: "red", Status.STOPPED: "yellow"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """How far a training is."""
-
-    transitions: float = 0.0  #: Transitions learnt from.
-    transitions_per_second: float = 0.0  #: Transitions a second of the last update.
-    #: S.R. of the last update's episodes, with the stochastic policy; NaN if none had ended.
-    success_rate: float = nan
-
-    @classmethod
-    def read(cls, log: Path) -> "Progress":
-        """Progress from the last row of a training's `metrics.csv`; that of the start if there is none."""
-        columns: Columns = {}
-        with suppress(InvalidValueError):  # it is not there yet, or being written
-            columns = read_metrics(log, [*vars(cls())])
-        last = {name: float(column[-1]) for name, column in columns.items() if len(column)}
-        return cls(**{name: value for name, value in last.items() if not isnan(value)})
+def newest(log: Path) -> dict[str, float]:
+    """What the last row of a training's `metrics.csv` says of `COLUMNS`; nothing before there is one."""
+    with suppress(InvalidValueError):  # it is not there yet, or being written
+        columns = read_metrics(log, COLUMNS)
+        return {name: float(column[-1]) for name, column in columns.items() if len(column)}
+    return {}
 
 
 class ProgressTable:
@@ -82,56 +73,55 @@ class ProgressTable:
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + SUMMARY_SECONDS
-        progress = self._progress()
-        running = []
+        progress, running = self._progress(), []
         for name in (name for name, now in status.items() if now is Status.RUNNING):
             if each := progress.get(name):
-                name += f" {100 * each.transitions / self._total:.0f} %, S.R. {_percent(each.success_rate)}"
+                name += f" {100 * each['transitions'] / self._total:.0f} %, S.R. {_percent(each)}"
             running.append(name)
-        left = _duration(self._seconds_left(status, progress))
-        text = f"{done} · {' · '.join(running) or 'nothing runs'} · trainings: {left}"
+        text = f"{done} · {' · '.join(running) or 'nothing runs'} · {self._left(status, progress)}"
         self._console.print(text, markup=False)
 
     def _table(self, status: Mapping[str, Status]) -> Table:
         progress = self._progress()
-        left = _duration(self._seconds_left(status, progress))
-        table = Table(caption=f"trainings: {left}", caption_justify="left")
+        table = Table(caption=self._left(status, progress), caption_justify="left")
         for column in ("training", "state", "transitions [M]", "S.R. in training", "left", *GROUPS):
             table.add_column(column, justify="right" if "[" in column else "left")
         for name, each in progress.items():
-            speed = each.transitions_per_second
+            is_running = status[name] is Status.RUNNING
             table.add_row(
                 name,
                 _colored(status[name]),
-                f"{each.transitions / 1e6:.1f} / {self._total / 1e6:.1f}",
-                _percent(each.success_rate),
-                _duration((self._total - each.transitions) / speed if speed else inf)
-                if status[name] is Status.RUNNING
-                else "",
+                f"{each.get('transitions', 0.0) / 1e6:.1f} / {self._total / 1e6:.1f}",
+                _percent(each),
+                _time_left(self._rest(each), each.get("transitions_per_second", 0.0)) if is_running else "",
                 *(_colored(status[f"{name}-{group}"]) for group in GROUPS),
             )
         return table
 
-    def _progress(self) -> dict[str, Progress]:
-        return {name: Progress.read(log) for name, log in self._logs.items()}
+    def _progress(self) -> dict[str, dict[str, float]]:
+        return {name: newest(log) for name, log in self._logs.items()}
 
-    def _seconds_left(self, status: Mapping[str, Status], progress: Mapping[str, Progress]) -> float:
-        """Time that the trainings still take at the present speed of those that run [s]."""
+    def _rest(self, progress: Mapping[str, float]) -> float:
+        """Transitions that a training has still to learn from."""
+        return max(0.0, self._total - progress.get("transitions", 0.0))
+
+    def _left(self, status: Mapping[str, Status], progress: Mapping[str, Mapping[str, float]]) -> str:
+        """Time that all trainings still take at the present speed of those that run, in words."""
         running = [each for name, each in progress.items() if status[name] is Status.RUNNING]
         waiting = [each for name, each in progress.items() if status[name] is Status.WAITING]
-        speed = sum(each.transitions_per_second for each in running)
-        rest = sum(max(0.0, self._total - each.transitions) for each in (*running, *waiting))
-        return (rest / speed if speed else inf) if rest else 0.0
+        speed = sum(each.get("transitions_per_second", 0.0) for each in running)
+        return f"trainings: {_time_left(sum(map(self._rest, (*running, *waiting))), speed)}"
 
 
-def _percent(rate: float) -> str:
+def _percent(progress: Mapping[str, float]) -> str:
+    rate = progress.get("success_rate", nan)
     return "-" if isnan(rate) else f"{100 * rate:.1f} %"
 
 
-def _duration(seconds: float) -> str:
-    if isinf(seconds):
+def _time_left(rest: float, speed: float) -> str:
+    if rest and not speed > 0.0:
         return "time left unknown"
-    return f"{duration(seconds)} left"
+    return f"{duration(rest / speed if rest else 0.0)} left"
 
 
 def _colored(status: Status) -> str:

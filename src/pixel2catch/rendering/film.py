@@ -3,9 +3,10 @@
 Several throws are shown at once in a grid, or one after the other; a strip has a few stills of one.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
+from itertools import chain
 from math import ceil, sqrt
 from pathlib import Path
 from typing import Literal
@@ -178,6 +179,9 @@ def write_throws(
 ) -> int:
     """Write a film of throws, or stills of them if the file is a PNG, and return the number of pictures.
 
+    They are side by side in a grid, or one after the other. Before a throw is drawn, `on_throw` is called
+    with its number.
+
     Raises:
         InvalidValueError: If the file cannot be written; nothing was drawn then.
         DeviceUnavailableError: If nothing can be drawn on this machine; the message says what to install.
@@ -186,36 +190,26 @@ def write_throws(
     if path.suffix.lower() == ".png":
         Image.fromarray(np.concatenate(strips(throws, scene, views, meshes))).save(path)
         return STILLS * len(throws)
-    return write_film(
-        path, film_pictures(throws, scene, views, is_grid=is_grid, meshes=meshes, on_throw=on_throw), FPS
-    )
-
-
-def film_pictures(
-    throws: Sequence[RecordedThrow],
-    scene: SceneCfg,
-    views: Views = "both",
-    *,
-    is_grid: bool = True,
-    meshes: Path | None = None,
-    on_throw: Callable[[int], None] = lambda _: None,
-) -> Iterator[Picture]:
-    """The pictures of a film of several throws, side by side in a grid or one after the other.
-
-    Before a throw is drawn, `on_throw` is called with its number.
-    """
     columns = ceil(sqrt(len(throws))) if is_grid else 1
-    width = WIDTHS[min(columns, len(WIDTHS)) - 1]
-    with FilmRenderer(scene, views, width, meshes) as renderer:
-        films: list[list[Picture]] = []
-        for number, throw in enumerate(throws):
-            on_throw(number)
-            if is_grid:
-                films.append(list(renderer.film(throw)))
-            else:
-                yield from renderer.film(throw)
-    for i in range(max(map(len, films), default=0)):
-        yield tiled([film[min(i, len(film) - 1)] for film in films], columns)
+    with FilmRenderer(scene, views, WIDTHS[min(columns, len(WIDTHS)) - 1], meshes) as renderer:
+        films = (_film(renderer, number, throw, on_throw) for number, throw in enumerate(throws))
+        pictures = _side_by_side(map(list, films), columns) if is_grid else chain.from_iterable(films)
+        return write_film(path, pictures, FPS)
+
+
+def _film(
+    renderer: FilmRenderer, number: int, throw: RecordedThrow, on_throw: Callable[[int], None]
+) -> Iterator[Picture]:
+    """The pictures of a throw, of which it is said before that it is drawn now."""
+    on_throw(number)
+    yield from renderer.film(throw)
+
+
+def _side_by_side(films: Iterable[list[Picture]], columns: int) -> Iterator[Picture]:
+    """Films at once, the last pictures of the shorter ones to the end."""
+    several = [*films]
+    for i in range(max(map(len, several), default=0)):
+        yield tiled([film[min(i, len(film) - 1)] for film in several], columns)
 
 
 def tiled(pictures: Sequence[Picture], columns: int) -> UInt8[ndarray, "all_rows all_columns 3"]:

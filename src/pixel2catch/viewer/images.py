@@ -16,6 +16,7 @@ from pixel2catch.rendering.camera import RoomCamera
 from pixel2catch.rendering.video import draw_box
 from pixel2catch.scene.constants import CameraSpec
 from pixel2catch.scene.scene import SceneCfg
+from pixel2catch.viewer.scene import ROOM_SEED
 from pixel2catch.viewer.throws import Frame
 
 PERIOD = 1 / 15  #: Least time between two images [s]. Source: ours, to leave the physics its core.
@@ -58,11 +59,10 @@ class Picture:
 class CameraImages:
     """Draws the newest frame that it was given, in a thread of its own; close it."""
 
-    def __init__(self, picture: Picture, scene: SceneCfg, room_seed: int = 0) -> None:
-        """Draw into a picture of the page. The seed is of the room's looks."""
-        self._picture, self._scene, self._seed = picture, scene, room_seed
+    def __init__(self, picture: Picture, scene: SceneCfg) -> None:
+        """Draw into a picture of the page."""
+        self._picture, self._scene = picture, scene
         self._frames: Queue[Frame | None] = Queue(maxsize=1)
-        self.num_drawn = 0  #: Images so far.
         self._thread = Thread(target=self._run, name="camera images", daemon=True)
         self._thread.start()
 
@@ -85,13 +85,12 @@ class CameraImages:
     def _run(self) -> None:
         with contextlib.ExitStack() as stack:
             try:
-                camera = stack.enter_context(RoomCamera(self._scene, self._seed))
+                camera = stack.enter_context(RoomCamera(self._scene, ROOM_SEED))
             except DeviceUnavailableError:
                 camera = None
             while (frame := self._frames.get()) is not None:
                 begin = time.monotonic()
                 self._picture.show(self._drawn(camera, frame))
-                self.num_drawn += 1
                 spent = time.monotonic() - begin
                 time.sleep(max(PERIOD - spent, REST * spent))
 

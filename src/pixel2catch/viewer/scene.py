@@ -24,6 +24,7 @@ MAKERS: dict[int, Callable[[float, float, float], ConvexPart]] = {
 }
 """Shapes of the scene's geoms by their types, from their sizes."""
 
+ROOM_SEED = 0  #: Of the looks of the room on pages.
 PLANE_SIZE = 5.0  #: Half a side of a plane without end [m].
 PLANE_LEVELS = {"floor": FLOOR_LEVEL, "wall": WALL_LEVEL}  #: Colours of planes, by their materials.
 BYSTANDERS = ("thrower", "thrower_arm", "ball")  #: Bodies that are in the room, and not in a laboratory.
@@ -40,9 +41,9 @@ Path = Float[np.ndarray, "num_points 3"]
 class SceneView:
     """What is shown of one scene; `show` moves it."""
 
-    def __init__(self, server: viser.ViserServer, scene: SceneCfg, room_seed: int = 0) -> None:
-        """Add the scene to the page; the seed is of the room's looks."""
-        self._nodes, self._model = server.scene, build_room(scene, next(iter(OBJECTS)), room_seed)
+    def __init__(self, server: viser.ViserServer, scene: SceneCfg) -> None:
+        """Add the scene to the page."""
+        self._nodes, self._model = server.scene, build_room(scene, next(iter(OBJECTS)), ROOM_SEED)
         self._data = mujoco.MjData(self._model)
         self._root = self._nodes.add_frame(ROOT, show_axes=False)
         self._light()

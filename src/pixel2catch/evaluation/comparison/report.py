@@ -25,6 +25,7 @@ from pixel2catch.evaluation.report import (
     write_files,
 )
 from pixel2catch.files import json_text
+from pixel2catch.offline_page import circumstances_lines
 
 DASH = "\N{EN DASH}"  #: What stands where there is no number.
 
@@ -227,16 +228,5 @@ def _page(
 
 
 def _sessions(sessions: Sequence[Mapping[str, Any]]) -> str:
-    texts = []
-    for session in sessions:
-        gpus = ", ".join(session["gpus"]) or "no GPU"
-        versions = ", ".join(
-            f"{name} {version or '(version unknown)'}" for name, version in session["versions"].items()
-        )
-        texts.append(
-            f"- {session['started']}: `{session['command']}`\n"
-            f"  - revision {session['git_revision'] or 'unknown'}; {session['cpu_cores']} CPU cores, {gpus}; "
-            f"{session['platform']}\n"
-            f"  - Python {session['python']}, {versions}\n"
-        )
-    return "".join(texts)
+    lines = [(f"`{session['command']}`", *circumstances_lines(session)) for session in sessions]
+    return "".join(f"- {command}\n  - {where}\n  - {versions}\n" for command, where, versions in lines)
