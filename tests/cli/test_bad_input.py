@@ -110,8 +110,8 @@ def test_one_line_says_what_is_right(
     assert sorted(path for place in places.values() for path in place.parent.rglob("*")) == before
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.__name__.lower())
-def test_the_defaults_of_commands_are_valid(command: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_defaults_of_commands_are_valid(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     needed = {
         "scene": "x.xml",
@@ -122,9 +122,8 @@ def test_the_defaults_of_commands_are_valid(command: type, tmp_path: Path, monke
         "label": "x.mp4",
         "operate": "/dev/input/event3",
     }
-    name = command.__name__.lower()
     parsed = parse([name, *needed.get(name, "").split()])
-    assert type(parsed) is command
+    assert type(parsed).__name__.lower() == name
     if name not in ("record", "identify"):  # their inputs are not there
         require_valid(parsed)
 

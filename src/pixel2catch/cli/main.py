@@ -4,63 +4,43 @@ import errno
 import importlib.metadata
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Union
+from importlib import import_module
+from typing import Annotated, Any, Union
 
 import tyro
 
 from pixel2catch.checks import require_valid
-from pixel2catch.cli.bench import Bench
-from pixel2catch.cli.calibrate import Calibrate
-from pixel2catch.cli.catch import Catch
 from pixel2catch.cli.console import say_on_terminal
-from pixel2catch.cli.deploy import Deploy
-from pixel2catch.cli.doctor import Doctor
-from pixel2catch.cli.evaluate import Evaluate
-from pixel2catch.cli.excite import Excite
-from pixel2catch.cli.export import Export
 from pixel2catch.cli.help import plain_help
-from pixel2catch.cli.identify import Identify
-from pixel2catch.cli.label import Label
-from pixel2catch.cli.operate import Operate
-from pixel2catch.cli.play import Play
-from pixel2catch.cli.record import Record
-from pixel2catch.cli.rehearse import Rehearse
-from pixel2catch.cli.replay import Replay
-from pixel2catch.cli.reproduce import Reproduce
-from pixel2catch.cli.scene import Scene
-from pixel2catch.cli.stress import Stress
-from pixel2catch.cli.track import Track
-from pixel2catch.cli.train import Train
-from pixel2catch.cli.transfer import Transfer
-from pixel2catch.cli.twin import Twin
 from pixel2catch.errors import Pixel2CatchError, UnknownNameError
 from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
 
 COMMANDS = (
-    Train,
-    Evaluate,
-    Stress,
-    Transfer,
-    Reproduce,
-    Play,
-    Catch,
-    Excite,
-    Record,
-    Identify,
-    Calibrate,
-    Track,
-    Label,
-    Deploy,
-    Operate,
-    Twin,
-    Rehearse,
-    Replay,
-    Export,
-    Scene,
-    Bench,
-    Doctor,
+    "train",
+    "evaluate",
+    "stress",
+    "transfer",
+    "reproduce",
+    "play",
+    "catch",
+    "excite",
+    "record",
+    "identify",
+    "calibrate",
+    "track",
+    "label",
+    "deploy",
+    "operate",
+    "twin",
+    "rehearse",
+    "replay",
+    "export",
+    "scene",
+    "bench",
+    "doctor",
 )
+"""Each is a module beside this one, with a class of its name, which is loaded where it is needed."""
 
 DESCRIPTION = """Catch thrown objects with an arm and a hand from one RGB camera.
 
@@ -128,18 +108,26 @@ def parse(args: Sequence[str]):
         UnknownNameError: If there is no such command.
     """
     args = [part for arg in args for part in (("--env", arg[6:]) if arg.startswith("--env.") else (arg,))]
-    commands = {command.__name__.lower(): command for command in COMMANDS}
-    if args and not args[0].startswith("-") and args[0] not in commands:
-        raise UnknownNameError("command", args[0], commands)
-    names = [Annotated[command, tyro.conf.subcommand(name)] for name, command in commands.items()]
+    if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+        raise UnknownNameError("command", args[0], COMMANDS)
+    config, registry = (tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone), plain_help()
+    if args and args[0] in COMMANDS:
+        prog = f"pixel2catch {args[0]}"
+        return tyro.cli(load_command(args[0]), prog=prog, args=args[1:], config=config, registry=registry)
+    kinds = [Annotated[load_command(name), tyro.conf.subcommand(name)] for name in COMMANDS]
     return tyro.cli(
-        Union[*names],  # type: ignore[valid-type]
+        Union[*kinds],  # type: ignore[valid-type]
         prog="pixel2catch",
         description=DESCRIPTION,
         args=args,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
-        registry=plain_help(),
+        config=config,
+        registry=registry,
     )
+
+
+def load_command(name: str) -> Any:
+    """The class of a command."""
+    return getattr(import_module(f"pixel2catch.cli.{name}"), name.capitalize())
 
 
 if __name__ == "__main__":
