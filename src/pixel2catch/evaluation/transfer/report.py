@@ -19,9 +19,9 @@ TITLES = {"T.R.": "tracking_rate", "S.R.": "success_rate", "verified hold": "ver
 REAL_ORDER = (
     f"The paper's real robot has {' > '.join(REAL_ROBOT)}, an S.R. of "
     f"{', '.join(f'{rate:g}' for rate in REAL_ROBOT.values())} % over 360 throws each. Kendall's tau is 1 "
-    "for the same order; the mean maximum rank violation, in points of the real robot's S.R., is 0 for it. Pairs "
-    "are settled whose 95 % intervals do not overlap: the order of others may be chance, and with so few "
-    "methods tau is coarse."
+    "for the same order, and the mean maximum rank violation, in points of the real robot's S.R., is 0. "
+    "Pairs are settled whose 95 % intervals do not overlap: the order of others may be chance, and with so "
+    "few methods tau is coarse."
 )
 
 
