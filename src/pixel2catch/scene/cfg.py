@@ -8,6 +8,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.robots.maker import Surface
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -33,6 +34,10 @@ class SceneCfg:
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: float = 1.0 / PHYSICS_DT
     engine: str = "mujoco"  #: Whose physics it is: mujoco, or another to judge policies by, such as physx.
+    #: Makers' models, URDF or MJCF, one for each part of the robot that shall be simulated by it. Default:
+    #: our models.
+    robot_model: tuple[str, ...] = ()
+    robot_surface: Surface = "collision"  #: What of these touches: their collision shapes, or what is drawn.
     visuals: bool = False  #: Whether to add lights, textures and what is only seen.
     camera: CameraSpec = RGB_CAMERA  #: What pictures are taken by.
     #: Sliding friction of the object; randomised per environment by the release.
