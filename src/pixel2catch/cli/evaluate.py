@@ -6,7 +6,16 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import CameraPath, Count, Device, DynamicsPath, OutputFile, PhysicsRate, Seed
+from pixel2catch.checks import (
+    CameraPath,
+    Count,
+    Device,
+    DynamicsPath,
+    OutputFile,
+    PhysicsRate,
+    RobotModelPath,
+    Seed,
+)
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
 from pixel2catch.shipped import PolicyPath
 
@@ -30,6 +39,9 @@ class Evaluate:
     #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
     #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: CameraPath | None = None
+    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
+    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
+    robot_model: tuple[RobotModelPath, ...] = ()
     #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: evaluate --env.help.
     env: FieldOptions = ()
     json: bool = False  #: Print all metrics as one JSON object.
@@ -59,7 +71,7 @@ class Evaluate:
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            task=EvaluatedTask(options=self.env, command="evaluate")(task),
+            task=EvaluatedTask(options=self.env, command="evaluate", robot_model=self.robot_model)(task),
         )
         files = {"dynamics": self.dynamics, "camera": self.camera}
         source = {

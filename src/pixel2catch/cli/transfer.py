@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, Seed, Within
+from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, RobotModelPath, Seed, Within
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
 from pixel2catch.shipped import PolicyPath
 
@@ -38,6 +38,9 @@ class Transfer:
     seed: Seed = 0  #: Seed of everything that is drawn.
     jobs: Count = 1  #: Rounds of 20 throws that are tried at once, each in a process with one thread.
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
+    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
+    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
+    robot_model: tuple[RobotModelPath, ...] = ()
     #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: transfer --env.help.
     env: FieldOptions = ()
     out: ResultsFolder = Path("transfer")  #: Folder of the results; other throws need another one.
@@ -117,7 +120,12 @@ class Transfer:
         )
 
     def _with_fields(self, setting: "Setting") -> "Setting":
-        if not self.env:
+        if not self.env and not self.robot_model:
             return setting
-        change = EvaluatedTask(options=self.env, command="transfer", then=setting.level.change)
+        change = EvaluatedTask(
+            options=self.env,
+            command="transfer",
+            robot_model=self.robot_model,
+            then=setting.level.change,
+        )
         return replace(setting, level=replace(setting.level, change=change))

@@ -20,14 +20,13 @@ from scipy.spatial.transform import Rotation
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.spec import RobotSpec
-from pixel2catch.robots.workcell import WorkcellSpec, add_robots, parts_of, robot_mjcf
+from pixel2catch.robots.workcell import COLLISION_GROUP, WorkcellSpec, add_robots, parts_of, robot_mjcf
 
 Surface = Literal["collision", "visual"]
 Pose = Float[ndarray, "4 4"]
 Line = tuple[Float[ndarray, "3"], Float[ndarray, "3"]]
 """A point of an axis [m] and its direction, of length 1."""
 
-COLLISION_GROUP = 3  #: Geom group of everything of a robot that collides.
 MOST_ANGLE, MOST_DISTANCE = 0.05, 0.005
 """How far axes may be from ours [rad, m]. Source: ours; makers differ among themselves by up to 1.4 mm."""
 
@@ -141,9 +140,12 @@ def _part(
     """Put what moves with each joint of theirs into the body of ours."""
     own, their_axes = _body_poses(ours), _axes(theirs)
     moves = {0: int(ours.body_rootid[ours.jnt_bodyid[0]])}  # what does not move is our root
+    roots = [int(theirs.body_parentid[theirs.jnt_bodyid[others[0]]]) for _, others in pairs]
     axes = {}
-    for joints, others in pairs:
+    for root_body, (joints, others) in zip(roots, pairs, strict=True):
         ahead = int(ours.body_parentid[ours.jnt_bodyid[joints[0]]])
+        if roots.count(root_body) == 1:  # a link that is fixed to the palm
+            moves[root_body] = ahead
         moves |= {int(theirs.jnt_bodyid[other]): ahead for other in others[: -len(joints)]}
         for joint, other in zip(joints, others[-len(joints) :], strict=True):
             body = int(ours.jnt_bodyid[joint])
@@ -154,12 +156,15 @@ def _part(
     frames = _body_poses(theirs)
     bodies: dict[int, list[int]] = {}
     for body in range(1, theirs.nbody):
-        bodies.setdefault(moves[int(theirs.body_weldid[body])], []).append(body)
+        above = body
+        while above not in moves:
+            above = int(theirs.body_parentid[above])
+        bodies.setdefault(moves[above], []).append(body)
     to_ours = {body: np.linalg.inv(own[body]) @ root for body in bodies}
     geoms = tuple(
         _geom(theirs, geom, ours.body(body).name, to_ours[body] @ frames[theirs.geom_bodyid[geom]])
         for body, members in bodies.items()
-        for geom in np.flatnonzero(np.isin(theirs.geom_bodyid, members))
+        for geom in np.flatnonzero(np.isin(theirs.geom_bodyid, members)).tolist()
         if _is_of(theirs, geom, surface)
     )
     inertials = {
@@ -289,7 +294,7 @@ def _geom(model: mujoco.MjModel, geom: int, body: str, frame: Pose) -> MakerGeom
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]
         vertices = _outermost(model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float))
-    turn, pose = np.empty(9), np.eye(4)
+    turn, pose, paint = np.empty(9), np.eye(4), model.geom_matid[geom]
     mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
     pose[:3, :3], pose[:3, 3] = turn.reshape(3, 3), model.geom_pos[geom]
     return MakerGeom(
@@ -298,7 +303,7 @@ def _geom(model: mujoco.MjModel, geom: int, body: str, frame: Pose) -> MakerGeom
         size=np.array(model.geom_size[geom]),
         vertices=vertices,
         pose=frame @ pose,
-        rgba=tuple(model.geom_rgba[geom].tolist()),
+        rgba=tuple((model.mat_rgba[paint] if paint >= 0 else model.geom_rgba[geom]).tolist()),
     )
 
 

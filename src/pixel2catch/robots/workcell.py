@@ -12,6 +12,7 @@ from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.spec import JointGroup, JointSpec, PalmSpec, Placed, RobotSpec, Vec3
 
 VISUAL_GROUP = 2  #: Geom group of what is only seen.
+COLLISION_GROUP = 3  #: Geom group of everything of a robot that collides.
 
 
 @dataclass(frozen=True, kw_only=True)
