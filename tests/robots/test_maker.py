@@ -2,13 +2,16 @@
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from pixel2catch.cli.fields import EvaluatedTask
 from pixel2catch.cli.main import main
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.allegro import allegro
 from pixel2catch.robots.maker import maker_parts
@@ -149,8 +152,8 @@ def test_commands_take_makers_models(
     assert main(["scene", str(tmp_path / "scene.xml"), *files]) == 0
     assert "| wrist_3_link | 365.0 | 365.0 | 0.0 | 0.0 | 0.0 |" in capsys.readouterr().out
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml")).nu == len(WORKCELL.joints)
-    options = ["--throws", "1", "--physics-hz", "30", "--out", str(tmp_path / "transfer"), *files]
-    assert main(["transfer", "--engines", "mujoco", *options]) == 0
+    task = EvaluatedTask(options=(), command="evaluate", robot_model=(arm, hand))(CatchEnvCfg())
+    assert task == replace(CatchEnvCfg(), scene=SceneCfg(robot_model=(str(arm), str(hand))))
     assert main(["evaluate", "--robot-model", str(tmp_path / "none.xml")]) == 2
     assert "none.xml', which is not there" in capsys.readouterr().err
 
@@ -159,4 +162,6 @@ def test_commands_take_makers_models(
 def test_more_commands_take_makers_models(tmp_path: Path, arm: Path, hand: Path, opengl: None):
     files = ["--robot-model", str(arm), str(hand), "--env.scene.robot-surface", "collision"]
     assert main(["evaluate", "--num-envs", "1", "--trials", "1", *files]) == 0
+    options = ["--throws", "1", "--out", str(tmp_path / "transfer"), *files]
+    assert main(["transfer", "--engines", "mujoco", *options]) == 0
     assert main(["play", "--throws", "1", "--out", str(tmp_path / "play.png"), *files]) == 0
