@@ -23,12 +23,12 @@ from pixel2catch.workcells import find_workcell
 WORKCELL = find_workcell("ur5e_allegro")
 
 
-def in_other_words(mjcf: Path, path: Path) -> ET.ElementTree:
+def in_other_words(mjcf: Path, path: Path) -> None:
     """Our model without its names, mirrored axes, limbs in reverse order, on a root that is elsewhere."""
     tree = ET.parse(mjcf)
     model = tree.getroot()
-    model.remove(model.find("contact"))
-    world = model.find("worldbody")
+    world, pairs = (next(model.iter(name)) for name in ("worldbody", "contact"))
+    model.remove(pairs)
     (root,) = list(world)
     world.remove(root)
     carrier = ET.SubElement(world, "body", pos="0.3 -0.2 0.5", euler="0.7 -1.1 2.0")
@@ -45,7 +45,6 @@ def in_other_words(mjcf: Path, path: Path) -> ET.ElementTree:
         axis = np.array(joint.get("axis", "0 0 1").split(), dtype=float)
         joint.attrib = {"axis": " ".join(map(str, -axis)), "pos": " ".join(map(str, 0.05 * axis))}
     tree.write(path)
-    return tree
 
 
 @pytest.fixture

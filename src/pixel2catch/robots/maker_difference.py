@@ -82,14 +82,12 @@ def _body(ours: mujoco.MjModel, theirs: mujoco.MjModel, name: str) -> dict[str, 
     reaches = [reach(model, i) for model, i in zip((ours, theirs), ids, strict=True)]
     row = {"body": name, "mass, ours [g]": f"{masses[0]:.1f}", "maker's [g]": f"{masses[1]:.1f}"}
     row["centre [mm]"] = f"{1e3 * away:.1f}"
-    if any(each is None for each in reaches):
-        return row | {"surface, mean [mm]": "", "at most [mm]": ""}
     gap = 1e3 * np.abs(reaches[0] - reaches[1])
     return row | {"surface, mean [mm]": f"{gap.mean():.1f}", "at most [mm]": f"{gap.max():.1f}"}
 
 
-def reach(model: mujoco.MjModel, body: int) -> Float[ndarray, " num_directions"] | None:
-    """How far a body's shapes reach in each direction of its frame [m]; nothing if it has none.
+def reach(model: mujoco.MjModel, body: int) -> Float[ndarray, " num_directions"]:
+    """How far a body's shapes reach in each direction of its frame [m]; nan if it has none.
 
     The largest difference of two bodies is the Hausdorff distance of their convex hulls.
     """
@@ -99,7 +97,7 @@ def reach(model: mujoco.MjModel, body: int) -> Float[ndarray, " num_directions"]
         turn = np.empty(9)
         mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
         found.append(ways @ model.geom_pos[geom] + _support(model, geom, ways @ turn.reshape(3, 3)))
-    return np.max(found, axis=0) if found else None
+    return np.max(found, axis=0) if found else np.full(len(ways), np.nan)
 
 
 def _support(model: mujoco.MjModel, geom: int, ways: Float[ndarray, "some 3"]) -> Float[ndarray, " some"]:
