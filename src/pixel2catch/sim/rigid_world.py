@@ -104,7 +104,7 @@ def rigid_world(model: mujoco.MjModel) -> RigidWorld:
         gravity=np.array(model.opt.gravity),
         timestep=model.opt.timestep,
         friction=float(model.geom_friction[first, 0]),
-        restitution=restitution_of(float(model.geom_solref[first, 1]), model.opt.timestep),
+        restitution=restitution_of(model.geom_solref[first], model.opt.timestep),
     )
 
 
