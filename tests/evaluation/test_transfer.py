@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from pixel2catch.circumstances import circumstances
 from pixel2catch.cli import transfer as command
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -15,7 +16,7 @@ from pixel2catch.evaluation.metrics import paired_difference
 from pixel2catch.evaluation.stress.measuring import PolicyEntry, find_policies, measure, plan_results
 from pixel2catch.evaluation.stress.report import REAL_ROBOT
 from pixel2catch.evaluation.transfer.cells import AS_TRAINED, pooled, throw_metrics, transfer_settings
-from pixel2catch.evaluation.transfer.report import as_csv, as_markdown, make_table, picture
+from pixel2catch.evaluation.transfer.report import as_csv, as_markdown, as_page, make_table, picture
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
 
@@ -100,6 +101,9 @@ def test_the_order_of_the_methods_is_compared_in_every_engine():
     assert [each["tau"] for each in table["orders"]] == pytest.approx([1.0, 1 / 3])
     violation = REAL_ROBOT["proposed"] - REAL_ROBOT["single_agent"]
     assert [each["rank_violation"] for each in table["orders"]] == pytest.approx([0.0, 2 * violation / 3])
+    page = as_page(table, picture(table), circumstances())
+    assert "<td>single_agent &gt; proposed &gt; only_wh</td>" in page
+    assert page.count("data:image/png;base64,") == 1
     assert "| physx | 0.5 | single_agent > proposed > only_wh | 0.33 | 14.0 | 1 of 3 |" in as_markdown(table)
 
 
@@ -128,7 +132,7 @@ def test_the_command_at_home(policy: str, tmp_path: Path, capsys: pytest.Capture
         ("mujoco", "0.5"),
     ]
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"cells", "table.md", "table.csv", "table.json", "heatmap.png"}
+    assert names == {"cells", "table.md", "table.csv", "table.json", "heatmap.png", "page.html"}
     cell = json.loads((tmp_path / "cells/untrained/mujoco-0.5.json").read_text())
     assert len(cell["metrics"]["throws"]["is_success"]) == 2
     assert main(arguments(policy, tmp_path, *options)) == 0

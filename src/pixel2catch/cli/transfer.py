@@ -88,7 +88,7 @@ class Transfer:
         table = make_table(cells, found)
         print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
         write_report(self.out, table)
-        say(f"wrote {self.out}: table.md, table.csv, table.json, heatmap.png")
+        say(f"wrote {self.out}: page.html, table.md, table.csv, table.json, heatmap.png")
 
     def _evaluation(self) -> "EvaluationCfg":
         """What is thrown, in rounds.

@@ -5,6 +5,8 @@ from dataclasses import asdict
 from math import comb
 from pathlib import Path
 
+from pixel2catch import offline_page
+from pixel2catch.circumstances import circumstances
 from pixel2catch.evaluation.heat_map import heat_map
 from pixel2catch.evaluation.metrics import Metrics, paired_difference, pooled_counts, wilson_interval
 from pixel2catch.evaluation.report import Cells, csv_text, markdown, percent, write_files
@@ -73,27 +75,48 @@ def _orders(cells: Sequence[Json]) -> Iterator[Json]:
 
 def write_report(out: Path, table: Json) -> None:
     """Write the files of the report, all or none."""
+    image = picture(table)
     files = {
         "table.json": json_text(table),
         "table.csv": as_csv(table),
         "table.md": as_markdown(table),
-        "heatmap.png": picture(table),
+        "heatmap.png": image,
+        "page.html": as_page(table, image, circumstances()),
     }
     write_files(out, files)
 
 
 def as_markdown(table: Json) -> str:
     """Rates in percent with their 95 % intervals, differences from home, and how throws failed."""
+    lines = ["# Transfer"]
+    for title, text, rows in _sections(table):
+        lines += [f"## {title}"] * bool(title) + [text, markdown(rows, num_text_columns=3)]
+    return "\n\n".join(lines)
+
+
+def as_page(table: Json, image: bytes, when: Json) -> str:
+    """The same as one HTML page that opens offline, with the picture."""
+    parts = [offline_page.element("h1", "Transfer")]
+    for title, text, rows in _sections(table):
+        cells = [[offline_page.Cell(cell) for cell in row.values()] for row in rows]
+        parts += [offline_page.element("h2", title)] * bool(title)
+        parts += [offline_page.element("p", text), offline_page.table(list(rows[0]), cells)]
+    parts.insert(2, offline_page.picture(image, "png", "S.R. [%] and its difference from home in points"))
+    lines = offline_page.circumstances_lines(when)
+    return offline_page.page("Transfer", [*parts, offline_page.listing(lines)])
+
+
+def _sections(table: Json) -> Iterator[tuple[str, str, list[Cells]]]:
+    """Title, text and rows of each part of the report; the first has no title."""
     rows = sorted(table["cells"], key=lambda cell: _order(table, cell))
     head = (
         f"{rows[0]['throws']} throws each, the same in all engines; home is {table['home']}. Rates in % with "
         "their 95 % interval; the difference of S.R. in points with its 95 % interval, the throws that were "
         "lost and won by it, and the p value of McNemar's exact test. Failures in % of the throws."
     )
-    lines = ["# Transfer", "", head, "", markdown([_row(cell) for cell in rows], num_text_columns=3)]
+    yield "", head, [_row(cell) for cell in rows]
     if table["orders"]:
-        lines += ["## Beside the real robot", "", REAL_ORDER, "", markdown(_order_rows(table), 3)]
-    return "\n".join(lines)
+        yield "Beside the real robot", REAL_ORDER, _order_rows(table)
 
 
 def as_csv(table: Json) -> str:
@@ -125,6 +148,7 @@ def picture(table: Json) -> bytes:
         engines,
         [policy for policy, _ in places],
         f"S.R. [%]; difference from {table['home']}",
+        digits=1,
     )
 
 
