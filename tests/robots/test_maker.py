@@ -153,6 +153,8 @@ def test_commands_take_makers_models(
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml")).nu == len(WORKCELL.joints)
     task = EvaluatedTask(options=(), command="evaluate", robot_model=(arm, hand))(CatchEnvCfg())
     assert task == replace(CatchEnvCfg(), scene=SceneCfg(robot_model=(str(arm), str(hand))))
+    assert main(["play", "--web", *files]) == 2
+    assert "leave out --robot-model" in capsys.readouterr().err
     assert main(["evaluate", "--robot-model", str(tmp_path / "none.xml")]) == 2
     assert "none.xml', which is not there" in capsys.readouterr().err
 

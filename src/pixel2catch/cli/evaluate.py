@@ -78,6 +78,7 @@ class Evaluate:
             "policy": str(self.policy or "shipped"),
             "policy_sha256": fingerprint(self.policy),
             **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
+            "robot_model_sha256": [sha256(file) for file in self.robot_model],
         }
         for remark in camera_remark(policy, cfg.task):
             say(remark)

@@ -8,6 +8,7 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import CameraPath, Count, DynamicsPath, FilmPath, RobotModelPath, Seed
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.viewer.config import PageCfg
 
@@ -85,7 +86,13 @@ class Play:
         print(f"wrote {self.out}: {num_pictures} pictures")
 
     def _serve(self) -> None:
-        """Serve the page until Ctrl-C."""
+        """Serve the page until Ctrl-C.
+
+        Raises:
+            InvalidValueError: If a robot model is given, which the page does not take.
+        """
+        if self.robot_model:
+            raise InvalidValueError("--web has the robot of this package alone; leave out --robot-model.")
         from pixel2catch.cli.device import prepare
         from pixel2catch.cli.extras import needs_extra
         from pixel2catch.viewer.config import PlayCfg
