@@ -148,6 +148,8 @@ FilmPath = Annotated[Path, OutputFile((".mp4", ".webp", ".gif", ".png"))]
 """A film to write, or stills of it."""
 DynamicsPath = CameraPath = Annotated[Path, InputFile()]
 """Files that `identify` and `calibrate` write."""
+RobotModelPath = Annotated[Path, InputFile()]
+"""A maker's model of a part of the robot, URDF or MJCF."""
 
 
 def require_valid(values: Any) -> None:

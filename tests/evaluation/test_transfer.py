@@ -8,12 +8,15 @@ from pathlib import Path
 import pytest
 import torch
 
+from pixel2catch.circumstances import circumstances
+from pixel2catch.cli import transfer as command
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.metrics import paired_difference
-from pixel2catch.evaluation.stress.measuring import PolicyEntry, plan_results
-from pixel2catch.evaluation.transfer.cells import AS_TRAINED, transfer_settings
-from pixel2catch.evaluation.transfer.report import as_csv, as_markdown, make_table, picture
+from pixel2catch.evaluation.stress.measuring import PolicyEntry, find_policies, measure, plan_results
+from pixel2catch.evaluation.stress.report import REAL_ROBOT
+from pixel2catch.evaluation.transfer.cells import AS_TRAINED, pooled, throw_metrics, transfer_settings
+from pixel2catch.evaluation.transfer.report import as_csv, as_markdown, as_page, make_table, picture
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
 
@@ -55,15 +58,8 @@ def content(caught: str) -> dict:
     rates = {name: rate for name in names} | {f"{name}_interval": [low, high] for name in names}
     throws = {"is_tracked": caught, "is_success": caught, "is_verified": caught}
     failures = {"never_reached": 0.0, "dropped": 1.0 - rate}
-    return {
-        "metrics": {
-            **rates,
-            "trials": len(caught),
-            "throws": throws,
-            "failures": failures,
-            "max_penetration": 0.0,
-        }
-    }
+    counts = {"trials": len(caught), "throws": throws, "failures": failures, "max_penetration": 0.1 * rate}
+    return {"metrics": {**rates, **counts}}
 
 
 def test_the_tables_compare_each_engine_with_home():
@@ -73,8 +69,9 @@ def test_the_tables_compare_each_engine_with_home():
         ("one", "mujoco"),
         ("two", "mujoco"),
     ]
-    table = make_table(results, [content(c) for c in ("1111", "1100", "0111", "1110")])
+    table = make_table(results, [content(c)["metrics"] for c in ("1111", "1100", "0111", "1110")])
     text = as_markdown(table)
+    assert not table["orders"]
     assert "| one | 0.5 | mujoco | 100.0 [10, 90] |" in text
     assert "| one | 0.5 | physx | 75.0 [10, 90] | 75.0 [10, 90] | 75.0 [10, 90] | -25.0 [" in text
     assert "| 0, 1 | 1 |" in text.splitlines()[-1]
@@ -82,6 +79,32 @@ def test_the_tables_compare_each_engine_with_home():
     assert len(rows) == 4 * 3
     assert [row["lost"] for row in rows if row["rate"] == "success_rate"] == ["", "", "1", "0"]
     assert picture(table).startswith(b"\x89PNG")
+
+
+def test_rounds_are_pooled():
+    """Three of four and one of two: four of six; of its failures two sixths are drops."""
+    found = pooled([content("1110"), content("01")])
+    assert (found["trials"], found["throws"]["is_success"]) == (6, "111001")
+    assert found["success_rate"] == pytest.approx(4 / 6)
+    assert found["success_rate_interval"] == pytest.approx([0.300, 0.903], abs=1e-3)  # Wilson's, by hand
+    assert found["failures"] == pytest.approx({"never_reached": 0.0, "dropped": 2 / 6})
+    assert found["max_penetration"] == pytest.approx(0.075)
+
+
+def test_the_order_of_the_methods_is_compared_in_every_engine():
+    """At home as on the real robot; in the other engine the best two change places."""
+    methods = ("proposed", "single_agent", "only_wh")
+    policies = [PolicyEntry(name=name, folder=Path(name), method=name) for name in methods]
+    results = plan_results(policies, transfer_settings(ENGINES, (0.5,)), Path("out"))
+    caught = ("1111", "1100", "0000", "1100", "1111", "0000")
+    table = make_table(results, [content(c)["metrics"] for c in caught])
+    assert [each["tau"] for each in table["orders"]] == pytest.approx([1.0, 1 / 3])
+    violation = REAL_ROBOT["proposed"] - REAL_ROBOT["single_agent"]
+    assert [each["rank_violation"] for each in table["orders"]] == pytest.approx([0.0, 2 * violation / 3])
+    page = as_page(table, picture(table), circumstances())
+    assert "<td>single_agent &gt; proposed &gt; only_wh</td>" in page
+    assert page.count("data:image/png;base64,") == 1
+    assert "| physx | 0.5 | single_agent > proposed > only_wh | 0.33 | 14.0 | 1 of 3 |" in as_markdown(table)
 
 
 @pytest.fixture(scope="module")
@@ -102,20 +125,50 @@ def test_the_command_at_home(policy: str, tmp_path: Path, capsys: pytest.Capture
     options = ("--engines", "mujoco", "--restitution", "0", "0.5", "--physics-hz", "30", "--json")
     assert main(arguments(policy, tmp_path, *options)) == 0
     printed = capsys.readouterr()
-    assert "2 cells of 2 throws to do: about" in printed.err
+    assert "2 rounds of 2 throws to do: about" in printed.err
     table = json.loads(printed.out)
     assert [(cell["engine"], cell["restitution"]) for cell in table["cells"]] == [
         ("mujoco", "0"),
         ("mujoco", "0.5"),
     ]
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"cells", "table.md", "table.csv", "table.json", "heatmap.png"}
+    assert names == {"cells", "table.md", "table.csv", "table.json", "heatmap.png", "page.html"}
     cell = json.loads((tmp_path / "cells/untrained/mujoco-0.5.json").read_text())
     assert len(cell["metrics"]["throws"]["is_success"]) == 2
     assert main(arguments(policy, tmp_path, *options)) == 0
     again = capsys.readouterr()
     assert "to do" not in again.err
     assert again.out == printed.out
+
+
+def test_rounds_have_the_throws_of_the_whole(
+    policy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two rounds, each a job of its own, are what one evaluation of two rounds is."""
+    monkeypatch.setattr(command, "THROWS_AT_ONCE", 2)
+    made = command.Transfer(
+        policies=(Path(policy),),
+        engines=("mujoco",),
+        restitution=(0.0,),
+        throws=4,
+        objects=("cube_s",),
+        physics_hz=30.0,
+        out=tmp_path,
+    )
+    made.run()
+    assert len([*tmp_path.glob("cells/untrained/mujoco-0/round-*.json")]) == 2
+    (cell,) = json.loads((tmp_path / "table.json").read_text())["cells"]
+    whole = plan_results(
+        find_policies((Path(policy),)), transfer_settings(("mujoco",), (0.0,)), tmp_path / "whole"
+    )
+    (content,) = measure(whole, made._evaluation(), summarize=throw_metrics)
+    assert cell["throws"] == content["metrics"]["trials"] == 4
+    assert cell["success_rate"]["rate"] == content["metrics"]["success_rate"]
+    rounds = [
+        json.loads(path.read_text()) for path in sorted(tmp_path.glob("cells/untrained/mujoco-0/*.json"))
+    ]
+    for name, texts in content["metrics"]["throws"].items():
+        assert texts == "".join(each["metrics"]["throws"][name] for each in rounds)
 
 
 @NEEDS_PHYSX

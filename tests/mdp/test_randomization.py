@@ -50,6 +50,7 @@ def test_numbers_of_table_1():
         "mass_scale": (0.5, 1.5),
         "restitution": (0.0, 0.5),
         "friction": (0.5, 1.5),
+        "push_out": 0.2,
         "command_delay": (0, 0),
         "command_delay_grid": 1.0,
         "air_density": 0.0,

@@ -5,6 +5,10 @@ import numpy as np
 import pytest
 import torch
 
+from pixel2catch.cli.fields import with_fields
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.methods import METHODS
 from pixel2catch.scene.cfg import PUSH_OUT, contact_solref
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -42,6 +46,21 @@ def test_drops_bounce_with_the_given_restitution(restitution, on, rate):
     heights = 0.4 + np.arange(12) / 12 * 2.8 / rate
     mean = np.mean([restitution_of_a_drop(model, spot, normal, height) for height in heights])
     assert mean == pytest.approx(restitution, abs=0.13 if restitution == 0.0 else 0.05)
+
+
+def test_contacts_can_be_drawn_softer():
+    """Each episode its own; the restitution that is asked for stays in the law of the damping."""
+    options = (("randomization.push-out", "0.1", "0.3"), ("randomization.restitution", "0.25", "0.25"))
+    task = with_fields(CatchEnvCfg(), options)
+    env = CatchEnv(task, METHODS["proposed"], num_envs=8, device="cpu", seed=0)
+    env.reset()
+    solref = env.world.simulation.expand("geom_solref")[:, env.world.objects.indices.geoms]
+    dt = task.scene.physics_dt
+    shares = -solref[:, 0, 0] * dt**2
+    assert ((shares > 0.1) & (shares < 0.3)).all()
+    assert shares.std() > 0.02
+    torch.testing.assert_close(-solref[:, 0, 1] * dt, 1.25 - 0.5 * shares, rtol=1e-5, atol=0.0)
+    env.close()
 
 
 @pytest.mark.parametrize("rate", [120, 240])

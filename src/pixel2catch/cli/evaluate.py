@@ -6,7 +6,16 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import CameraPath, Count, Device, DynamicsPath, OutputFile, PhysicsRate, Seed
+from pixel2catch.checks import (
+    CameraPath,
+    Count,
+    Device,
+    DynamicsPath,
+    OutputFile,
+    PhysicsRate,
+    RobotModelPath,
+    Seed,
+)
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
 from pixel2catch.shipped import PolicyPath
 
@@ -30,6 +39,9 @@ class Evaluate:
     #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
     #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: CameraPath | None = None
+    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
+    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
+    robot_model: tuple[RobotModelPath, ...] = ()
     #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: evaluate --env.help.
     env: FieldOptions = ()
     json: bool = False  #: Print all metrics as one JSON object.
@@ -59,13 +71,14 @@ class Evaluate:
             trials=self.trials,
             seed=self.seed,
             device=self.device,
-            task=EvaluatedTask(options=self.env, command="evaluate")(task),
+            task=EvaluatedTask(options=self.env, command="evaluate", robot_model=self.robot_model)(task),
         )
         files = {"dynamics": self.dynamics, "camera": self.camera}
         source = {
             "policy": str(self.policy or "shipped"),
             "policy_sha256": fingerprint(self.policy),
             **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
+            "robot_model_sha256": [sha256(file) for file in self.robot_model],
         }
         for remark in camera_remark(policy, cfg.task):
             say(remark)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -42,6 +43,7 @@ class EvaluatedTask:
 
     options: FieldOptions  #: The fields and their values.
     command: str  #: The command, for its help.
+    robot_model: tuple[Path, ...] = ()  #: Makers' models of parts of the robot, if it shall be simulated so.
     then: "Callable[[CatchEnvCfg], CatchEnvCfg] | None" = None  #: What else changes.
 
     def __call__(self, env: "CatchEnvCfg") -> "CatchEnvCfg":
@@ -56,4 +58,7 @@ class EvaluatedTask:
                 raise InvalidValueError(
                     f"--env.{name} is the protocol's to set in '{self.command}'; name objects by --objects."
                 )
+        if self.robot_model:
+            scene = dataclasses.replace(changed.scene, robot_model=tuple(map(str, self.robot_model)))
+            changed = dataclasses.replace(changed, scene=scene)
         return self.then(changed) if self.then else changed

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import OutputFile
+from pixel2catch.checks import OutputFile, RobotModelPath
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,9 +19,21 @@ class Scene:
     object: str = "cube_s"  #: Name of the object that is in the scene.
     workcell: str = "ur5e_allegro"  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
 
+    #: Makers' models of arm, hand or both, URDF or MJCF, in place of ours; prints what differs.
+    robot_model: tuple[RobotModelPath, ...] = ()
+    surface: Literal["collision", "visual"] = "collision"  #: Which shapes of these collide.
+
     def run(self) -> None:
         """Write the file."""
+        from pixel2catch.evaluation.report import markdown
+        from pixel2catch.robots.maker_difference import differences
         from pixel2catch.scene.scene import SceneCfg, export
+        from pixel2catch.workcells import find_workcell
 
-        export(self.file, SceneCfg(workcell=self.workcell, visuals=True), self.object)
+        files = tuple(map(str, self.robot_model))
+        cfg = SceneCfg(workcell=self.workcell, visuals=True, robot_model=files, robot_surface=self.surface)
+        export(self.file, cfg, self.object)
+        if files:
+            whole, bodies = differences(find_workcell(self.workcell), files, self.surface)
+            print(markdown(whole, 1), markdown(bodies, 1), sep="\n")
         print(f"wrote {self.file}")

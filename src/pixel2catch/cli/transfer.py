@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, Seed, Within
+from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, RobotModelPath, Seed, Within
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
 from pixel2catch.shipped import PolicyPath
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 THROWS_AT_ONCE = 20
 """Throws of a round. Source: ours: other engines step them one after the other, so that more gain nothing."""
-
 Share = Annotated[float, Within(0.0, 1.0)]
 
 
@@ -37,8 +36,11 @@ class Transfer:
     #: What is thrown: seen, unseen, real, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     seed: Seed = 0  #: Seed of everything that is drawn.
-    jobs: Count = 1  #: Cells that are tried at once, each in a process with one thread.
+    jobs: Count = 1  #: Rounds of 20 throws that are tried at once, each in a process with one thread.
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
+    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
+    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
+    robot_model: tuple[RobotModelPath, ...] = ()
     #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: transfer --env.help.
     env: FieldOptions = ()
     out: ResultsFolder = Path("transfer")  #: Folder of the results; other throws need another one.
@@ -50,7 +52,13 @@ class Transfer:
 
         from pixel2catch.cli.console import say
         from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
-        from pixel2catch.evaluation.transfer.cells import estimated_seconds, throw_metrics, transfer_settings
+        from pixel2catch.evaluation.transfer.cells import (
+            estimated_seconds,
+            pooled,
+            rounds_of,
+            throw_metrics,
+            transfer_settings,
+        )
         from pixel2catch.evaluation.transfer.report import as_markdown, make_table, write_report
         from pixel2catch.files import json_text
         from pixel2catch.progress import ProgressBar, duration
@@ -59,24 +67,28 @@ class Transfer:
 
         for engine in self.engines:
             require_engine(engine)
-        cfg = self._evaluation()
+        whole = self._evaluation()
+        cfg, num_rounds = replace(whole, trials=1), whole.trials
         settings = tuple(map(self._with_fields, transfer_settings(self.engines, self.restitution)))
         policies = find_policies(self.policies or (policy_folder(None),))
-        results = plan_results(policies, settings, self.out)
+        cells = plan_results(policies, settings, self.out)
+        results = rounds_of(cells, num_rounds)
         missing = [each for each in results if each.read() is None]
         if missing:
             left = duration(estimated_seconds(missing, cfg) / min(self.jobs, len(missing)))
-            say(f"{len(missing)} cells of {self.throws} throws to do: about {left}")
+            say(f"{len(missing)} rounds of {cfg.num_envs} throws to do: about {left}")
 
         def report(number: int, result: "Result", metrics: "Metrics") -> None:
             name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
             say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
 
         with ProgressBar("transfer", 1.0, console=Console(stderr=True, highlight=False)) as bar:
-            table = make_table(results, measure(results, cfg, report, self.jobs, bar.show, throw_metrics))
+            contents = measure(results, cfg, report, self.jobs, bar.show, throw_metrics)
+        found = [pooled(contents[i : i + num_rounds]) for i in range(0, len(contents), num_rounds)]
+        table = make_table(cells, found)
         print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
         write_report(self.out, table)
-        say(f"wrote {self.out}: table.md, table.csv, table.json, heatmap.png")
+        say(f"wrote {self.out}: page.html, table.md, table.csv, table.json, heatmap.png")
 
     def _evaluation(self) -> "EvaluationCfg":
         """What is thrown, in rounds.
@@ -108,7 +120,12 @@ class Transfer:
         )
 
     def _with_fields(self, setting: "Setting") -> "Setting":
-        if not self.env:
+        if not self.env and not self.robot_model:
             return setting
-        change = EvaluatedTask(options=self.env, command="transfer", then=setting.level.change)
+        change = EvaluatedTask(
+            options=self.env,
+            command="transfer",
+            robot_model=self.robot_model,
+            then=setting.level.change,
+        )
         return replace(setting, level=replace(setting.level, change=change))

@@ -272,7 +272,9 @@ class CatchWorld:
             factor = parameters.mass_scale.to(value.dtype) ** MASS_POWER.get(name, 0)
             scaled = value * factor.view(-1, *(1,) * (value.ndim - 1)) if name in MASS_POWER else value
             self._write(mask, name, rows(name), scaled)
-        stiffness, damping = contact_solref(parameters.restitution, self._scene.physics_dt)
+        stiffness, damping = contact_solref(
+            parameters.restitution, self._scene.physics_dt, parameters.push_out
+        )
         solref = torch.stack((stiffness, damping), dim=-1)
         self._write(mask, "geom_solref", rows("geom_solref"), solref[:, None])
         friction = self.simulation.expand("geom_friction")[:, rows("geom_friction"), 0]

@@ -24,10 +24,12 @@ def heat_map(
     columns: Sequence[str],
     groups: Sequence[str],
     label: str,
+    digits: int = 0,
 ) -> bytes:
     """Rates [%] in coloured cells, each with a mark behind it, as a PNG file.
 
-    Rows and columns have titles; thick lines part rows of different groups. The label is that of the colours.
+    Rows and columns have titles; thick lines part rows of different groups. The label is that of the colours;
+    digits are those of the rates behind the point.
     """
     width = COLUMN_WIDTH * len(columns) + 0.45 * max(len(m) for row in marks for m in row) / 8
     figure = Figure(figsize=(3.0 + width, 1.5 + ROW_HEIGHT * len(rates)), layout="constrained")
@@ -35,7 +37,7 @@ def heat_map(
         axes = figure.subplots()
         image = axes.pcolormesh(np.array(rates), cmap=PALETTE, vmin=0.0, vmax=100.0)
         _label(axes, rows, columns)
-        _write_numbers(axes, rates, marks)
+        _write_numbers(axes, rates, marks, digits)
         _separate(axes, groups, len(columns))
         bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.7, aspect=30, pad=0.01)
         bar.set_label(label)
@@ -52,11 +54,11 @@ def _label(axes: Axes, titles: Sequence[str], names: Sequence[str]) -> None:
         side.set_visible(False)
 
 
-def _write_numbers(axes: Axes, rates: Sequence[Sequence[float]], marks: Texts) -> None:
+def _write_numbers(axes: Axes, rates: Sequence[Sequence[float]], marks: Texts, digits: int) -> None:
     for i, row in enumerate(rates):
         for j, rate in enumerate(row):
             color = "white" if rate < DARK else "black"
-            axes.text(j + 0.5, i + 0.53, f"{rate:.0f}", ha="center", va="center", color=color)
+            axes.text(j + 0.5, i + 0.53, f"{rate:.{digits}f}", ha="center", va="center", color=color)
             axes.text(j + 0.72, i + 0.56, marks[i][j], ha="left", va="center", color=color)
 
 

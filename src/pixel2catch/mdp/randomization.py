@@ -13,8 +13,9 @@ from torch import Tensor
 from pixel2catch.device_constants import constant
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.sensing import SensingCfg
-from pixel2catch.mdp.throws import Amount, Range, uniform
+from pixel2catch.mdp.throws import Amount, Range, drawn, uniform
 from pixel2catch.robots.workcell import WorkcellSpec
+from pixel2catch.scene.cfg import PUSH_OUT
 
 LARGEST_FACTOR = 1e3  #: On a gain; a larger one is a mistake. Source: ours.
 
@@ -76,6 +77,8 @@ class RandomizationCfg:
     mass_scale: Range = (0.5, 1.5)  #: Factor on the object's mass and inertia.
     restitution: Range = (0.0, 0.5)  #: Restitution of contacts with the object.
     friction: Range = (0.5, 1.5)  #: Sliding friction of contacts with the object (release).
+    #: Share of a penetration of the object that a physics step removes: how stiff contacts are (ours).
+    push_out: Amount = PUSH_OUT
     #: Control steps between a command and its effect, first and last of the draw per episode (ours; the
     #: paper's training has none).
     command_delay: Range = (0, 0)
@@ -99,6 +102,7 @@ class EpisodeParameters:
     mass_scale: Float[Tensor, " num_envs"]  #: Factor on the object's mass.
     restitution: Float[Tensor, " num_envs"]  #: Restitution of contacts with the object.
     friction: Float[Tensor, " num_envs"]  #: Sliding friction of contacts with the object.
+    push_out: Float[Tensor, " num_envs"]  #: Share of its penetration that a physics step removes.
     latency: Float[Tensor, " num_envs"]  #: Control steps between image and delivered box; not always whole.
 
 
@@ -136,6 +140,7 @@ def sample_parameters(
         mass_scale=scalars[:, 0],
         restitution=scalars[:, 1],
         friction=scalars[:, 2],
+        push_out=drawn(cfg.push_out, num_envs, generator),
         latency=sample_delay(sensing.latency_steps, sensing.latency_grid, num_envs, generator),
     )
 

@@ -1,7 +1,7 @@
 """Meshes of the robots for pictures, from a checkout of the MuJoCo Menagerie; nothing collides with them."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -12,7 +12,7 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.chain import pose_matrix
 from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.spec import MeshSource, RobotSpec
-from pixel2catch.robots.workcell import VISUAL_GROUP, WorkcellSpec, robot_mjcf
+from pixel2catch.robots.workcell import VISUAL_GROUP, WorkcellSpec, parts_of, robot_mjcf
 
 Pose = Float[np.ndarray, "4 4"]
 
@@ -33,7 +33,7 @@ def require_meshes(workcell: WorkcellSpec, folder: Path) -> None:
     Raises:
         InvalidValueError: If it does, or if no robot of the work cell is known to have meshes there.
     """
-    known = [part.meshes.mjcf for _, part in _parts(workcell) if part.meshes]
+    known = [part.meshes.mjcf for _, part in parts_of(workcell) if part.meshes]
     if not known:
         raise InvalidValueError(
             f"no meshes are known of the robots of '{workcell.name}'; leave --meshes out."
@@ -54,7 +54,7 @@ def add_meshes(spec: mujoco.MjSpec, workcell: WorkcellSpec, folder: Path) -> Non
         InvalidValueError: As `require_meshes`, or if a model there cannot be read.
     """
     require_meshes(workcell, folder)
-    for prefix, part in _parts(workcell):
+    for prefix, part in parts_of(workcell):
         if part.meshes:
             _dress(spec, prefix, part, part.meshes, folder)
 
@@ -62,7 +62,7 @@ def add_meshes(spec: mujoco.MjSpec, workcell: WorkcellSpec, folder: Path) -> Non
 def _dress(spec: mujoco.MjSpec, prefix: str, part: RobotSpec, source: MeshSource, folder: Path) -> None:
     """Exchange what is seen of one part."""
     meshes, theirs = _seen_meshes(folder / source.mjcf)
-    ours = _body_poses(robot_mjcf(replace(part, tool=None)))
+    ours = _body_poses(robot_mjcf(part))
     bodies = dict(source.bodies)
     for name in set(bodies.values()):
         for geom in tuple(spec.body(prefix + name).geoms):
@@ -120,16 +120,6 @@ def _body_poses(spec: mujoco.MjSpec) -> dict[str, Pose]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return {model.body(i).name: pose_matrix(data.xpos[i], data.xquat[i]) for i in range(model.nbody)}
-
-
-def _parts(workcell: WorkcellSpec) -> Iterator[tuple[str, RobotSpec]]:
-    """All parts of all robots, with what their names begin with."""
-    for placed in workcell.robots:
-        prefix = ""
-        while placed is not None:
-            prefix += placed.prefix
-            yield prefix, placed.robot
-            placed = placed.robot.tool
 
 
 def _pos_quat(pose: Pose) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:

@@ -20,8 +20,7 @@ from jaxtyping import Bool, Float, UInt8
 from mujoco.rendering.classic import gl_context
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
-from pixel2catch.robots.geometry import COLLISION_GROUP
-from pixel2catch.robots.workcell import VISUAL_GROUP
+from pixel2catch.robots.workcell import COLLISION_GROUP, VISUAL_GROUP
 from pixel2catch.scene.constants import RGB_CAMERA
 
 GL_BACKENDS = ("egl", "osmesa")  #: MuJoCo's without a display, preferred first: EGL also draws on a GPU.

@@ -17,14 +17,12 @@ from torch import Tensor
 
 from pixel2catch.robots.chain import Chain, pose_matrix
 from pixel2catch.robots.spec import Vec3
-from pixel2catch.robots.workcell import PlacedPalm, WorkcellSpec, add_robots
+from pixel2catch.robots.workcell import COLLISION_GROUP, PlacedPalm, WorkcellSpec, add_robots
 
 TABLE_CLEARANCE = 0.02  #: Distance to keep from the table's top and from its sides [m]. Source: ours.
 
 POINTS_PER_CAPSULE = 5
 """Points of a capsule's axis that training looks at. Source: ours: 9 cm apart on the longest."""
-
-COLLISION_GROUP = 3  #: Geom group of everything of a robot that collides.
 
 
 @cache

@@ -20,22 +20,52 @@ GROWING = ("include", "replicate", "composite", "flexcomp")
 """Elements that make others, or read other files; a robot has none."""
 
 
+URDF_COMPILER = '<mujoco><compiler strippath="false" fusestatic="false" discardvisual="false"/></mujoco>'
+"""What MuJoCo is told about a URDF: to keep all links, and of meshes the paths and what is only seen."""
+
+MESH_ENDINGS = (".stl", ".obj", ".msh")  #: What MuJoCo reads of meshes.
+
+
 def read_mjcf(path: Path) -> mujoco.MjSpec:
-    """Read a model.
+    """Read a model, MJCF or URDF, whose meshes are where it says or in a folder above.
 
     Raises:
         InvalidValueError: It cannot be read, or is too large, too deep or grows.
     """
-    with reading("model", path, "Write MJCF, as for MuJoCo."):
-        _require_simple(read_bytes(path, MOST_MJCF))
-        return mujoco.MjSpec.from_file(str(path))
+    with reading("model", path, "Write MJCF, as for MuJoCo, or URDF without macros."):
+        content = read_bytes(path, MOST_MJCF)
+        if _require_simple(content) != "robot":
+            return mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_string(content.decode().replace("</robot>", f"{URDF_COMPILER}</robot>"))
+        for mesh in tuple(spec.meshes):
+            if Path(mesh.file).suffix.lower() in MESH_ENDINGS:
+                mesh.file = str(_find_mesh(mesh.file, path.parent.resolve()))
+            else:
+                for geom in tuple(spec.geoms):
+                    if geom.meshname == mesh.name:
+                        spec.delete(geom)
+                spec.delete(mesh)
+        return spec
 
 
-def _require_simple(content: bytes) -> None:
+def _find_mesh(name: str, folder: Path) -> Path:
+    """The file of `package://NAME/PATH`, or of a path, from a folder or one above."""
+    parts = Path(name.partition("://")[2] or name)
+    for above in (folder, *folder.parents):
+        for found in (above / parts, above / Path(*parts.parts[1:])):
+            if found.is_file():
+                return found
+    raise InvalidValueError(f"there is no mesh '{name}' in {folder} or above")
+
+
+def _require_simple(content: bytes) -> str:
+    """The name of the outermost element."""
     depth = num_elements = 0
+    root = ""
 
     def begin(name: str, _: object) -> None:
-        nonlocal depth, num_elements
+        nonlocal depth, num_elements, root
+        root = root or name
         depth, num_elements = depth + 1, num_elements + 1
         if depth > MOST_NESTED or num_elements > MOST_ELEMENTS:
             raise InvalidValueError(
@@ -63,3 +93,4 @@ def _require_simple(content: bytes) -> None:
         parser.Parse(content, True)
     except expat.ExpatError as error:
         raise InvalidValueError(f"it is no XML ({error})") from error
+    return root

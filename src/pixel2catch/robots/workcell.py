@@ -1,5 +1,6 @@
 """A work cell: robots with their places, and a table. All that is simulated, trained and driven is of one."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -11,6 +12,7 @@ from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.spec import JointGroup, JointSpec, PalmSpec, Placed, RobotSpec, Vec3
 
 VISUAL_GROUP = 2  #: Geom group of what is only seen.
+COLLISION_GROUP = 3  #: Geom group of everything of a robot that collides.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,6 +135,16 @@ def _prefixed(palm: PalmSpec, prefix: str) -> PalmSpec:
     return replace(
         palm, name=prefix + palm.name, site=prefix + palm.site, body=prefix + palm.body, fingers=fingers
     )
+
+
+def parts_of(workcell: WorkcellSpec) -> Iterator[tuple[str, RobotSpec]]:
+    """All parts of all robots without their tools, each with what its names begin with."""
+    for placed in workcell.robots:
+        prefix, part = "", placed
+        while part is not None:
+            prefix += part.prefix
+            yield prefix, replace(part.robot, tool=None)
+            part = part.robot.tool
 
 
 def add_robots(spec: mujoco.MjSpec, workcell: WorkcellSpec, visuals: bool) -> None:

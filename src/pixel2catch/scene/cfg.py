@@ -8,6 +8,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.robots.maker import Surface
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -33,6 +34,10 @@ class SceneCfg:
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: float = 1.0 / PHYSICS_DT
     engine: str = "mujoco"  #: Whose physics it is: mujoco, or another to judge policies by, such as physx.
+    #: Makers' models, URDF or MJCF, one for each part of the robot that shall be simulated by it. Default:
+    #: our models.
+    robot_model: tuple[str, ...] = ()
+    robot_surface: Surface = "collision"  #: What of these touches: their collision shapes, or what is drawn.
     visuals: bool = False  #: Whether to add lights, textures and what is only seen.
     camera: CameraSpec = RGB_CAMERA  #: What pictures are taken by.
     #: Sliding friction of the object; randomised per environment by the release.
@@ -69,21 +74,27 @@ class SceneCfg:
 Value = TypeVar("Value", float, ndarray, Tensor)
 
 
-def contact_solref(restitution: Value, physics_dt: float) -> tuple[Value, Value]:
+def contact_solref(
+    restitution: Value, physics_dt: float, push_out: Value | float = PUSH_OUT
+) -> tuple[Value, Value]:
     """Stiffness and damping of a contact, as the two negative numbers (-k, -b) of a direct `solref`.
 
-    A step of length dt changes the normal velocity v at depth p by dt (b |v| + k p). With k = PUSH_OUT / dt²
-    and b = (1 + e - PUSH_OUT / 2) / dt, and depths spread evenly over the way of one step, the mean velocity
+    A step of length dt changes the normal velocity v at depth p by dt (b |v| + k p). With k = push_out / dt²
+    and b = (1 + e - push_out / 2) / dt, and depths spread evenly over the way of one step, the mean velocity
     after the impact is e |v|: e, the restitution, is a number, or an array or tensor of them.
+
+    Below half of `push_out` that does not hold: an impact that a step finds deep rebounds by up to so much,
+    one that it finds shallow needs a second step and does so then. A restitution of 0 is 0.1 in the mean.
     """
-    stiffness = PUSH_OUT / physics_dt**2 + 0.0 * restitution
-    damping = (1.0 - 0.5 * PUSH_OUT + restitution) / physics_dt
+    stiffness = push_out / physics_dt**2 + 0.0 * restitution
+    damping = (1.0 - 0.5 * push_out + restitution) / physics_dt
     return -stiffness, -damping
 
 
-def restitution_of(damping: float, physics_dt: float) -> float:
-    """The restitution of a contact with this second number of a direct `solref`; 0 of any other form."""
-    return min(max(-damping * physics_dt - 1.0 + 0.5 * PUSH_OUT, 0.0), 1.0)
+def restitution_of(solref: ndarray, physics_dt: float) -> float:
+    """The restitution of a contact with a direct `solref`; 0 of any other form."""
+    push_out = -float(solref[0]) * physics_dt**2
+    return min(max(-float(solref[1]) * physics_dt - 1.0 + 0.5 * push_out, 0.0), 1.0)
 
 
 def table_solref(physics_dt: float) -> tuple[float, float]:

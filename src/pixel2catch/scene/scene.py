@@ -15,6 +15,7 @@ import numpy as np
 from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.robots.maker import add_maker_bodies
 from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, TableSpec, WorkcellSpec, add_robots
 from pixel2catch.scene.cfg import SOLIMP, SceneCfg, contact_solref, table_solref
@@ -60,6 +61,8 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     _set_options(spec, cfg)
     _add_surroundings(spec, cfg, workcell.table)
     add_robots(spec, workcell, cfg.visuals)
+    if cfg.robot_model:
+        add_maker_bodies(spec, workcell, cfg.robot_model, cfg.robot_surface)
     _add_servos(spec, workcell.joints)
     _add_object(spec, cfg, OBJECTS[object_name])
     _add_contact_sensors(spec, workcell)

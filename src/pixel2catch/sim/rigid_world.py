@@ -12,6 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.robots.maker import directions
 from pixel2catch.scene.cfg import restitution_of
 
 Pose = Float[ndarray, "4 4"]
@@ -103,7 +104,7 @@ def rigid_world(model: mujoco.MjModel) -> RigidWorld:
         gravity=np.array(model.opt.gravity),
         timestep=model.opt.timestep,
         friction=float(model.geom_friction[first, 0]),
-        restitution=restitution_of(float(model.geom_solref[first, 1]), model.opt.timestep),
+        restitution=restitution_of(model.geom_solref[first], model.opt.timestep),
     )
 
 
@@ -233,7 +234,7 @@ def _geom(model: mujoco.MjModel, geom: int, pose: Pose) -> Geom:
         first = model.mesh_vertadr[mesh]
         vertices = np.array(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], dtype=float)
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        kind, vertices = mujoco.mjtGeom.mjGEOM_MESH, size * _sphere(ELLIPSOID_POINTS)
+        kind, vertices = mujoco.mjtGeom.mjGEOM_MESH, size * directions(ELLIPSOID_POINTS)
     return Geom(
         type=kind,
         size=size,
@@ -242,14 +243,6 @@ def _geom(model: mujoco.MjModel, geom: int, pose: Pose) -> Geom:
         contype=int(model.geom_contype[geom]),
         conaffinity=int(model.geom_conaffinity[geom]),
     )
-
-
-def _sphere(count: int) -> Float[ndarray, "count 3"]:
-    """Points spread evenly over the unit sphere, on a golden spiral."""
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    radius = np.sqrt(1.0 - z**2)
-    return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), z))
 
 
 def _fixed(

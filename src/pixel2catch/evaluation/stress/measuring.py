@@ -55,6 +55,7 @@ class Result:
     policy: PolicyEntry
     setting: Setting
     file: Path
+    skipped: int = 0  #: Rounds that come before its first, in other results.
 
     def read(self) -> Json | None:
         """Its metrics, if they are there.
@@ -198,7 +199,7 @@ def _entry(folder: Path) -> PolicyEntry:
 def _evaluation(result: Result, cfg: EvaluationCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
     policy, method = load_policy(result.policy.folder, device)
     task = result.setting.level.change(task_of(policy, cfg.task.scene.physics_hz))
-    return policy, method, replace(cfg, device=device, task=task)
+    return policy, method, replace(cfg, device=device, task=task, seed=cfg.seed + result.skipped)
 
 
 def _origin(result: Result, cfg: EvaluationCfg) -> Json:

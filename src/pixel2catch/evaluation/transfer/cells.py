@@ -5,14 +5,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.evaluation.metrics import Metrics, metrics
+from pixel2catch.evaluation.metrics import Metrics, metrics, pooled_counts, wilson_interval
 from pixel2catch.evaluation.protocol import ROUND_STEPS, EvaluationCfg, Trials, round_steps
-from pixel2catch.evaluation.stress.measuring import Result
+from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
-PAIRED = ("is_tracked", "is_success", "is_verified")
-"""What is noted of every throw, so that engines can be compared throw by throw."""
+RATES = {
+    "tracking_rate": "is_tracked",
+    "success_rate": "is_success",
+    "verified_hold_rate": "is_verified",
+}
+"""Rates of the tables, and what is noted of every throw for them, so that engines are compared in pairs."""
+
+PAIRED = tuple(RATES.values())
 
 PROBE_STEPS = 3  #: Control steps by which the time of a cell is estimated. Source: ours.
 
@@ -48,6 +54,32 @@ def throw_metrics(trials: Trials) -> Metrics:
         "is_verified": trials.is_verified,
     }
     return {**metrics(trials), "throws": {name: _as_text(columns[name].tolist()) for name in PAIRED}}
+
+
+def rounds_of(results: Sequence[Result], num_rounds: int) -> list[Result]:
+    """Each round of each result, computed at once with others; of one round the results themselves."""
+    if num_rounds == 1:
+        return list(results)
+    return [
+        replace(each, file=each.file.with_suffix("") / f"round-{number}.json", skipped=number)
+        for each in results
+        for number in range(num_rounds)
+    ]
+
+
+def pooled(contents: Sequence[Json]) -> Json:
+    """What `throw_metrics` found in the rounds of a result, together."""
+    parts = [content["metrics"] for content in contents]
+    found: Metrics = {"trials": sum(part["trials"] for part in parts)}
+    for name in RATES:
+        count, trials = pooled_counts(parts, name)
+        found |= {name: count / trials, f"{name}_interval": list(wilson_interval(count, trials))}
+    found["throws"] = {name: "".join(part["throws"][name] for part in parts) for name in PAIRED}
+    found["failures"] = {
+        name: sum(part["failures"][name] * part["trials"] for part in parts) / found["trials"]
+        for name in parts[0]["failures"]
+    }
+    return found | {"max_penetration": max(part["max_penetration"] for part in parts)}
 
 
 def _as_text(happened: Sequence[bool]) -> str:
