@@ -30,8 +30,8 @@ GROUPS = (
     JointGroup(name="hand", role="hand", joints=tuple(hand), command="absolute", **noise),
 )
 fingers = tuple(FingerSpec(name=n, root=f"scoop_{n}", tip=f"scoop_{n}") for n in ("left", "right", "thumb"))
-box = {"lower": (-0.14, -0.09, -0.09), "upper": (0.05, 0.09, 0.26)}
-PALM = PalmSpec(name="palm", site="scoop_palm", body="scoop_palm", fingers=fingers, **box)
+low, high = (-0.14, -0.09, -0.09), (0.05, 0.09, 0.26)  # about palm, fingers and the link behind [m]
+PALM = PalmSpec(name="palm", site="scoop_palm", body="scoop_palm", fingers=fingers, lower=low, upper=high)
 SCOOP = RobotSpec(
     name="scoop", mjcf=Path(__file__).with_suffix(".xml"), root="scoop_base", groups=GROUPS, palms=(PALM,)
 )
