@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 LAUNCH = PROFILES.parent / "launch"
 GUIDE = re.sub(r" \\\n +", " ", (ROOT / "docs" / "laboratory.md").read_text("utf-8"))
 RISKS = (ROOT / "docs" / "risks.md").read_text("utf-8")
-SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
+SHIPPED = sorted(path.stem for path in PROFILES.glob("ur5e_allegro_*.yaml"))
 GROUP = "push-ros-namespace"
 
 

@@ -45,6 +45,9 @@ HAND_REWARD = (
 )
 """Of a group that moves fingers. Source: paper, Eq. 4."""
 
+BESIDE_OTHERS = RewardTerm(function=rewards.robot_contact, weight=-5.0)
+"""Of every group where there are several robots. Source: ours, as much as touching the table."""
+
 REWARDS = {"arm": ARM_REWARD, "hand": HAND_REWARD}
 
 RESTING_REWARDS = {
@@ -127,8 +130,9 @@ def agents_of(
     workcell: WorkcellSpec, rewards_by_role: dict[str, tuple[RewardTerm, ...]] = REWARDS
 ) -> tuple[AgentSpec, ...]:
     """One agent for each joint group of a work cell, in joint order."""
+    also = (BESIDE_OTHERS,) if len(workcell.robots) > 1 else ()
     return tuple(
-        AgentSpec(name=group.name, parts=(_part_of(workcell, group, rewards_by_role[group.role]),))
+        AgentSpec(name=group.name, parts=(_part_of(workcell, group, rewards_by_role[group.role] + also),))
         for group in workcell.groups
     )
 

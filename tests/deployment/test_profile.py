@@ -13,9 +13,10 @@ from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import decode
 from pixel2catch.ros2.profile import PROFILES, Profile
+from pixel2catch.workcells import find_workcell
 
 NAMES = [joint.name for joint in JOINTS]
-SHIPPED = sorted(path.stem for path in PROFILES.glob("*.yaml"))
+SHIPPED = sorted(path.stem for path in PROFILES.glob("ur5e_allegro_*.yaml"))
 ARM = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
 INDEX, MIDDLE, RING, THUMB = [6.0, 7.0, 8.0], [9.0, 10.0, 11.0], [12.0, 13.0, 14.0], [15.0, 16.0, 17.0, 18.0]
 THUMB_FIRST = [*THUMB, 0.0, *INDEX, 0.0, *MIDDLE, 0.0, *RING]
@@ -35,6 +36,26 @@ def test_shipped_profiles_have_all_joints_and_the_policies_camera(name: str):
     assert profile.status.safety_mode
     assert profile.status.safety_mode.is_latched
     assert profile.operator.dead_man.name == "/pixel2catch/dead_man"
+
+
+def test_every_other_work_cell_with_a_policy_has_a_profile_that_moves_all_its_joints():
+    """What is sent in the driver's order is read back by its names; of LEAP fingers abduction is first."""
+    others = sorted({path.stem for path in PROFILES.glob("*.yaml")} - {*SHIPPED})
+    assert others == ["fr3_allegro", "two_ur5e_allegro", "ur5e_leap"]
+    for name in others:
+        profile = Profile.load(name)
+        joints = find_workcell(name).joint_names
+        profile.require(joints)
+        assert (profile.name, profile.workcell) == (name, name)
+        targets, joint_pos = np.arange(len(joints), dtype=np.float64), np.full(len(joints), -1.0)
+        for part in profile.robots:
+            sent: Any = decode(part.command(targets), part.command_topic.type)
+            values = sent.data if hasattr(sent, "data") else sent.position
+            states = {j.name_in_state: values[j.index_in_command] for j in part.joints.values()}
+            part.merge(reading(**states), joint_pos)
+        np.testing.assert_array_equal(joint_pos, targets)
+    hand = Profile.load("ur5e_leap").robots[1]
+    assert positions_of(hand.command(np.arange(22.0)))[:4].tolist() == [7.0, 6.0, 8.0, 9.0]
 
 
 def positions_of(data: bytes) -> np.ndarray:

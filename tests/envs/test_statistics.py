@@ -157,9 +157,11 @@ def state_of(height: float, speed: float = 0.0, joint_speed: float = 0.0) -> Pri
         fingertip_pos=torch.zeros(1, 4, 3),
         object_pos=torch.tensor([[1.0, 0.0, height]]),
         object_lin_vel=torch.tensor([[0.0, 0.0, -speed]]),
+        object_reach=torch.tensor([0.08]),
         is_touching=torch.zeros(1, 5, dtype=torch.bool),
         is_robot_on_table=yes(0),
         is_self_contact=yes(0),
+        is_robot_contact=yes(0),
         joint_vel=joint_vel,
     )
 
@@ -182,7 +184,7 @@ def log_of(
     touched = torch.zeros(1, 5, dtype=torch.bool)
     touched[0, 2] = touching
     depth, none = torch.tensor([penetration]), torch.zeros(1)
-    return StepExtremes(touched, yes(0), yes(itself), depth, none, none, none, torch.tensor([torque]))
+    return StepExtremes(touched, yes(0), yes(itself), yes(0), depth, none, none, none, torch.tensor([torque]))
 
 
 def test_a_record_of_three_steps_by_hand():

@@ -20,6 +20,7 @@ from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.mdp.throws import Range, ThrowCfg
 from pixel2catch.methods import find_method
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
+from pixel2catch.scene.objects import SIZES
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -166,6 +167,7 @@ def test_files_of_robot_and_camera_are_those_of_all_variants():
 def test_tasks_by_name():
     assert find_task("nominal") == CatchEnvCfg()
     assert find_task("wide").is_value_told
+    assert find_task("sizes").objects == SIZES
     with pytest.raises(UnknownNameError, match=r"unknown task 'wild'.*Valid: nominal, wide"):
         find_task("wild")
 

@@ -27,6 +27,7 @@ from pixel2catch.evaluation.stress.suite import AXES, Setting, select_settings
 from pixel2catch.methods import METHODS, PROPOSED, Method
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.scene.objects import SEEN
+from pixel2catch.workcells import find_workcell, workcells
 
 SETTINGS = {setting.name: setting for setting in select_settings(())}
 TASK = CatchEnvCfg()
@@ -61,6 +62,13 @@ def test_every_level_changes_the_task_and_says_why(setting: Setting):
     assert len(setting.level.source) > 10
     assert pickle.loads(pickle.dumps(setting)) == setting
     assert set(setting.name) <= set("abcdefghijklmnopqrstuvwxyzH0123456789_.-")
+
+
+@pytest.mark.parametrize("name", sorted(workcells()))
+def test_every_level_is_for_every_work_cell(name: str):
+    workcell = find_workcell(name)
+    for setting in SETTINGS.values():
+        setting.level.change(TASK.with_workcell(workcell)).for_workcell(workcell)
 
 
 def test_settings_have_names_of_their_own():

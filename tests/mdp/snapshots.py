@@ -50,9 +50,11 @@ def privileged(**values: Tensor) -> Privileged:
         "fingertip_pos": torch.zeros(num_envs, 4, 3),
         "object_pos": torch.tensor([1.0, 0.0, 1.0]).repeat(num_envs, 1),
         "object_lin_vel": torch.zeros(num_envs, 3),
+        "object_reach": torch.full((num_envs,), 0.08),
         "is_touching": torch.zeros(num_envs, 5, dtype=torch.bool),
         "is_robot_on_table": torch.zeros(num_envs, dtype=torch.bool),
         "is_self_contact": torch.zeros(num_envs, dtype=torch.bool),
+        "is_robot_contact": torch.zeros(num_envs, dtype=torch.bool),
         "joint_vel": torch.zeros(num_envs, NUM_JOINTS),
     }
     if "palm_pos" in values and values["palm_pos"].ndim == 2:

@@ -16,9 +16,12 @@ from pixel2catch.mdp.terminations import (
     is_ended,
     is_near,
     is_success,
+    near_palms,
     palm_distance,
+    reach_of,
 )
 from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.objects import OBJECTS, REAL, SEEN, UNSEEN
 
 
 def test_numbers_of_the_task():
@@ -39,6 +42,19 @@ def test_near_is_a_ball_of_eight_centimetres(distance, azimuth, elevation):
     now = privileged(object_pos=palm + distance * torch.tensor([direction]), palm_pos=palm)
     assume(abs(distance - 0.08) > 1e-6)
     assert is_near(now).item() == (distance < 0.08)
+
+
+def test_a_large_object_is_reached_at_its_surface():
+    """The release's objects at 8 cm from their middle, a ball of 28 cm at 17.5; by each palm for itself."""
+    assert max(OBJECTS[name].radius for name in (*SEEN, *UNSEEN, *REAL)) < 0.0405
+    assert {reach_of(OBJECTS[name].radius) for name in (*SEEN, *UNSEEN, *REAL)} == {0.08}
+    assert reach_of(0.14) == pytest.approx(0.175)
+    assert OBJECTS["ball_28"].radius == pytest.approx(0.14, rel=0.01)
+    palms = torch.tensor([[[1.0, 0.17, 1.0], [1.0, -0.18, 1.0]]])
+    for reach, expected in ((0.175, [True, False]), (0.185, [True, True]), (0.08, [False, False])):
+        now = privileged(palm_pos=palms, object_reach=torch.tensor([reach]))
+        assert near_palms(now).tolist() == [expected]
+        assert is_near(now).item() == any(expected)
 
 
 @pytest.mark.parametrize(
@@ -69,6 +85,13 @@ def steps() -> Transition:
 
 def test_an_episode_ends_on_time_out_drop_and_success():
     assert is_ended(steps(), EpisodeCfg()).tolist() == [False, True, True, True]
+
+
+def test_an_episode_ends_when_robots_hit_each_other():
+    now = privileged(is_robot_contact=torch.tensor([False, True]))
+    for cfg in (EpisodeCfg(), EpisodeCfg(ends_on_success=False)):
+        ended = is_ended(transition(now=now, held_steps=(0, 0), episode_steps=(3, 3)), cfg)
+        assert ended.tolist() == [False, True]
 
 
 def test_evaluation_goes_on_after_a_success():

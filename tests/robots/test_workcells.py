@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
+from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.columns import count, put, take
 from pixel2catch.methods import METHODS, find_method, methods_of
@@ -142,6 +143,23 @@ def test_two_robots_have_an_agent_for_each_group():
     (alone,) = find_method("single_agent", two).agents
     assert alone.joints == (slice(0, 38),)
     assert alone.palms == (slice(0, 2),)
+
+
+def test_robots_that_hit_each_other_are_told_from_one_that_touches_itself():
+    """Two arms that are turned to each other touch; their agents pay for it, and the only robot's cannot."""
+    workcell = find_workcell("two_ur5e_allegro")
+    world = CatchWorld(SceneCfg(workcell=workcell.name), None, num_envs=2, device="cpu")
+    joint_pos = world.simulation.bind("qpos")[:, : len(workcell.joints)]
+    joint_pos[:] = torch.tensor([joint.home for joint in workcell.joints])
+    for name, pan in (("left_arm", -1.0), ("right_arm", 0.6)):
+        start = workcell.columns(name).start
+        joint_pos[1, start : start + 2] += torch.tensor([pan, 0.5])  # and down, for the palms to meet
+    target = joint_pos.clone()
+    world.simulation.forward(torch.ones(2, dtype=torch.bool))
+    assert world.privileged(world.run(target, num_steps=1)).is_robot_contact.tolist() == [False, True]
+    names = {agent.name: agent.reward_names for agent in find_method("proposed", workcell).agents}
+    assert all(f"{name}.robot_contact" in terms for name, terms in names.items())
+    assert not any("robot_contact" in name for a in METHODS["proposed"].agents for name in a.reward_names)
 
 
 def test_the_methods_are_the_same_for_every_robot(workcell: WorkcellSpec):

@@ -173,7 +173,7 @@ def test_a_policy_that_knows_ages_catches_as_often_where_it_makes_nothing_of_the
     assert report["success_rate"] >= 0.7
 
 
-@pytest.mark.parametrize("name", ["ur5e_allegro_right", "ur5e_leap", "fr3_allegro"])
+@pytest.mark.parametrize("name", ["ur5e_allegro_right", "ur5e_leap", "fr3_allegro", "two_ur5e_allegro"])
 def test_another_work_cell_is_rehearsed(name: str):
     """With a policy that has learnt nothing: it is armed, runs, and the throw is judged."""
     torch.manual_seed(0)

@@ -41,7 +41,7 @@ def make(
         method: A method or its name, such as "single_agent", "catch+fit" or "my_file.py:mine".
         num_envs: How many robots catch side by side.
         task: A task or its name: nominal, wide, ...
-        objects: What is thrown: seen, unseen, real, names of objects, or objects of one's own. Default: the
+        objects: What is thrown: seen, unseen, real, sizes, names, or objects of one's own. Default: the
             task's.
         workcell: The robots, or their name. Default: the task's.
         device: Where to simulate: cpu, cuda, cuda:1, ...
@@ -87,7 +87,7 @@ def evaluate(
     Args:
         policy: A policy, or what `load_policy` takes.
         method: Its method, where neither the package nor the policy's contract defines it.
-        objects: What is thrown: seen, unseen, real, names of objects, or objects of one's own.
+        objects: What is thrown: seen, unseen, real, sizes, names of objects, or objects of one's own.
         num_envs: Throws in a round.
         trials: Rounds.
         seed: Seed of everything that is drawn.

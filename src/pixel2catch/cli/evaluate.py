@@ -26,7 +26,7 @@ class Evaluate:
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
     policy: Positional[PolicyPath | None] = None
-    #: What is thrown: seen, unseen, real, names of objects, or several of them.
+    #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     num_envs: Count = 100  #: Throws in a round.
     trials: Count = 10  #: Rounds.

@@ -26,7 +26,7 @@ class Export:
     out: Path | None = None
     #: Write this folder instead: a static page, in which one throws with the mouse and the policy catches.
     web_demo: Path | None = None
-    #: For throws: what is thrown: seen, unseen, real, names of objects, or several of them.
+    #: For throws: what is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     throws: int = 100  #: For throws: how many.
     seed: int = 0  #: For throws: seed of everything that is drawn.

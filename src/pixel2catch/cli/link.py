@@ -25,7 +25,7 @@ class Robot:
     """Which robot it is."""
 
     #: The robot's topics and joints: a shipped profile (ur5e_allegro_v4, ur5e_allegro_v5,
-    #: ur5e_allegro_classic) or a .yaml file.
+    #: ur5e_allegro_classic, ur5e_leap, fr3_allegro, two_ur5e_allegro) or a .yaml file.
     profile: str = "ur5e_allegro_v4"
 
     def load(self) -> "Profile":

@@ -21,7 +21,7 @@ class Play:
     policy: Positional[PolicyPath | None] = None
     #: The film, as .mp4, .webp or .gif; as .png it is a strip of stills of every throw.
     out: FilmPath = Path("play.mp4")
-    #: What is thrown: seen, unseen, real, names of objects, or several of them.
+    #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     throws: Count = 4  #: Number of throws.
     seed: Seed = 0  #: Seed of everything that is drawn.

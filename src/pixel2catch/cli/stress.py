@@ -24,7 +24,7 @@ class Stress:
     policies: Positional[tuple[PolicyPath, ...]] = ()
     #: Kinds of disturbances, such as nominal camera_position latency together. Default: all.
     axes: tuple[str, ...] = ()
-    #: What is thrown: seen, unseen, real, names of objects, or several of them.
+    #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     num_envs: Count = 100  #: Throws in a round.
     trials: Count = 2  #: Rounds.

@@ -33,7 +33,7 @@ class Transfer:
     #: Restitutions of the objects. Default: drawn for every throw, from 0 to 0.5, as in training.
     restitution: tuple[Share, ...] = ()
     throws: Count = 200  #: Throws in each cell: up to 20, or a multiple of 20.
-    #: What is thrown: seen, unseen, real, names of objects, or several of them.
+    #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     seed: Seed = 0  #: Seed of everything that is drawn.
     jobs: Count = 1  #: Rounds of 20 throws that are tried at once, each in a process with one thread.

@@ -21,7 +21,7 @@ from pixel2catch.mdp.randomization import (
 )
 from pixel2catch.mdp.shaking import Shake, sample_shake
 from pixel2catch.mdp.snapshot import Transition
-from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success
+from pixel2catch.mdp.terminations import HOLD_STEPS, is_dropped, is_near, is_success, near_palms
 from pixel2catch.mdp.throws import Throw, drawn, sample_throws
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.objects import OBJECTS, ObjectSpec
@@ -37,6 +37,7 @@ class StepExtremes(NamedTuple):
     is_touching: Bool[Tensor, "num_envs num_parts"]
     is_robot_on_table: Bool[Tensor, " num_envs"]  #: Whether a robot touched the table.
     is_self_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched itself, or another one.
+    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether a robot touched another one.
     penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of the object with anything [m].
     table_penetration: Float[Tensor, " num_envs"]  #: Deepest overlap of a robot and the table [m].
     joint_speed: Float[Tensor, " num_envs"]  #: Largest speed of an arm joint [rad/s].
@@ -69,6 +70,7 @@ class EpisodeRecord:
     is_dropped: Bool[Tensor, " num_envs"]  #: Whether it fell or passed the robot.
     is_table_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched the table.
     is_self_contact: Bool[Tensor, " num_envs"]  #: Whether the robot touched itself.
+    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another one.
     self_contact_steps: Int[Tensor, " num_envs"]  #: Control steps in which it did.
     #: Height of the object at its first contact with the hand [m]; 0 before.
     contact_height: Float[Tensor, " num_envs"]
@@ -84,6 +86,7 @@ class EpisodeRecord:
     hold_speed: Float[Tensor, " num_envs"]
     #: Mean torque of the hand's joints then, as a share of their limits; likewise.
     hold_torque_share: Float[Tensor, " num_envs"]
+    hold_palms: Float[Tensor, " num_envs"]  #: Mean number of palms in reach then; likewise.
     #: Largest change of the object's velocity in a control step over its duration, from that of the first
     #: contact with the hand to success [m/s²].
     peak_deceleration: Float[Tensor, " num_envs"]
@@ -120,6 +123,7 @@ class EpisodeRecord:
             is_dropped=self.is_dropped | is_dropped(transition.now),
             is_table_contact=self.is_table_contact | log.is_robot_on_table,
             is_self_contact=self.is_self_contact | log.is_self_contact,
+            is_robot_contact=self.is_robot_contact | log.is_robot_contact,
             self_contact_steps=self.self_contact_steps + log.is_self_contact.long(),
             contact_height=torch.where(first, transition.now.object_pos[:, 2], self.contact_height),
             contact_steps=self.contact_steps + touched.long(),
@@ -130,6 +134,9 @@ class EpisodeRecord:
             max_torque_share=torch.maximum(self.max_torque_share, log.torque_share),
             hold_speed=self._at_rest(self.hold_speed, _speed(transition, arms), transition),
             hold_torque_share=self._at_rest(self.hold_torque_share, log.hand_torque_share, transition),
+            hold_palms=self._at_rest(
+                self.hold_palms, near_palms(transition.now).sum(dim=-1).float(), transition
+            ),
             peak_deceleration=torch.where(
                 (self.is_hand_contact | touched) & ~self.is_success,
                 torch.maximum(self.peak_deceleration, _deceleration(transition)),

@@ -17,9 +17,15 @@ SHARES = (
     "is_dropped",
     "is_table_contact",
     "is_self_contact",
+    "is_robot_contact",
 )
 SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum", "self_contact_steps")
-SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "peak_deceleration")  #: What only a success has.
+SUCCESS_SUMS = (
+    "hold_speed",
+    "hold_torque_share",
+    "hold_palms",
+    "peak_deceleration",
+)  #: What only a success has.
 
 MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
 LANDING_BINS = (2, 4)  #: Bins of the throws' aim along x and y.
@@ -126,6 +132,7 @@ def _means(row: Row) -> dict[str, float]:
         "palm_contact_rate": _ratio(values["is_palm_contact"], episodes),
         "table_contact_rate": _ratio(values["is_table_contact"], episodes),
         "self_contact_rate": _ratio(values["is_self_contact"], episodes),
+        "robot_contact_rate": _ratio(values["is_robot_contact"], episodes),
         "contact_height": _ratio(values["contact_height"], values["is_hand_contact"]),
         "mean_penetration": _ratio(values["penetration_sum"], values["contact_steps"]),
         "self_contact_steps": _ratio(values["self_contact_steps"], episodes),

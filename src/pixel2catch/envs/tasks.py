@@ -8,6 +8,7 @@ from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.throws import ThrowCfg
+from pixel2catch.scene.objects import SIZES
 
 GAINS = ((0.7, 1.3),)
 """Factors on stiffness and damping of every joint. Source: stress suite, wrists identified from slow motion.
@@ -73,7 +74,15 @@ that nothing is lost there."""
 WIDE_SHARP = WIDE.with_sensing(corner_noise=2.0)
 """The same with boxes as exact as the detectors find them. Source: perception on rendered video, 2 px."""
 
-TASKS = {"nominal": CatchEnvCfg(), "wide": WIDE, "wide_sharp": WIDE_SHARP}
+SIDEWAYS = replace(ThrowCfg(), aim_y=(-0.55, 0.55))
+"""Throws to the middle and to either side. Source: ours: 10 cm past the base of each of two robots."""
+
+SIZES_TASK = CatchEnvCfg(
+    objects=SIZES, throws=SIDEWAYS, randomization=RandomizationCfg(mass_scale=(0.7, 1.4)), is_value_told=True
+)
+"""Balls and boxes of 6 to 28 cm and 21 to 392 g, thrown to the middle and to either side."""
+
+TASKS = {"nominal": CatchEnvCfg(), "wide": WIDE, "wide_sharp": WIDE_SHARP, "sizes": SIZES_TASK}
 
 
 def find_task(name: str) -> CatchEnvCfg:

@@ -17,6 +17,7 @@ from pixel2catch.mdp.columns import Columns, merged, take
 from pixel2catch.mdp.masks import select
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import Privileged
+from pixel2catch.mdp.terminations import reach_of
 from pixel2catch.mdp.throws import Throw
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -69,6 +70,7 @@ class ContactColumns(NamedTuple):
     anything: int  #: The sensor of the object with anything.
     table: slice  #: Sensors of the robots with the table.
     robots: slice  #: Sensors of the robots with themselves and each other.
+    others: slice  #: Sensors of the robots with each other.
 
     @classmethod
     def of(cls, model: mujoco.MjModel, workcell: WorkcellSpec) -> "ContactColumns":
@@ -91,6 +93,7 @@ class ContactColumns(NamedTuple):
             anything=anything,
             table=slice(anything + 1, anything + 1 + num_robots),
             robots=slice(anything + 1 + num_robots, len(names)),
+            others=slice(anything + 1 + 2 * num_robots, len(names)),
         )
 
 
@@ -148,6 +151,7 @@ class CatchWorld:
         thrown = [OBJECTS[name].scaled(scene.object_scale) for name in self.objects.names]
         points = np.stack([surface_points(spec, NUM_SURFACE_POINTS) for spec in thrown])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)
+        self._reach = torch.tensor([reach_of(spec.radius) for spec in thrown], device=self.device)
         first = self.objects.indices.dofs.start
         self._linear = slice(first, first + 3)
         self._object_id = torch.zeros(num_envs, dtype=torch.long, device=self.device)
@@ -242,9 +246,11 @@ class CatchWorld:
             fingertip_pos=torch.stack([fields.site_xpos[:, tip] for tip in self._tips], dim=1).float(),
             object_pos=_snapshot(fields.xpos[:, self.objects.indices.body]),
             object_lin_vel=_snapshot(fields.qvel[:, self._linear]),
+            object_reach=self._reach[self._object_id],
             is_touching=log.is_touching,
             is_robot_on_table=log.is_robot_on_table,
             is_self_contact=log.is_self_contact,
+            is_robot_contact=log.is_robot_contact,
             joint_vel=_snapshot(fields.qvel[:, : self._num_joints]),
         )
 
@@ -296,6 +302,7 @@ class CatchWorld:
             is_touching=found[:, sensors.touching],
             is_robot_on_table=found[:, sensors.table].any(dim=-1),
             is_self_contact=found[:, sensors.robots].any(dim=-1),
+            is_robot_contact=found[:, sensors.others].any(dim=-1),
             penetration=depth[:, sensors.anything],
             table_penetration=depth[:, sensors.table].amax(dim=-1),
             joint_speed=take(fields.qvel, self.arms).abs().amax(dim=-1).float(),

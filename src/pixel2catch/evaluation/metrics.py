@@ -96,6 +96,7 @@ def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metric
         **_rates(trials, everything),
         "table_contact_rate": int(record.is_table_contact.sum()) / num_trials,
         "self_contact_rate": int(record.is_self_contact.sum()) / num_trials,
+        "robot_contact_rate": int(record.is_robot_contact.sum()) / num_trials,
         "self_contact_steps": int(record.self_contact_steps.sum()) / num_trials,
         "failures": {name: int((modes == i).sum()) / num_trials for i, name in enumerate(FAILURES)},
         "contact_height": _mean(record.contact_height, record.is_hand_contact),
@@ -137,6 +138,7 @@ def _rest(record: EpisodeRecord) -> dict[str, float | None]:
     return {
         "hold_speed": _mean(record.hold_speed[caught], caught),
         "hold_torque_share": _mean(record.hold_torque_share[caught], caught),
+        "hold_palms": _mean(record.hold_palms[caught], caught),
         "peak_deceleration": median(decelerations) if decelerations else None,
     }
 

@@ -42,9 +42,9 @@ COLORS = dict(zip(OUTCOMES, ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#CC79A
 """Colours of outcomes that people with any kind of colour vision tell apart. Source: Okabe and Ito 2008."""
 
 RATES_NOTE = (
-    "T.R.: the palm within 8 cm of the object once; S.R.: for 20 control steps in a row. Verified hold: then "
-    "the policy stops, two parts of the hand touch the object for 1 s, and it survives half a second of "
-    "shaking. In brackets: 95 % Wilson intervals."
+    "T.R.: a palm within 8 cm of the object's middle, or 3.5 cm of a larger one's surface, once; S.R.: for "
+    "20 control steps in a row. Verified hold: then the policy stops, two parts of the hand touch the object "
+    "for 1 s, and it survives half a second of shaking. In brackets: 95 % Wilson intervals."
 )
 LANDING_NOTE = (
     "Where each throw would come down through the middle of the catch heights if nothing stopped it. "

@@ -102,7 +102,7 @@ def _cells(rates: Metrics) -> dict[str, str]:
 
 def _quality(result: Metrics) -> dict[str, str]:
     def scaled(name: str, factor: float, unit: str, digits: int = 1) -> str:
-        if result[name] is None:
+        if result.get(name) is None:  # or it was not counted yet when that was written
             return "-"
         return f"{round(factor * result[name], digits) + 0.0:.{digits}f} {unit}"  # + 0.0: no -0.0
 
@@ -111,6 +111,7 @@ def _quality(result: Metrics) -> dict[str, str]:
         "robot touched the table": scaled("table_contact_rate", 100, "%"),
         "robot touched itself": scaled("self_contact_rate", 100, "%"),
         "  control steps of that, a trial": scaled("self_contact_steps", 1, "steps"),
+        "robots touched each other": scaled("robot_contact_rate", 100, "%"),
         "height of the first contact": scaled("contact_height", 100, "cm"),
         "mean penetration": scaled("mean_penetration", 1000, "mm"),
         "largest penetration": scaled("max_penetration", 1000, "mm"),
@@ -119,6 +120,7 @@ def _quality(result: Metrics) -> dict[str, str]:
         "largest torque, share of limit": scaled("max_torque_share", 100, "%"),
         "mean arm joint speed in the hold": scaled("hold_speed", 1, "rad/s", 3),
         "mean hand torque in the hold, share of limit": scaled("hold_torque_share", 100, "%"),
+        "mean number of palms in reach in the hold": scaled("hold_palms", 1, "", 2),
         "peak deceleration of the object, median": scaled("peak_deceleration", 1, "m/s²"),
     }
 

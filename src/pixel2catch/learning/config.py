@@ -69,8 +69,8 @@ class TrainCfg:
     episode draws pose and focal length within what the file leaves open. Its images must be rectified, and
     the policy is for this camera. Default: the release's camera, known exactly."""
     task: str = "nominal"
-    """What it is trained for: nominal, the paper's task; wide, with what laboratories do to it (ours); or
-    wide_sharp, the same with boxes to 2 px."""
+    """What it is trained for: nominal, the paper's task; wide, with what laboratories do to it (ours);
+    wide_sharp, the same with boxes to 2 px; or sizes, balls and boxes of 6 to 28 cm (ours)."""
     latency_steps: tuple[NotNegative, NotNegative] = dataclasses.field(default_factory=_released_latency)
     """Control steps between image and delivered box in nominal episodes: least and most. Default: 1 2, as the
     release."""

@@ -88,6 +88,11 @@ def table_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num
     return transition.now.is_robot_on_table.float()
 
 
+def robot_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
+    """One when robots hit each other, which ends the episode. Source: ours."""
+    return transition.now.is_robot_contact.float()
+
+
 def table_intrusion(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """How deep arm and hand would be in the table's clearance at the joint targets [m].
 

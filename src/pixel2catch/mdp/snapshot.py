@@ -54,11 +54,13 @@ class Privileged:
     fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]
     object_pos: Float[Tensor, "num_envs 3"]  #: Position of the object's centre [m].
     object_lin_vel: Float[Tensor, "num_envs 3"]  #: Its velocity [m/s].
+    object_reach: Float[Tensor, " num_envs"]  #: Distance from a palm under which it counts as reached [m].
     #: Which palms and fingers touched the object since the step before: each palm, then its fingers.
     is_touching: Bool[Tensor, "num_envs num_parts"]
     is_robot_on_table: Bool[Tensor, " num_envs"]  #: Whether a robot touched the table since the step before.
     #: Whether a robot touched itself, or another one, since the step before.
     is_self_contact: Bool[Tensor, " num_envs"]
+    is_robot_contact: Bool[Tensor, " num_envs"]  #: Whether it touched another one since the step before.
     joint_vel: Float[Tensor, "num_envs num_joints"]  #: Joint speeds [rad/s].
 
 

@@ -9,7 +9,12 @@ from torch import Tensor
 from pixel2catch.mdp.snapshot import Privileged, Transition
 
 REACH = 0.08  #: Distance of palm and object under which the object counts as reached [m]. Source: release.
-HOLD_STEPS = 20  #: Consecutive control steps within `REACH` that make a success. Source: release.
+SURFACE_REACH = 0.035
+"""Distance of palm and surface of an object larger than the release's, taken as a ball, likewise [m].
+
+Source: ours, the least that `REACH` leaves at the release's objects.
+"""
+HOLD_STEPS = 20  #: Consecutive control steps in reach that make a success. Source: release.
 DROP_HEIGHT = 0.45  #: Height under which the object is lost [m]. Source: release.
 DROP_X = 0.03  #: World x under which the object has passed the robot [m]. Source: release.
 
@@ -28,9 +33,19 @@ def palm_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_palms"]:
     return torch.linalg.vector_norm(snapshot.object_pos[:, None] - snapshot.palm_pos, dim=-1)
 
 
+def reach_of(radius: float) -> float:
+    """Distance of palm and an object's centre under which it counts as reached [m], by its mean radius."""
+    return max(REACH, radius + SURFACE_REACH)
+
+
+def near_palms(snapshot: Privileged) -> Bool[Tensor, "num_envs num_palms"]:
+    """Which palms have reached the object. Source: release, d < 0.08 m."""
+    return palm_distance(snapshot) < snapshot.object_reach[:, None]
+
+
 def is_near(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
-    """Whether a palm has reached the object: the paper's tracking. Source: release, d < 0.08 m."""
-    return (palm_distance(snapshot) < REACH).any(dim=-1)
+    """Whether a palm has reached the object: the paper's tracking."""
+    return near_palms(snapshot).any(dim=-1)
 
 
 def is_success(transition: Transition) -> Bool[Tensor, " num_envs"]:
@@ -43,7 +58,12 @@ def is_dropped(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
     return (snapshot.object_pos[:, 2] < DROP_HEIGHT) | (snapshot.object_pos[:, 0] < DROP_X)
 
 
+def is_lost(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
+    """Whether nothing can be caught any more: the object is dropped, or robots hit each other (ours)."""
+    return is_dropped(snapshot) | snapshot.is_robot_contact
+
+
 def is_ended(transition: Transition, cfg: EpisodeCfg) -> Bool[Tensor, " num_envs"]:
-    """Success, drop or time-out. Source: paper; a time-out is a termination there, so it is one here."""
-    ended = is_dropped(transition.now) | (transition.episode_steps >= cfg.max_steps)
+    """Success, loss or time-out. Source: paper; a time-out is a termination there, so it is one here."""
+    ended = is_lost(transition.now) | (transition.episode_steps >= cfg.max_steps)
     return ended | is_success(transition) if cfg.ends_on_success else ended

@@ -110,11 +110,12 @@ class WorkcellSpec:
             groups = [group for part in placed.robot.parts for group in part.groups]
             before = first
             for part in placed.robot.parts:
+                arms = sum(len(group.joints) for group in part.groups if group.role == "arm")
                 found += [
                     PlacedPalm(
                         spec=_prefixed(palm, placed.prefix),
                         first=before,
-                        stop=first,
+                        stop=first + arms,
                         groups=tuple(placed.prefix + group.name for group in groups),
                     )
                     for palm in part.palms

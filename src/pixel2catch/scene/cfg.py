@@ -12,7 +12,7 @@ from pixel2catch.robots.maker import Surface
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
-MAX_OBJECT_SCALE = 1.4  #: Of the largest object's 6.75 cm, that stays within `scene.OBJECT_BOUND`.
+MAX_OBJECT_SCALE = 1.4  #: Of the 14 cm to the end of the largest object, within `scene.OBJECT_BOUND`.
 
 PUSH_OUT = 0.2
 """Share of a penetration that is removed in one physics step: it decays with a time constant of 5 steps.

@@ -31,6 +31,7 @@ class ObjectSpec:
     parts: tuple[ConvexPart, ...]  #: Convex parts in the body frame; they may overlap.
     mass: float  #: Mass [kg].
     inertia: Float[ndarray, "3"]  #: Principal moments of inertia about the axes of the body frame [kg·m²].
+    radius: float  #: Radius of the ball of the same volume [m].
 
     @property
     def drag_area(self) -> float:
@@ -45,7 +46,7 @@ class ObjectSpec:
     def scaled(self, factor: float) -> "ObjectSpec":
         """The same object, larger by a factor but of the same mass, as of lighter foam."""
         parts = tuple(ConvexPart(vertices=part.vertices * factor) for part in self.parts)
-        return replace(self, parts=parts, inertia=self.inertia * factor**2)
+        return replace(self, parts=parts, inertia=self.inertia * factor**2, radius=self.radius * factor)
 
 
 def make_object(
@@ -84,6 +85,7 @@ def of_solid(name: str, parts: Iterable[ConvexPart], solid: Float[ndarray, "4 4"
         parts=tuple(ConvexPart(vertices=(part.vertices - center) @ axes) for part in parts),
         mass=mass,
         inertia=np.diag(axes.T @ inertia @ axes).copy(),
+        radius=float(np.cbrt(0.75 * solid[0, 0] / np.pi)),
     )
 
 
@@ -140,6 +142,27 @@ _REAL = _by_name(
     make_object("real_triangle", shapes.prism(3, 0.08, 0.06)),
 )
 
+_SIZES = _by_name(
+    make_object("ball_6", shapes.sphere(0.03), mass=0.03),
+    make_object("ball_10", shapes.sphere(0.05), mass=0.05),
+    make_object("ball_16", shapes.sphere(0.08), mass=0.1),
+    make_object("ball_22", shapes.sphere(0.11), mass=0.18),
+    make_object("ball_28", shapes.sphere(0.14), mass=0.28),
+    make_object("box_6", shapes.box(0.06, 0.05, 0.04), mass=0.03),
+    make_object("box_10", shapes.box(0.1, 0.08, 0.06), mass=0.05),
+    make_object("box_16", shapes.box(0.16, 0.14, 0.11), mass=0.1),
+    make_object("box_22", shapes.box(0.22, 0.18, 0.15), mass=0.18),
+    make_object("box_28", shapes.box(0.28, 0.22, 0.18), mass=0.28),
+)
+
+_SIZES_UNSEEN = _by_name(
+    make_object("ball_8", shapes.sphere(0.04), mass=0.04),
+    make_object("ball_19", shapes.sphere(0.095), mass=0.14),
+    make_object("ball_25", shapes.sphere(0.125), mass=0.22),
+    make_object("cube_20", shapes.box(0.2, 0.2, 0.2), mass=0.2),
+    make_object("drum_24", shapes.cylinder(0.1, 0.24), mass=0.22),
+)
+
 SEEN: tuple[str, ...] = tuple(_SEEN)  #: Training objects: five shapes in two scales. Source: release.
 
 UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
@@ -147,10 +170,24 @@ UNSEEN: tuple[str, ...] = tuple(_UNSEEN)
 
 REAL: tuple[str, ...] = tuple(_REAL)  #: Objects of the real experiment. Source: shapes: paper; sizes: ours.
 
-OBJECTS: dict[str, ObjectSpec] = catalogue(ObjectSpec, _SEEN | _UNSEEN | _REAL)
+SIZES: tuple[str, ...] = tuple(_SIZES)
+"""Balls and boxes from what one hand holds to what takes two; the number is the longest extent [cm].
+
+Source: ours: toy balls and parcels, the large ones of 20 to 70 kg/m³.
+"""
+
+SIZES_UNSEEN: tuple[str, ...] = tuple(_SIZES_UNSEEN)  #: Others of such sizes, which no training has.
+
+OBJECTS: dict[str, ObjectSpec] = catalogue(ObjectSpec, _SEEN | _UNSEEN | _REAL | _SIZES | _SIZES_UNSEEN)
 """All objects by name, those of files of one's own last; the order is the order of the object table."""
 
-OBJECT_GROUPS: dict[str, tuple[str, ...]] = {"seen": SEEN, "unseen": UNSEEN, "real": REAL}
+OBJECT_GROUPS: dict[str, tuple[str, ...]] = {
+    "seen": SEEN,
+    "unseen": UNSEEN,
+    "real": REAL,
+    "sizes": SIZES,
+    "sizes_unseen": SIZES_UNSEEN,
+}
 """Names that stand for several objects."""
 
 
@@ -162,7 +199,7 @@ def num_parts() -> int:
 def select_objects(names: str | Iterable[str]) -> tuple[str, ...]:
     """Resolve names of objects and groups to names of objects, in the given order and without repeats.
 
-    Names are "seen", "unseen", "real" or an object's, several of them, or a comma-separated string.
+    Names are those of `OBJECT_GROUPS` or an object's, several of them, or a comma-separated string.
 
     Raises:
         UnknownNameError: If a name is neither an object nor a group.

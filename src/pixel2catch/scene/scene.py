@@ -31,7 +31,7 @@ OBJECT_START = (2.65, 0.0, 0.8)
 """Position of the object in `qpos0` [m]: the middle of the throw's release points."""
 
 FLOOR_BIT = 2  #: Contact bit of the floor: only the object falls on it. Robot, table and object share bit 1.
-OBJECT_BOUND = 0.1  #: Half an edge of a cube about the body origin that holds every object [m].
+OBJECT_BOUND = 0.3  #: Half an edge of a cube about the body origin that holds every object [m].
 
 CONTACT_DATA = sum(
     1 << int(field)

@@ -17,7 +17,7 @@ class TaskArgs:
     dynamics: DynamicsPath | None = (
         None  #: Dynamics file of the robot that the twin is. Default: the nominal robot.
     )
-    #: What is thrown: seen, unseen, real, names of objects, or several of them.
+    #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
 
     def make(self, policy: "LoadedPolicy") -> "CatchEnvCfg":

@@ -151,6 +151,26 @@ class ArmDriver(Driver):
             self.num_ignored += 1
 
 
+@final
+class ArmDrivers(tuple[ArmDriver, ...]):
+    """Those of all arms, which stop together, as behind one safety circuit."""
+
+    @property
+    def is_running(self) -> bool:
+        """Whether all programs run."""
+        return all(arm.is_running for arm in self)
+
+    @property
+    def safety_mode(self) -> int:
+        """The highest of all, which is normal if none stopped."""
+        return max(arm.safety_mode for arm in self)
+
+    def protective_stop(self) -> None:
+        """Stop as after a collision of one of them."""
+        for arm in self:
+            arm.protective_stop()
+
+
 def _braked(motion: Motion) -> Motion:
     """The motion a cycle later, at constant deceleration."""
     speed = np.maximum(np.abs(motion.velocity) - DECELERATION * CYCLE, 0.0)

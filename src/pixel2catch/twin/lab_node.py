@@ -13,7 +13,7 @@ from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import DriverJoint, Profile, RobotPart
 from pixel2catch.ros2.transport import Topic, Transport
-from pixel2catch.twin.drivers import CYCLE, ArmDriver, Camera, Driver, HandDriver, Motion
+from pixel2catch.twin.drivers import CYCLE, ArmDriver, ArmDrivers, Camera, Driver, HandDriver, Motion
 from pixel2catch.twin.simulated_lab import Phase, SimulatedLab
 
 COMMAND = Topic(name="/twin/command", type=messages.TEXT)  #: What the operator asks the twin for.
@@ -126,15 +126,15 @@ class StatusPublisher:
             transport.publisher(topic).publish(messages.activity(active, 0.0))
         self._last: tuple[int, bool] | None = None
 
-    def publish(self, number: int, arm: ArmDriver) -> None:
+    def publish(self, number: int, arms: ArmDrivers) -> None:
         """Send the status of a cycle."""
         if number % STATUS_CYCLES == 0:
-            self._send("speed_scaling", messages.number(100.0 if arm.is_running else 0.0))
-        status = (arm.safety_mode, arm.is_running)
+            self._send("speed_scaling", messages.number(100.0 if arms.is_running else 0.0))
+        status = (arms.safety_mode, arms.is_running)
         if status != self._last:
-            self._send("safety_mode", messages.safety_mode(arm.safety_mode))
+            self._send("safety_mode", messages.safety_mode(arms.safety_mode))
             self._send("robot_mode", messages.robot_mode(messages.RUNNING_ROBOT_MODE))
-            self._send("program_running", messages.boolean(arm.is_running))
+            self._send("program_running", messages.boolean(arms.is_running))
         self._last = status
 
     def _send(self, name: str, data: bytes) -> None:
@@ -167,7 +167,7 @@ class LabNode:
             else HandDriver(position[part.ids])
             for part in profile.robots
         ]
-        (self.arm,) = (driver for driver in drivers if isinstance(driver, ArmDriver))
+        self.arms = ArmDrivers(driver for driver in drivers if isinstance(driver, ArmDriver))
         self._parts = [
             PartTopics(part, driver, transport) for part, driver in zip(profile.robots, drivers, strict=True)
         ]
@@ -193,7 +193,7 @@ class LabNode:
         encoders = self.lab.encoders(self.time)
         for part in self._parts:
             part.publish(self.num_cycles, encoders, start + self.time)
-        self._status.publish(self.num_cycles, self.arm)
+        self._status.publish(self.num_cycles, self.arms)
         for time, image in self.camera.developed(self.time):
             self._image.publish(messages.image(image, start + time))
             if self._info:
@@ -219,9 +219,9 @@ class LabNode:
         return {
             **self.lab.truth(),
             "outcome": self.lab.outcome,
-            "halted": not self.arm.is_running,
-            "safety_mode": self.arm.safety_mode,
-            "halts": self.arm.num_halts,
+            "halted": not self.arms.is_running,
+            "safety_mode": self.arms.safety_mode,
+            "halts": sum(arm.num_halts for arm in self.arms),
             "ignored": sum(part.driver.num_ignored + part.num_refused for part in self._parts),
             "late_images": self.camera.num_late,
             "lost_images": self.camera.num_lost,
@@ -230,8 +230,8 @@ class LabNode:
 
     def summary(self) -> str:
         """What changes when something happens, in a line."""
-        lab, arm = self.lab, self.arm
-        robot = "program runs" if arm.is_running else f"program halted, safety mode {arm.safety_mode}"
+        lab, arms = self.lab, self.arms
+        robot = "program runs" if arms.is_running else f"program halted, safety mode {arms.safety_mode}"
         thrown = "the room is empty" if lab.phase is Phase.EMPTY else f"{lab.object_name} {lab.outcome}"
         refused = f", refused: {self._refused}" if self._refused else ""
         return f"throw {lab.num_throws}: {thrown}; {robot}{refused}"
@@ -246,7 +246,7 @@ class LabNode:
                 case {"do": "throw"}:
                     self.lab.throw()
                 case {"do": "protective_stop"}:
-                    self.arm.protective_stop()
+                    self.arms.protective_stop()
                 case {"do": "resume"}:
                     self._hold()
                 case other:

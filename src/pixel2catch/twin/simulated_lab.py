@@ -19,7 +19,7 @@ from pixel2catch.evaluation.protocol import TRIAL_STEPS
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import detect
 from pixel2catch.mdp.snapshot import Privileged, Transition
-from pixel2catch.mdp.terminations import is_near
+from pixel2catch.mdp.terminations import is_lost, is_near
 from pixel2catch.rendering.camera import Exposure, Moment
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, Bystanders
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -76,7 +76,7 @@ class ThrowScorer:
         self.record = self.record.advanced(transition, log, self._world.arms, self._world.palms)
         self._before = now
         is_late = int(self.record.steps) >= TRIAL_STEPS
-        self.is_over = is_late or bool(self.record.is_success) or bool(self.record.is_dropped)
+        self.is_over = is_late or bool(self.record.is_success | is_lost(now))
 
 
 EMPTY_TIME = 0.5  #: How long the room is empty between throws [s]: what lay there is removed. Source: ours.

@@ -13,7 +13,6 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.own_files import catalogue
-from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 Change = Callable[[CatchEnvCfg], CatchEnvCfg]  #: A task, changed; a change can be sent to another process.
 AIR_DENSITY = 1.2  #: At 20 °C and sea level [kg/m³]. Source: International Standard Atmosphere, rounded.
@@ -143,7 +142,7 @@ def _delay(steps: float) -> FieldChange:
 
 
 def _gains(percent: float) -> FieldChange:
-    scale = ((1.0 - percent / 100, 1.0 + percent / 100),) * len(UR5E_ALLEGRO.joint_names)
+    scale = ((1.0 - percent / 100, 1.0 + percent / 100),)  # of every joint
     return part("randomization", gains=GainRanges(stiffness_scale=scale, damping_scale=scale))
 
 
