@@ -13,8 +13,7 @@ from torch.distributions import Normal
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning import gradient_step
 from pixel2catch.learning.config import PRESETS, TrainCfg, preset
-from pixel2catch.learning.gradient_step import Batch
-from pixel2catch.learning.mappo import Mappo, mini_batches
+from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import Policy
 
 
@@ -49,17 +48,6 @@ def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
         returns = networks.value_scale.inverse(mappo.rollout[agent].returns)
         expected = torch.tensor([[1.5, 1.5, 2.5], [1.0, 1.0, 3.0], [4.0, 4.0, 4.0]])
         torch.testing.assert_close(returns, expected, atol=1e-5, rtol=0)
-
-
-def test_mini_batches_hold_every_transition_once() -> None:
-    numbers = torch.arange(24.0).view(4, 6)
-    rollout = Batch(numbers[..., None], *(numbers for _ in range(10)))
-    batches = list(mini_batches(rollout, 3))
-    assert [len(batch.values) for batch in batches] == [8, 8, 8]
-    assert all(torch.equal(batch.observations[:, 0], batch.advantages) for batch in batches)
-    drawn = torch.cat([batch.values for batch in batches]).tolist()
-    assert drawn != sorted(drawn)
-    assert sorted(drawn) == list(range(24))
 
 
 def plain_update(mappo: Mappo, agent: str) -> list[torch.Tensor]:

@@ -6,7 +6,6 @@ standardised inputs and values. Ours: imitation of a teacher, resting policies, 
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 import torch
@@ -58,9 +57,6 @@ class Mappo:
             agent: ActorCritic(cfg, self.workers, env.observation_sizes[agent], env.state_size, num_actions)
             for agent, num_actions in env.action_sizes.items()
         }
-        self.steps = {
-            agent: GradientStep(cfg, networks, self.workers) for agent, networks in self.networks.items()
-        }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
         self._is_resting = False
 
@@ -87,6 +83,10 @@ class Mappo:
                 value_hidden_state=hidden_state(),
             )
             for agent, num_actions in env.action_sizes.items()
+        }
+        self.steps = {
+            agent: GradientStep(cfg, networks, self.rollout[agent], self.workers)
+            for agent, networks in self.networks.items()
         }
         self.rewards = {agent: buffer() for agent in self.agents}
         self._hidden_states = {
@@ -175,15 +175,15 @@ class Mappo:
     def _update_agent(self, agent: str) -> dict[str, float]:
         cfg, step, networks = self.cfg, self.steps[agent], self.networks[agent]
         self._estimate_advantages(agent)
-        epochs = []
+        epochs, num = [], cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
         for epoch in range(cfg.epochs):
             step.totals.zero_()
-            for batch in mini_batches(self.rollout[agent], cfg.mini_batches, is_whole=cfg.recurrent > 0):
+            for indices in torch.randperm(num, device=cfg.device).chunk(cfg.mini_batches):
                 if epoch == 0:
+                    batch = step.batch(indices)
                     networks.observation_scale.learn(batch.observations)
                     networks.state_scale.learn(batch.states)
-                scaled = (networks.observation_scale(batch.observations), networks.state_scale(batch.states))
-                step.take(batch._replace(observations=scaled[0], states=scaled[1]))
+                step.take(indices)
             epochs.append(step.totals / cfg.mini_batches)
             if cfg.schedule == "kl":
                 step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), epochs[-1][2].item()))
@@ -304,19 +304,6 @@ def discounted_returns(
         advantage = rewards[t] - values[t] + cfg.discount * ~is_done[t] * ahead
         returns[t], last_values = advantage + values[t], values[t]
     return returns
-
-
-def mini_batches(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Batch]:
-    """Yield random mini-batches which together hold every transition once; drawn on the device.
-
-    The rollout is (rollout_steps, num_envs, ...); `is_whole` keeps the steps of an environment together and
-    in order.
-    """
-    drawn = rollout if is_whole else rollout.each(partial(torch.flatten, end_dim=1))
-    dim = 1 if is_whole else 0
-    order = torch.randperm(drawn.values.shape[dim], device=drawn.values.device)
-    for indices in order.chunk(num):
-        yield drawn.each(partial(torch.index_select, dim=dim, index=indices))
 
 
 def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:

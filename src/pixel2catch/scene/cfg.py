@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from numpy import ndarray
 from torch import Tensor
@@ -10,6 +10,8 @@ from torch import Tensor
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+Cone = Literal["elliptic", "pyramidal"]
 
 MAX_OBJECT_SCALE = 1.4  #: Of the largest object's 6.75 cm, that stays within `scene.OBJECT_BOUND`.
 
@@ -32,6 +34,7 @@ class SceneCfg:
     workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: float = 1.0 / PHYSICS_DT
+    cone: Cone = "elliptic"  #: Friction cone: elliptic, as it is, or pyramidal, which is computed faster.
     engine: str = "mujoco"  #: Whose physics it is: mujoco, or another to judge policies by, such as physx.
     visuals: bool = False  #: Whether to add lights, textures and what is only seen.
     camera: CameraSpec = RGB_CAMERA  #: What pictures are taken by.

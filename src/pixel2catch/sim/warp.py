@@ -131,7 +131,7 @@ class WarpSimulation(Simulation):
         return GraphedFunction(
             function,
             device=self.device,
-            num_eager_calls=1,
+            num_eager_calls=2,  # the first compiles kernels, the second finds all that it needs
             is_aside=False,
             generator=generator,
             around=self._captured_by_warp,
