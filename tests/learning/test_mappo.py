@@ -143,6 +143,21 @@ def test_training_gives_the_numbers_of_skrl(
     assert weights.square().sum().item() == pytest.approx(SQUARES[name], rel=1e-5)
 
 
+@pytest.mark.slow
+def test_traced_losses_are_the_same() -> None:
+    outcomes = []
+    for is_traced in (False, True):
+        torch.manual_seed(0)
+        mappo, env = Mappo(SMALL, ReachingEnv(SMALL), CONTRACT), ReachingEnv(SMALL)
+        if is_traced:
+            for step in mappo.steps.values():
+                step._losses = torch.compile(step._losses_of, backend="aot_eager", fullgraph=True)
+        roll_out(mappo, env)
+        outcomes.append((mappo.update(0.0), mappo.export().state_dict()))
+    assert outcomes[1][0] == pytest.approx(outcomes[0][0], rel=1e-4)
+    torch.testing.assert_close(outcomes[1][1], outcomes[0][1])
+
+
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
 @pytest.mark.parametrize("recurrent", [0, 16])
