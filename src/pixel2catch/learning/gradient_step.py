@@ -108,7 +108,7 @@ class GradientStep:
         )
 
     def _eager_step(self, indices: Tensor) -> None:
-        objective, losses = self._losses(self.batch(indices))
+        objective, losses = self._losses(indices)
         objective.backward()
         parameters = [each for each in self._networks.parameters() if each.grad is not None]
         self._workers.average([*(p.grad for p in parameters if p.grad is not None), losses])
@@ -117,13 +117,13 @@ class GradientStep:
         self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
         self.totals += losses
 
-    def _losses_of(self, batch: Batch) -> tuple[Tensor, Tensor]:
+    def _losses_of(self, indices: Tensor) -> tuple[Tensor, Tensor]:
         """What the step makes smaller; and policy loss, value loss and KL divergence.
 
         Source: PPO with clipped ratio and clipped values (Schulman et al. 2017; release). A teacher's advice
         is followed by its weight, and the surrogate objective by the rest.
         """
-        cfg, networks = self._cfg, self._networks
+        cfg, networks, batch = self._cfg, self._networks, self.batch(indices)
         seen, states = networks.observation_scale(batch.observations), networks.state_scale(batch.states)
         seen = recall_all(networks.policy_gru, seen, batch.policy_hidden_state, batch.is_first)
         states = recall_all(networks.value_gru, states, batch.value_hidden_state, batch.is_first)

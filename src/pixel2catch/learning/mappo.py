@@ -4,7 +4,7 @@ Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and va
 standardised inputs and values. Ours: imitation of a teacher, resting policies, several processes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,9 +15,10 @@ from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.environment import Environment, Observation, Step
-from pixel2catch.learning.gradient_step import Batch, GradientStep
+from pixel2catch.learning.gradient_step import NUM_EAGER_STEPS, Batch, GradientStep
 from pixel2catch.learning.networks import EPSILON, ActorCritic
 from pixel2catch.policy import Policy, PolicyContract
+from pixel2catch.sim.graphs import GraphedFunction
 
 HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
 
@@ -58,7 +59,7 @@ class Mappo:
             for agent, num_actions in env.action_sizes.items()
         }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
-        self._is_resting = False
+        self._is_resting, self._is_cuda = False, cfg.device.startswith("cuda")
 
         def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
             return torch.full((num_steps, env.num_envs, *size), fill, device=cfg.device)
@@ -94,6 +95,16 @@ class Mappo:
             for agent, batch in self.rollout.items()
         }
         self._num_steps = 0
+        self._streams = {agent: torch.cuda.Stream(cfg.device) for agent in self.agents if self._is_cuda}
+        self._draw = {agent: self._recorded(networks.act) for agent, networks in self.networks.items()}
+
+    def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function by the fewest launches that the device and the configuration allow."""
+        function = torch.compile(function, dynamic=False) if self.cfg.fuse else function
+        if not self._is_cuda:
+            return function
+        device = torch.device(self.cfg.device)
+        return GraphedFunction(function, device=device, num_eager_calls=NUM_EAGER_STEPS)
 
     def begin(self) -> None:
         """Forget what recurrent networks have seen: new episodes begin everywhere."""
@@ -108,17 +119,11 @@ class Mappo:
                 rollout, hidden = self.rollout[agent], self._hidden_states[agent]
                 if self._num_steps == 0:
                     rollout.policy_hidden_state[0], rollout.value_hidden_state[0] = hidden
-                mean, policy_state = networks.mean_of(observation.policy[agent], hidden[0])
-                actions[agent] = mean + networks.log_std.exp() * torch.randn_like(mean)
-                values, value_state = networks.value_of(observation.state, hidden[1])
-                self._hidden_states[agent] = (policy_state, value_state)
-                seen = {
-                    "observations": observation.policy[agent],
-                    "states": observation.state,
-                    "actions": actions[agent],
-                    "log_prob": networks.log_prob(mean, actions[agent]),
-                    "values": values,
-                }
+                seen = {"observations": observation.policy[agent], "states": observation.state}
+                drawn = self._draw[agent](*seen.values(), *hidden)
+                seen |= dict(zip(("actions", "log_prob", "values"), drawn, strict=False))
+                actions[agent] = seen["actions"]
+                self._hidden_states[agent] = drawn[3:]
                 for name, tensor in seen.items():
                     getattr(rollout, name)[self._num_steps] = tensor
             if self._teacher is not None:
@@ -168,11 +173,25 @@ class Mappo:
                 rate = cfg.learning_rate + (cfg.final_learning_rate - cfg.learning_rate) * min(progress, 1.0)
                 step.learning_rate.fill_(rate * (begun - 1.0 if 1.0 <= begun < 2.0 else 1.0))
         with _tensor_cores():
-            metrics = {agent: self._update_agent(agent) for agent in self.agents}
+            metrics = self._update_agents()
         self.discard_rollout()
-        return {f"{name}/{agent}": metrics[agent][name] for agent in self.agents for name in METRICS}
+        rows = {agent: dict(zip(METRICS, row.tolist(), strict=True)) for agent, row in metrics.items()}
+        return {f"{name}/{agent}": rows[agent][name] for agent in self.agents for name in METRICS}
 
-    def _update_agent(self, agent: str) -> dict[str, float]:
+    def _update_agents(self) -> dict[str, Tensor]:
+        """Update the agents, who share nothing: on a GPU side by side, but not where processes tell others."""
+        if not self._is_cuda or self.workers.size > 1:
+            return {agent: self._update_agent(agent) for agent in self.agents}
+        metrics, main = {}, torch.cuda.current_stream(self.cfg.device)
+        for agent, stream in self._streams.items():
+            stream.wait_stream(main)
+            with torch.cuda.stream(stream):
+                metrics[agent] = self._update_agent(agent)
+        for stream in self._streams.values():
+            main.wait_stream(stream)
+        return metrics
+
+    def _update_agent(self, agent: str) -> Tensor:
         cfg, step, networks = self.cfg, self.steps[agent], self.networks[agent]
         self._estimate_advantages(agent)
         epochs, num = [], cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
@@ -188,8 +207,7 @@ class Mappo:
             if cfg.schedule == "kl":
                 step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), epochs[-1][2].item()))
         std = networks.log_std.detach().exp().mean()
-        results = torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
-        return dict(zip(METRICS, results.tolist(), strict=True))
+        return torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
 
     @torch.no_grad()
     def _estimate_advantages(self, agent: str) -> None:
