@@ -115,7 +115,7 @@ class Mappo:
         """Sample unclipped actions, (num_envs, size) by agent, and remember them with what led to them."""
         actions = {}
         with _tensor_cores():
-            for agent, networks in self.networks.items():
+            for agent in self.agents:
                 rollout, hidden = self.rollout[agent], self._hidden_states[agent]
                 if self._num_steps == 0:
                     rollout.policy_hidden_state[0], rollout.value_hidden_state[0] = hidden
@@ -179,7 +179,7 @@ class Mappo:
         return {f"{name}/{agent}": rows[agent][name] for agent in self.agents for name in METRICS}
 
     def _update_agents(self) -> dict[str, Tensor]:
-        """Update the agents, who share nothing: on a GPU side by side, but not where processes tell others."""
+        """Update the agents, who share nothing: side by side on a GPU that is alone."""
         if not self._is_cuda or self.workers.size > 1:
             return {agent: self._update_agent(agent) for agent in self.agents}
         metrics, main = {}, torch.cuda.current_stream(self.cfg.device)
