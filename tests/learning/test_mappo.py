@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning import gradient_step
 from pixel2catch.learning.config import PRESETS, TrainCfg, preset
 from pixel2catch.learning.mappo import Mappo
+from pixel2catch.mdp.masks import assign
 from pixel2catch.policy import Policy
 
 
@@ -144,18 +146,28 @@ def test_training_gives_the_numbers_of_skrl(
 
 
 @pytest.mark.slow
-def test_traced_losses_are_the_same() -> None:
-    outcomes = []
-    for is_traced in (False, True):
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs a compiler")
+def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What they draw differs, so the second learns from the rollout of the first."""
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    plain, compiled = (
+        Mappo(dataclasses.replace(SMALL, fuse=fuse), ReachingEnv(SMALL), CONTRACT) for fuse in (False, True)
+    )
+    roll_out(compiled, ReachingEnv(SMALL))
+    roll_out(plain, ReachingEnv(SMALL))
+    compiled.load_state_dict(plain.state_dict())
+    for name in ("rollout", "rewards"):
+        assign(getattr(compiled, name), getattr(plain, name))
+    compiled.is_done.copy_(plain.is_done)
+    compiled.next_states = plain.next_states
+    metrics = []
+    for mappo in (plain, compiled):
         torch.manual_seed(0)
-        mappo, env = Mappo(SMALL, ReachingEnv(SMALL), CONTRACT), ReachingEnv(SMALL)
-        if is_traced:
-            for step in mappo.steps.values():
-                step._losses = torch.compile(step._losses_of, backend="aot_eager", fullgraph=True)
-        roll_out(mappo, env)
-        outcomes.append((mappo.update(0.0), mappo.export().state_dict()))
-    assert outcomes[1][0] == pytest.approx(outcomes[0][0], rel=1e-4)
-    torch.testing.assert_close(outcomes[1][1], outcomes[0][1])
+        metrics.append(mappo.update(0.0))
+    assert metrics[1] == pytest.approx(metrics[0], rel=1e-3)
+    torch.testing.assert_close(
+        compiled.export().state_dict(), plain.export().state_dict(), rtol=1e-3, atol=1e-5
+    )
 
 
 @pytest.mark.gpu

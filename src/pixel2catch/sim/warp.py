@@ -36,9 +36,14 @@ of 8,192 environments take 3.1 ms instead of 1.7 (H200)."""
 
 CONTACTS_PER_SENSOR = 32
 """Contacts that a contact sensor chooses from, and the threads that sort them. Source: ours: 8,192 random
-robots had 15 contacts in all; with MuJoCo Warp's 64 the sorting took 1.1 of 11 ms in a control step (H100)."""
+robots had 15 contacts in all; with MuJoCo Warp's 64 the sorting took 1.1 of 11 ms of a control step (H100).
+"""
 
-_HARMLESS = int(mjw.OverflowType.ITERATIONS | mjw.OverflowType.LS_ITERATIONS | mjw.OverflowType.CONTACT_MATCH)
+_HARMLESS = int(
+    mjw.OverflowType.ITERATIONS
+    | mjw.OverflowType.LS_ITERATIONS
+    | mjw.OverflowType.CONTACT_MATCH  # a sensor misses nothing else
+)
 
 
 @final
