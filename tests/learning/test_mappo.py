@@ -146,6 +146,7 @@ def test_training_gives_the_numbers_of_skrl(
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:torch", "ignore::FutureWarning:torch")
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs a compiler")
 def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What they draw differs, so the second learns from the rollout of the first."""

@@ -59,7 +59,7 @@ class Mappo:
             for agent, num_actions in env.action_sizes.items()
         }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
-        self._is_resting, self._is_cuda = False, cfg.device.startswith("cuda")
+        self._is_resting = False
 
         def buffer(*size: int, num_steps: int = cfg.rollout_steps, fill: float = torch.nan) -> Tensor:
             return torch.full((num_steps, env.num_envs, *size), fill, device=cfg.device)
@@ -95,13 +95,12 @@ class Mappo:
             for agent, batch in self.rollout.items()
         }
         self._num_steps = 0
-        self._streams = {agent: torch.cuda.Stream(cfg.device) for agent in self.agents if self._is_cuda}
         self._draw = {agent: self._recorded(networks.act) for agent, networks in self.networks.items()}
 
     def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function by the fewest launches that the device and the configuration allow."""
         function = torch.compile(function, dynamic=False) if self.cfg.fuse else function
-        if not self._is_cuda:
+        if not self.cfg.device.startswith("cuda"):
             return function
         device = torch.device(self.cfg.device)
         return GraphedFunction(function, device=device, num_eager_calls=NUM_EAGER_STEPS)
@@ -173,25 +172,11 @@ class Mappo:
                 rate = cfg.learning_rate + (cfg.final_learning_rate - cfg.learning_rate) * min(progress, 1.0)
                 step.learning_rate.fill_(rate * (begun - 1.0 if 1.0 <= begun < 2.0 else 1.0))
         with _tensor_cores():
-            metrics = self._update_agents()
+            metrics = {agent: self._update_agent(agent) for agent in self.agents}
         self.discard_rollout()
-        rows = {agent: dict(zip(METRICS, row.tolist(), strict=True)) for agent, row in metrics.items()}
-        return {f"{name}/{agent}": rows[agent][name] for agent in self.agents for name in METRICS}
+        return {f"{name}/{agent}": metrics[agent][name] for agent in self.agents for name in METRICS}
 
-    def _update_agents(self) -> dict[str, Tensor]:
-        """Update the agents, who share nothing: side by side on a GPU that is alone."""
-        if not self._is_cuda or self.workers.size > 1:
-            return {agent: self._update_agent(agent) for agent in self.agents}
-        metrics, main = {}, torch.cuda.current_stream(self.cfg.device)
-        for agent, stream in self._streams.items():
-            stream.wait_stream(main)
-            with torch.cuda.stream(stream):
-                metrics[agent] = self._update_agent(agent)
-        for stream in self._streams.values():
-            main.wait_stream(stream)
-        return metrics
-
-    def _update_agent(self, agent: str) -> Tensor:
+    def _update_agent(self, agent: str) -> dict[str, float]:
         cfg, step, networks = self.cfg, self.steps[agent], self.networks[agent]
         self._estimate_advantages(agent)
         epochs, num = [], cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
@@ -207,7 +192,8 @@ class Mappo:
             if cfg.schedule == "kl":
                 step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), epochs[-1][2].item()))
         std = networks.log_std.detach().exp().mean()
-        return torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
+        results = torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
+        return dict(zip(METRICS, results.tolist(), strict=True))
 
     @torch.no_grad()
     def _estimate_advantages(self, agent: str) -> None:
