@@ -35,8 +35,8 @@ RAY_BLOCK = 32
 of 8,192 environments take 3.1 ms instead of 1.7 (H200)."""
 
 CONTACTS_PER_SENSOR = 32
-"""Contacts that a contact sensor chooses from. Source: ours: 8,192 random robots had 15 contacts at the
-most in all; sorting MuJoCo Warp's 64 took 1.1 of 11 ms of kernels in a control step of 8,192 environments (H100)."""
+"""Contacts that a contact sensor chooses from. Source: ours: 8,192 random robots had 15 contacts at the most
+in all; sorting MuJoCo Warp's 64 took 1.1 of 11 ms of kernels in a control step of theirs (H100)."""
 
 _HARMLESS = int(
     mjw.OverflowType.ITERATIONS
