@@ -14,7 +14,7 @@ from torch.distributions import Normal
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning import gradient_step
 from pixel2catch.learning.config import PRESETS, TrainCfg, preset
-from pixel2catch.learning.mappo import Mappo
+from pixel2catch.learning.mappo import Mappo, mini_batches
 from pixel2catch.mdp.masks import assign
 from pixel2catch.policy import Policy
 
@@ -50,6 +50,18 @@ def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
         returns = networks.value_scale.inverse(mappo.rollout[agent].returns)
         expected = torch.tensor([[1.5, 1.5, 2.5], [1.0, 1.0, 3.0], [4.0, 4.0, 4.0]])
         torch.testing.assert_close(returns, expected, atol=1e-5, rtol=0)
+
+
+def test_mini_batches_hold_every_transition_once(mappo: Mappo) -> None:
+    step = mappo.steps["arm"]
+    for tensor in (mappo.rollout["arm"].values, mappo.rollout["arm"].advantages):
+        tensor.copy_(torch.arange(1024.0).view(16, 64))
+    batches = [step.batch(indices) for indices in mini_batches(SMALL)]
+    assert [len(batch.values) for batch in batches] == [256] * 4
+    assert all(torch.equal(batch.values, batch.advantages) for batch in batches)
+    drawn = torch.cat([batch.values for batch in batches]).tolist()
+    assert drawn != sorted(drawn)
+    assert sorted(drawn) == list(range(1024))
 
 
 def plain_update(mappo: Mappo, agent: str) -> list[torch.Tensor]:

@@ -4,7 +4,7 @@ Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and va
 standardised inputs and values. Ours: imitation of a teacher, resting policies, several processes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -179,10 +179,10 @@ class Mappo:
     def _update_agent(self, agent: str) -> dict[str, float]:
         cfg, step, networks = self.cfg, self.steps[agent], self.networks[agent]
         self._estimate_advantages(agent)
-        epochs, num = [], cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
+        epochs = []
         for epoch in range(cfg.epochs):
             step.totals.zero_()
-            for indices in torch.randperm(num, device=cfg.device).chunk(cfg.mini_batches):
+            for indices in mini_batches(cfg):
                 if epoch == 0:
                     batch = step.batch(indices)
                     networks.observation_scale.learn(batch.observations)
@@ -308,6 +308,12 @@ def discounted_returns(
         advantage = rewards[t] - values[t] + cfg.discount * ~is_done[t] * ahead
         returns[t], last_values = advantage + values[t], values[t]
     return returns
+
+
+def mini_batches(cfg: TrainCfg) -> Sequence[Tensor]:
+    """Random transitions of a rollout, or environments of recurrent networks: together all, each once."""
+    num = cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
+    return torch.randperm(num, device=cfg.device).chunk(cfg.mini_batches)
 
 
 def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:
