@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,8 @@ from torch.distributions import Normal
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning import gradient_step
 from pixel2catch.learning.config import PRESETS, TrainCfg, preset
-from pixel2catch.learning.gradient_step import Batch
 from pixel2catch.learning.mappo import Mappo, mini_batches
+from pixel2catch.mdp.masks import assign
 from pixel2catch.policy import Policy
 
 
@@ -51,15 +52,16 @@ def test_advantages_by_hand_and_no_leak_over_a_time_out() -> None:
         torch.testing.assert_close(returns, expected, atol=1e-5, rtol=0)
 
 
-def test_mini_batches_hold_every_transition_once() -> None:
-    numbers = torch.arange(24.0).view(4, 6)
-    rollout = Batch(numbers[..., None], *(numbers for _ in range(10)))
-    batches = list(mini_batches(rollout, 3))
-    assert [len(batch.values) for batch in batches] == [8, 8, 8]
-    assert all(torch.equal(batch.observations[:, 0], batch.advantages) for batch in batches)
+def test_mini_batches_hold_every_transition_once(mappo: Mappo) -> None:
+    step = mappo.steps["arm"]
+    for tensor in (mappo.rollout["arm"].values, mappo.rollout["arm"].advantages):
+        tensor.copy_(torch.arange(1024.0).view(16, 64))
+    batches = [step.batch(indices) for indices in mini_batches(SMALL)]
+    assert [len(batch.values) for batch in batches] == [256] * 4
+    assert all(torch.equal(batch.values, batch.advantages) for batch in batches)
     drawn = torch.cat([batch.values for batch in batches]).tolist()
     assert drawn != sorted(drawn)
-    assert sorted(drawn) == list(range(24))
+    assert sorted(drawn) == list(range(1024))
 
 
 def plain_update(mappo: Mappo, agent: str) -> list[torch.Tensor]:
@@ -153,6 +155,32 @@ def test_training_gives_the_numbers_of_skrl(
     assert tuple(metrics.values())[:9] == pytest.approx(FROZEN[name], rel=1e-3, abs=1e-5)
     weights = torch.cat([tensor.flatten() for tensor in mappo.export().parameters()])
     assert weights.square().sum().item() == pytest.approx(SQUARES[name], rel=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:torch", "ignore::FutureWarning:torch")
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs a compiler")
+def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What they draw differs, so the second learns from the rollout of the first."""
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    plain, compiled = (
+        Mappo(dataclasses.replace(SMALL, fuse=fuse), ReachingEnv(SMALL), CONTRACT) for fuse in (False, True)
+    )
+    roll_out(compiled, ReachingEnv(SMALL))
+    roll_out(plain, ReachingEnv(SMALL))
+    compiled.load_state_dict(plain.state_dict())
+    for name in ("rollout", "rewards"):
+        assign(getattr(compiled, name), getattr(plain, name))
+    compiled.is_done.copy_(plain.is_done)
+    compiled.next_states = plain.next_states
+    metrics = []
+    for mappo in (plain, compiled):
+        torch.manual_seed(0)
+        metrics.append(mappo.update(0.0))
+    assert metrics[1] == pytest.approx(metrics[0], rel=1e-3)
+    torch.testing.assert_close(
+        compiled.export().state_dict(), plain.export().state_dict(), rtol=1e-3, atol=1e-5
+    )
 
 
 @pytest.mark.gpu

@@ -7,7 +7,7 @@ import dataclasses
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from reaching import CONTRACT, SMALL, ReachingCfg, ReachingEnv, Step, roll_out
 from pixel2catch.learning import mappo as algorithm
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers, start_workers
-from pixel2catch.learning.gradient_step import Batch
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.train import train
 
@@ -27,15 +26,12 @@ TOLERANCES = {"cpu": (1e-5, 2e-6), "cuda": (1e-2, 1e-3)}
 """Relative and absolute; a CUDA device rounds the networks' products to TF32."""
 
 
-def ordered(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Batch]:
+def ordered(cfg: TrainCfg) -> Sequence[torch.Tensor]:
     """Mini-batches in an order by which one of the whole is made of one of each half."""
-    device, dim = rollout.values.device, 1 if is_whole else 0
-    flat = rollout if is_whole else rollout.each(partial(torch.flatten, end_dim=1))
-    order = torch.arange(flat.values.shape[dim], device=device)
-    if is_whole and len(order) == CFG.num_envs:
+    order = torch.arange(cfg.num_envs if cfg.recurrent else cfg.rollout_transitions, device=cfg.device)
+    if cfg.recurrent and len(order) == CFG.num_envs:
         order = order.view(2, -1).T.flatten()
-    for chunk in order.chunk(num):
-        yield flat.each(partial(torch.index_select, dim=dim, index=chunk))
+    return order.chunk(cfg.mini_batches)
 
 
 def make_mappo(cfg: TrainCfg, workers: Workers | None = None) -> Mappo:

@@ -36,12 +36,12 @@ def restitution_of_a_drop(
     return highest / -lowest
 
 
-@pytest.mark.parametrize("rate", [120, 240])
+@pytest.mark.parametrize(("rate", "cone"), [(120, "elliptic"), (240, "elliptic"), (120, "pyramidal")])
 @pytest.mark.parametrize("on", ["table", "palm"])
 @pytest.mark.parametrize("restitution", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
-def test_drops_bounce_with_the_given_restitution(restitution, on, rate):
+def test_drops_bounce_with_the_given_restitution(restitution, on, rate, cone):
     """Mean over the phase of the impact within a step; at 0 the push-out of deep hits adds about 0.1."""
-    model = build_model(SceneCfg(physics_hz=rate, object_restitution=restitution), "sphere_l")
+    model = build_model(SceneCfg(physics_hz=rate, cone=cone, object_restitution=restitution), "sphere_l")
     spot, normal = (TABLE_SPOT, np.array((0.0, 0, 1))) if on == "table" else (PALM_SPOT, PALM_NORMAL)
     heights = 0.4 + np.arange(12) / 12 * 2.8 / rate
     mean = np.mean([restitution_of_a_drop(model, spot, normal, height) for height in heights])

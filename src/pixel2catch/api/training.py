@@ -69,6 +69,7 @@ def run(cfg: TrainCfg, method: Method, out: Path, *, resume: bool = False) -> Tr
             device=cfg.device,
             seed=cfg.seed,
             teacher=teacher,
+            is_fused=cfg.fuse,
         )
 
     return train(cfg, make_env, replace(contract, task=cfg.task), out, resume=resume, agents=method.agents)

@@ -130,4 +130,7 @@ def _matrix(camera: CameraSpec) -> Matrix:
         [2 * (x * y - w * z) / norm, 1 - 2 * (x * x + z * z) / norm, 2 * (y * z + w * x) / norm],
         [2 * (x * z + w * y) / norm, 2 * (y * z - w * x) / norm, 1 - 2 * (x * x + y * y) / norm],
     ]
-    return tuple(map(tuple, (np.array(camera.matrix) @ np.array(axes)).tolist()))
+    columns = [*zip(*axes, strict=True)]
+    return tuple(
+        tuple(sum(a * b for a, b in zip(row, each, strict=True)) for each in columns) for row in camera.matrix
+    )

@@ -48,11 +48,11 @@ class JointActuators:
         velocity_limits: Sequence[float],
     ) -> None:
         """Take over the controls of a simulation; `nominal` are the joints without an identification."""
-        self._simulation = simulation
         num_joints = len(dynamics.joints)
         self._qpos = simulation.bind("qpos")[:, :num_joints]
         self._qvel = simulation.bind("qvel")[:, :num_joints]
         self._ctrl = simulation.bind("ctrl")
+        self._gainprm, self._biasprm = (simulation.expand(f"actuator_{kind}prm") for kind in ("gain", "bias"))
         self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
         efforts = simulation.model.actuator_forcerange[:, 1].tolist()
         self._servos = Servos.on(simulation.device, simulation.dtype, dynamics, efforts, velocity_limits)
@@ -80,12 +80,10 @@ class JointActuators:
             self._dry_friction.reset(mask, joint_pos)
         stiffness = self._stiffness * parameters.stiffness_scale
         damping = self._damping * parameters.damping_scale
-        gainprm = self._simulation.expand("actuator_gainprm")
-        biasprm = self._simulation.expand("actuator_biasprm")
         for target, value in (
-            (gainprm[..., 0], stiffness),
-            (biasprm[..., 1], -stiffness),
-            (biasprm[..., 2], -self._implicit * damping),
+            (self._gainprm[..., 0], stiffness),
+            (self._biasprm[..., 1], -stiffness),
+            (self._biasprm[..., 2], -self._implicit * damping),
         ):
             target.copy_(select(mask, value.to(target), target))
 
@@ -102,8 +100,8 @@ class JointActuators:
         state = ServoState(
             joint_pos=self._qpos,
             joint_vel=self._qvel,
-            stiffness=self._simulation.expand("actuator_gainprm")[..., 0],
-            damping=-self._simulation.expand("actuator_biasprm")[..., 2] / self._implicit,
+            stiffness=self._gainprm[..., 0],
+            damping=-self._biasprm[..., 2] / self._implicit,
         )
         explicit = (1.0 - self._implicit) * state.damping / state.stiffness
         self._ctrl.copy_(self._servos.limited(aim, state) - explicit * self._qvel)

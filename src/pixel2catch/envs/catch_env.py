@@ -24,6 +24,7 @@ from pixel2catch.mdp.snapshot import History, Measurement, Privileged, Transitio
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
 from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.sim.fusion import fused
 from pixel2catch.workcells import find_workcell
 
 
@@ -93,10 +94,12 @@ class CatchEnv:
         device: str = "cpu",
         seed: int = 0,
         teacher: Method | None = None,
+        is_fused: bool = False,
     ) -> None:
         """Build the environments; the first `reset` begins their episodes.
 
         The observations of a `teacher` are made as well. The seed is that of everything that is drawn here.
+        Where it `is_fused`, the first step compiles the control step: see `sim.fusion`.
         """
         self.workcell = find_workcell(cfg.scene.workcell)
         self.cfg = cfg = cfg.for_workcell(self.workcell)
@@ -120,7 +123,9 @@ class CatchEnv:
         self._episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
         self._senses = self._first_senses()
-        self._advance = self.world.simulation.record(self._control_step, self._generator)
+        simulation = self.world.simulation
+        step = fused(self._control_step, simulation) if is_fused else self._control_step
+        self._advance = simulation.record(step, self._generator)
         observation = self.reset()
         self.observation_sizes = {name: value.shape[1] for name, value in observation.policy.items()}
         self.action_sizes = {agent.name: agent.num_joints for agent in method.agents}

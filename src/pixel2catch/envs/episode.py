@@ -1,6 +1,6 @@
 """What is drawn for an episode, and what becomes of it, environment by environment, on the device."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -98,7 +98,7 @@ class EpisodeRecord:
         none, no = torch.zeros_like(object_id), torch.zeros_like(object_id, dtype=torch.bool)
         zero = aim.new_zeros(len(aim))
         counts = ("steps", "held_steps", "self_contact_steps", "contact_steps")
-        begun = {field.name: no if field.name.startswith("is_") else zero for field in fields(cls)}
+        begun = {name: no if name.startswith("is_") else zero for name in cls.__dataclass_fields__}
         return cls(**(begun | dict.fromkeys(counts, none) | kept))
 
     def advanced(

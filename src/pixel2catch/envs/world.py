@@ -148,6 +148,10 @@ class CatchWorld:
             for name, rows in self.objects.fields.items()
             if self.simulation.can_expand(name)
         }
+        self._model = {
+            name: self.simulation.expand(name)
+            for name in (*self._table, "body_mass", "geom_solref", "geom_friction")
+        }
         thrown = [OBJECTS[name].scaled(scene.object_scale) for name in self.objects.names]
         points = np.stack([surface_points(spec, NUM_SURFACE_POINTS) for spec in thrown])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)
@@ -172,7 +176,7 @@ class CatchWorld:
         start = torch.nn.functional.pad(throw.hover_vel, (self._num_joints, 3)).to(joint_pos)
         fields.qvel.copy_(select(mask, start, fields.qvel))
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
-        weight = GRAVITY * self.simulation.expand("body_mass")[:, self.objects.indices.body]
+        weight = GRAVITY * self._model["body_mass"][:, self.objects.indices.body]
         lift = fields.xfrc_applied[:, self.objects.indices.body, 2]
         lift.copy_(torch.where(mask, weight, lift))
 
@@ -231,7 +235,7 @@ class CatchWorld:
             velocity = self._fields.qvel[:, self._linear]
             speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
             total = total - drag.to(force)[:, None] * speed * velocity
-        mass = self.simulation.expand("body_mass")[:, self.objects.indices.body]
+        mass = self._model["body_mass"][:, self.objects.indices.body]
         force.copy_(mass[:, None] * total)
 
     def quiet_log(self) -> StepExtremes:
@@ -283,12 +287,12 @@ class CatchWorld:
         )
         solref = torch.stack((stiffness, damping), dim=-1)
         self._write(mask, "geom_solref", rows("geom_solref"), solref[:, None])
-        friction = self.simulation.expand("geom_friction")[:, rows("geom_friction"), 0]
+        friction = self._model["geom_friction"][:, rows("geom_friction"), 0]
         friction.copy_(select(mask, parameters.friction.to(friction)[:, None].expand_as(friction), friction))
 
     def _write(self, mask: Tensor, name: str, rows: slice, value: Tensor) -> None:
         """Set rows of a model field in the masked environments."""
-        field = self.simulation.expand(name)[:, rows]
+        field = self._model[name][:, rows]
         field.copy_(select(mask, value.to(field.dtype).expand_as(field), field))
 
     def _read_log(self) -> StepExtremes:

@@ -129,6 +129,9 @@ class TrainCfg:
     wandb: str | None = None
     """Project of Weights & Biases that gets configuration and curves, too; its environment variables, such as
     WANDB_MODE=offline, hold. Default: none."""
+    fuse: bool = False
+    """Whether torch.compile makes fewer kernels of a control step and of a gradient step: a minute more at
+    the start, and where the physics rate changes."""
     checkpoint_seconds: NotNegative = 60.0
     """Time between two checkpoints [s]."""
     report_seconds: NotNegative = 10.0

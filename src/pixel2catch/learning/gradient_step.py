@@ -6,6 +6,7 @@ as graphs 74 ms).
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -44,9 +45,13 @@ class Batch(NamedTuple):
 class GradientStep:
     """Takes gradient steps for one agent."""
 
-    def __init__(self, cfg: TrainCfg, networks: ActorCritic, workers: Workers) -> None:
-        """Prepare for the parameters of one agent's networks."""
+    def __init__(self, cfg: TrainCfg, networks: ActorCritic, rollout: Batch, workers: Workers) -> None:
+        """Prepare for one agent's networks and for its rollouts, which are always in the same memory."""
         self._cfg, self._networks, self._workers = cfg, networks, workers
+        # Of recurrent networks, the steps of an environment stay together and in order.
+        self._dim = 1 if cfg.recurrent else 0
+        self._rollout = rollout if cfg.recurrent else rollout.each(partial(torch.flatten, end_dim=1))
+        self._losses = torch.compile(self._losses_of, dynamic=False) if cfg.fuse else self._losses_of
         self._is_cuda = cfg.device.startswith("cuda")
         rate = torch.tensor(cfg.learning_rate, device=cfg.device)
         #: Adam, with its learning rate in a tensor, so that a captured step sees it change.
@@ -66,9 +71,13 @@ class GradientStep:
         """Learning rate, to be changed in place."""
         return self.optimizer.param_groups[0]["lr"]
 
-    def take(self, batch: Batch) -> None:
-        """Take one step on standardised observations, states, values and returns; nothing waits."""
-        self._step(*batch)
+    def batch(self, indices: Tensor) -> Batch:
+        """Some transitions of the rollout, or some environments of recurrent networks."""
+        return self._rollout.each(partial(torch.index_select, dim=self._dim, index=indices))
+
+    def take(self, indices: Tensor) -> None:
+        """Take one step on some of the rollout, whose values and returns are standardised; nothing waits."""
+        self._step(indices)
 
     def rest_policy(self) -> None:
         """Let the value network alone learn, until `wake_policy`."""
@@ -98,18 +107,27 @@ class GradientStep:
             GraphedFunction(step, device=device, num_eager_calls=NUM_EAGER_STEPS) if self._is_cuda else step
         )
 
-    def _eager_step(self, *tensors: Tensor) -> None:
-        """Source: PPO with clipped ratio and clipped values (Schulman et al. 2017; release).
+    def _eager_step(self, indices: Tensor) -> None:
+        objective, losses = self._losses(indices)
+        objective.backward()
+        parameters = [each for each in self._networks.parameters() if each.grad is not None]
+        self._workers.average([*(p.grad for p in parameters if p.grad is not None), losses])
+        nn.utils.clip_grad_norm_(parameters, self._cfg.gradient_clip)
+        self.optimizer.step()
+        self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
+        self.totals += losses
 
-        A teacher's advice is followed by its weight, and the surrogate objective by the rest.
+    def _losses_of(self, indices: Tensor) -> tuple[Tensor, Tensor]:
+        """What the step makes smaller; and policy loss, value loss and KL divergence.
+
+        Source: PPO with clipped ratio and clipped values (Schulman et al. 2017; release). A teacher's advice
+        is followed by its weight, and the surrogate objective by the rest.
         """
-        cfg, networks, batch = self._cfg, self._networks, Batch(*tensors)
-        mean = networks.policy(
-            recall_all(networks.policy_gru, batch.observations, batch.policy_hidden_state, batch.is_first)
-        )
-        values = networks.value(
-            recall_all(networks.value_gru, batch.states, batch.value_hidden_state, batch.is_first)
-        )[..., 0]
+        cfg, networks, batch = self._cfg, self._networks, self.batch(indices)
+        seen, states = networks.observation_scale(batch.observations), networks.state_scale(batch.states)
+        seen = recall_all(networks.policy_gru, seen, batch.policy_hidden_state, batch.is_first)
+        states = recall_all(networks.value_gru, states, batch.value_hidden_state, batch.is_first)
+        mean, values = networks.policy(seen), networks.value(states)[..., 0]
         log_ratio = networks.log_prob(mean, batch.actions) - batch.log_prob
         ratio = log_ratio.exp()
         clipped_ratio = ratio.clip(1.0 - cfg.ratio_clip, 1.0 + cfg.ratio_clip)
@@ -120,13 +138,5 @@ class GradientStep:
         if batch.advice.shape[-1]:
             imitation = 0.5 * (mean - batch.advice).square().sum(dim=-1).mean()
             objective = torch.lerp(objective, imitation, self.teacher_weight)
-        (self._policy_weight * objective + value_loss).backward()
-        with torch.no_grad():
-            kl = (ratio - 1.0 - log_ratio).mean()
-            losses = torch.stack((policy_loss, value_loss, kl))
-        parameters = [parameter for parameter in networks.parameters() if parameter.grad is not None]
-        self._workers.average([*(p.grad for p in parameters if p.grad is not None), losses])
-        nn.utils.clip_grad_norm_(parameters, cfg.gradient_clip)
-        self.optimizer.step()
-        self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
-        self.totals += losses
+        losses = torch.stack((policy_loss, value_loss, (ratio - 1.0 - log_ratio).mean())).detach()
+        return self._policy_weight * objective + value_loss, losses

@@ -4,9 +4,8 @@ Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and va
 standardised inputs and values. Ours: imitation of a teacher, resting policies, several processes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 import torch
@@ -16,9 +15,10 @@ from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.environment import Environment, Observation, Step
-from pixel2catch.learning.gradient_step import Batch, GradientStep
+from pixel2catch.learning.gradient_step import NUM_EAGER_STEPS, Batch, GradientStep
 from pixel2catch.learning.networks import EPSILON, ActorCritic
 from pixel2catch.policy import Policy, PolicyContract
+from pixel2catch.sim.graphs import GraphedFunction
 
 HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
 
@@ -58,9 +58,6 @@ class Mappo:
             agent: ActorCritic(cfg, self.workers, env.observation_sizes[agent], env.state_size, num_actions)
             for agent, num_actions in env.action_sizes.items()
         }
-        self.steps = {
-            agent: GradientStep(cfg, networks, self.workers) for agent, networks in self.networks.items()
-        }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
         self._is_resting = False
 
@@ -88,12 +85,25 @@ class Mappo:
             )
             for agent, num_actions in env.action_sizes.items()
         }
+        self.steps = {
+            agent: GradientStep(cfg, networks, self.rollout[agent], self.workers)
+            for agent, networks in self.networks.items()
+        }
         self.rewards = {agent: buffer() for agent in self.agents}
         self._hidden_states = {
             agent: (batch.policy_hidden_state[0].clone(), batch.value_hidden_state[0].clone())
             for agent, batch in self.rollout.items()
         }
         self._num_steps = 0
+        self._draw = {agent: self._recorded(networks.act) for agent, networks in self.networks.items()}
+
+    def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function by the fewest launches that the device and the configuration allow."""
+        function = torch.compile(function, dynamic=False) if self.cfg.fuse else function
+        if not self.cfg.device.startswith("cuda"):
+            return function
+        device = torch.device(self.cfg.device)
+        return GraphedFunction(function, device=device, num_eager_calls=NUM_EAGER_STEPS)
 
     def begin(self) -> None:
         """Forget what recurrent networks have seen: new episodes begin everywhere."""
@@ -104,21 +114,15 @@ class Mappo:
         """Sample unclipped actions, (num_envs, size) by agent, and remember them with what led to them."""
         actions = {}
         with _tensor_cores():
-            for agent, networks in self.networks.items():
+            for agent in self.agents:
                 rollout, hidden = self.rollout[agent], self._hidden_states[agent]
                 if self._num_steps == 0:
                     rollout.policy_hidden_state[0], rollout.value_hidden_state[0] = hidden
-                mean, policy_state = networks.mean_of(observation.policy[agent], hidden[0])
-                actions[agent] = mean + networks.log_std.exp() * torch.randn_like(mean)
-                values, value_state = networks.value_of(observation.state, hidden[1])
-                self._hidden_states[agent] = (policy_state, value_state)
-                seen = {
-                    "observations": observation.policy[agent],
-                    "states": observation.state,
-                    "actions": actions[agent],
-                    "log_prob": networks.log_prob(mean, actions[agent]),
-                    "values": values,
-                }
+                seen = {"observations": observation.policy[agent], "states": observation.state}
+                drawn = self._draw[agent](*seen.values(), *hidden)
+                seen |= dict(zip(("actions", "log_prob", "values"), drawn, strict=False))
+                actions[agent] = seen["actions"]
+                self._hidden_states[agent] = drawn[3:]
                 for name, tensor in seen.items():
                     getattr(rollout, name)[self._num_steps] = tensor
             if self._teacher is not None:
@@ -178,12 +182,12 @@ class Mappo:
         epochs = []
         for epoch in range(cfg.epochs):
             step.totals.zero_()
-            for batch in mini_batches(self.rollout[agent], cfg.mini_batches, is_whole=cfg.recurrent > 0):
+            for indices in mini_batches(cfg):
                 if epoch == 0:
+                    batch = step.batch(indices)
                     networks.observation_scale.learn(batch.observations)
                     networks.state_scale.learn(batch.states)
-                scaled = (networks.observation_scale(batch.observations), networks.state_scale(batch.states))
-                step.take(batch._replace(observations=scaled[0], states=scaled[1]))
+                step.take(indices)
             epochs.append(step.totals / cfg.mini_batches)
             if cfg.schedule == "kl":
                 step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), epochs[-1][2].item()))
@@ -306,17 +310,10 @@ def discounted_returns(
     return returns
 
 
-def mini_batches(rollout: Batch, num: int, *, is_whole: bool = False) -> Iterator[Batch]:
-    """Yield random mini-batches which together hold every transition once; drawn on the device.
-
-    The rollout is (rollout_steps, num_envs, ...); `is_whole` keeps the steps of an environment together and
-    in order.
-    """
-    drawn = rollout if is_whole else rollout.each(partial(torch.flatten, end_dim=1))
-    dim = 1 if is_whole else 0
-    order = torch.randperm(drawn.values.shape[dim], device=drawn.values.device)
-    for indices in order.chunk(num):
-        yield drawn.each(partial(torch.index_select, dim=dim, index=indices))
+def mini_batches(cfg: TrainCfg) -> Sequence[Tensor]:
+    """Random transitions of a rollout, or environments of recurrent networks: together all, each once."""
+    num = cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
+    return torch.randperm(num, device=cfg.device).chunk(cfg.mini_batches)
 
 
 def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:

@@ -94,6 +94,15 @@ class ActorCritic(nn.Module):
         features, hidden_state = recall(self.value_gru, self.state_scale(states), hidden_state)
         return self.value_scale.inverse(self.value(features)[..., 0]), hidden_state
 
+    def act(
+        self, observations: Tensor, states: Tensor, policy_state: Tensor, value_state: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Draw actions; return them, their log probability, the values, and both new hidden states."""
+        mean, policy_state = self.mean_of(observations, policy_state)
+        actions = mean + self.log_std.exp() * torch.randn_like(mean)
+        values, value_state = self.value_of(states, value_state)
+        return actions, self.log_prob(mean, actions), values, policy_state, value_state
+
     def log_prob(self, mean: Tensor, actions: Tensor) -> Tensor:
         """Return the logarithm of the probability density of actions about a mean."""
         error = (actions - mean) * (-self.log_std).exp()

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from numpy import ndarray
 from torch import Tensor
@@ -11,6 +11,8 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.maker import Surface
 from pixel2catch.scene.constants import CONTROL_DT, PHYSICS_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
+
+Cone = Literal["elliptic", "pyramidal"]
 
 MAX_OBJECT_SCALE = 1.4  #: Of the 14 cm to the end of the largest object, within `scene.OBJECT_BOUND`.
 
@@ -33,6 +35,7 @@ class SceneCfg:
     workcell: str = UR5E_ALLEGRO.name  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: float = 1.0 / PHYSICS_DT
+    cone: Cone = "elliptic"  #: Friction cone: elliptic, as it is, or pyramidal, which is computed faster.
     engine: str = "mujoco"  #: Whose physics it is: mujoco, or another to judge policies by, such as physx.
     #: Makers' models, URDF or MJCF, one for each part of the robot that shall be simulated by it. Default:
     #: our models.

@@ -182,7 +182,7 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     option.timestep = cfg.physics_dt
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.cone = getattr(mujoco.mjtCone, f"mjCONE_{cfg.cone.upper()}")
     option.iterations = 10
     option.ls_iterations = 20
 
