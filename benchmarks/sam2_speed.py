@@ -91,7 +91,7 @@ def build(folder: Path, setting: str, device: str, size: int) -> Segmenter:
 def stream(
     segmenter: Segmenter, count: int, interval: float = 0.0
 ) -> Iterator[tuple[bool, float, float, bool, bool]]:
-    """Run images at an interval [s]; yield for each: begins a throw; ms to mask and to box; is found; is late."""
+    """Run images at an interval [s]; yield of each: begins a throw; ms to mask, to box; is found; is late."""
     images = np.random.default_rng(0).integers(0, 256, (8, HEIGHT, WIDTH, 3), dtype=np.uint8)
     first = time.perf_counter()
     for index in range(count):
