@@ -4,10 +4,10 @@ python benchmarks/identify_ur5e_servoj.py DATA [--gain 100] [--lookahead 0.03]
 
 DATA has Data_Joint_0.csv, Data_Joint_4.csv and Data_Joint_5.csv of repository Yuxuan-Liang-git/UR5e_Torque,
 folder joint_test/Data. Its program (get_traindata.py) has one joint follow a path by servoJ at 500 Hz with a
-gain of 300 and a look-ahead of 0.1 s, counts loops of 2 ms as time, and draws every 0.1 s of it, for which the
-loop stops: `identify --check` calls such recordings BAD. Here the clock is mended first: where the program
-draws, the time that passed is the motion over the measured speed. The first half of each recording is fitted,
-from another filter; the second is held out.
+gain of 300 and a look-ahead of 0.1 s, counts loops of 2 ms as time, and draws every 0.1 s of it; the loop
+stops meanwhile: `identify --check` calls such recordings BAD. Here the clock is mended first: where the
+program draws, the time that passed is the motion over the measured speed. The first half of each recording is
+fitted, from another filter; the second is held out.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 
 JOINTS = {0: "shoulder_pan_joint", 4: "wrist_2_joint", 5: "wrist_3_joint"}
 DRAWING = 0.1  # time of the program between two drawings [s]
-LEAST_SPEED = 0.1  # from which the speed tells how long a drawing took [rad/s]
+SPEED, LEAST_SPEED = 0.1, 0.02  # from which one drawing's length is told, and that of most [rad/s]
 
 
 def main() -> None:
@@ -71,10 +71,13 @@ def mended(recording: Recording) -> Recording:
     """The same recording with the time that drawings took."""
     assert recording.qd is not None
     time, excess = recording.t_meas.copy(), excess_time(recording)[0]
-    is_drawing = np.diff(np.floor((time + 1e-6) / DRAWING), prepend=-1.0)[:-1] > 0.0
+    drawn = np.searchsorted(
+        time[:-1], np.cumsum([0.0, *np.full(int(time[-1] / DRAWING), DRAWING)])
+    )  # as it adds
+    is_drawing = np.isin(np.arange(len(excess)), drawn)
     speed = np.abs(recording.qd[1:, 0] + recording.qd[:-1, 0]) / 2
-    is_told = is_drawing & (speed > LEAST_SPEED)
-    took = np.where(is_told, excess, np.median(excess[is_told]))
+    usual = np.median(excess[is_drawing & (speed > LEAST_SPEED)])
+    took = np.where(speed > SPEED, excess, usual)
     time[1:] += np.cumsum(np.where(is_drawing, took, 0.0))
     return part(recording, 0.0, np.inf, time)
 

@@ -32,7 +32,7 @@ from transformers import Sam2VideoConfig, Sam2VideoModel
 
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.image_track import find_blobs
-from pixel2catch.perception.sam2 import MODULES, Module, Sam2Segmenter
+from pixel2catch.perception.sam2 import COMPILED, MODULES, Module, Sam2Segmenter
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
 from pixel2catch.perception.side_by_side import LONGEST_WAIT, Doubt, SideBySide
 
@@ -45,11 +45,11 @@ BOX = BoxPrompt(box=(300.0, 200.0, 340.0, 240.0))
 SETTINGS: dict[str, tuple[bool, tuple[Module, ...]]] = {
     "eager": (False, ()),
     "graphs": (True, ()),
-    "graphs_compiled_two": (True, ("vision_encoder", "memory_attention")),
-    "graphs_compiled": (True, MODULES),
+    "graphs_compiled": (True, COMPILED),
+    "graphs_compiled_all": (True, MODULES),
     "noise_graphs": (True, ()),
     "beside": (True, ()),
-    "beside_compiled": (True, MODULES),
+    "beside_compiled": (True, COMPILED),
 }
 """What is tried: whether it runs as CUDA graphs, and modules that `torch.compile` fuses before, which takes a
 minute and needs a C compiler."""

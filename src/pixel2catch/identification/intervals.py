@@ -25,9 +25,9 @@ FRICTION_DEVIATION = 0.1
 shows something in between."""
 
 LATENCY_DEVIATION = 4e-4
-"""Of the latency [s], of its change in a recording, and of armature over damping. Source: ours, of the order of
-a servo's cycle: a command waits for the next one, which looks like latency or like inertia. Identified from
-recordings of the twin, armature over damping of every joint was 0.42 ms more than the twin's."""
+"""Of the latency [s], of its change in a recording, and of armature over damping. Source: ours, of the order
+of a servo's cycle: a command waits for the next one, which looks like latency or like inertia. Armature over
+damping of every joint, identified from recordings of the twin, was 0.42 ms more than the twin's."""
 
 Hessian = Float[np.ndarray, "num_directions num_directions"]
 

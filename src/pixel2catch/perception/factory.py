@@ -53,7 +53,7 @@ class PerceptionArgs:
     #: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
     image_size: Count | None = None
     device: Device = "cpu"  #: Where SAM 2 runs: cpu, cuda, cuda:1, ...
-    #: Fuse SAM 2's kernels at the start: a minute, for 2 of 12 ms an image on an H100. Needs a C compiler.
+    #: Fuse SAM 2's kernels at the start: a minute, for 1 of 10 ms an image on an H100. Needs a C compiler.
     compile: bool = False
 
     def prepare(self) -> None:
@@ -103,14 +103,14 @@ class PerceptionArgs:
             raise InvalidValueError(
                 f"the segmenter {self.segmenter} needs --checkpoint, the folder of a SAM 2.1 model."
             )
-        from pixel2catch.perception.sam2 import MODULES, Sam2Segmenter
+        from pixel2catch.perception.sam2 import COMPILED, Sam2Segmenter
         from pixel2catch.perception.sam2_checkpoint import image_size_of
 
         size = self.image_size or image_size_of(self.checkpoint)
         if is_live and self.device == "cpu" and size >= HOPELESS_ON_CPU:
             raise _too_slow(f"SAM 2 takes seconds for an image of {size} px on a CPU")
         sam2 = Sam2Segmenter(
-            self.checkpoint, self.device, self.image_size, compiled=MODULES if self.compile else ()
+            self.checkpoint, self.device, self.image_size, compiled=COMPILED if self.compile else ()
         )
         if is_live or say is not None:
             took = sam2.seconds_an_image(1 if self.device == "cpu" else TIMED_IMAGES)

@@ -44,6 +44,9 @@ Module = Literal["vision_encoder", "memory_attention", "mask_decoder", "memory_e
 
 MODULES: tuple[Module, ...] = ("vision_encoder", "memory_attention", "mask_decoder", "memory_encoder")
 
+COMPILED: tuple[Module, ...] = ("vision_encoder", "memory_attention")
+"""What is worth the time to compile it. Source: ours; all four took more than 110 s on three cores."""
+
 CAPTURED = ("get_image_features", "memory_attention", "_single_frame_forward", "_encode_new_memory")
 """Parts and methods of the model that take and return tensors, and never ask for a value on the host; those
 modules are in them. Source: transformers 5.17 to 5.23."""
