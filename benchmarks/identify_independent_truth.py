@@ -1,6 +1,6 @@
 """Identify a robot that is not our simulation, and print how far off the result is and what intervals hold.
 
-python benchmarks/identify_independent_truth.py [--seeds 20] [--seconds 20] [--all-joints] [--out FILE]
+python benchmarks/identify_independent_truth.py [--seeds 20] [--joints NAME ...] [--processes 15] [--out FILE]
 
 The robot: independent_robot.py. Every seed draws each joint anew, moves it alone by two of `excite`'s
 trajectories, and fits it alone, from the nominal joint. Friction has a range, from the Coulomb level in
@@ -12,6 +12,8 @@ neither its error nor its interval counts.
 import argparse
 import json
 import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +21,13 @@ from independent_robot import GEARS, JOINTS, Faults, Robot
 
 from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
 from pixel2catch.identification.fit import LATENCY_UNIT, FitCfg, fit_dynamics
-from pixel2catch.identification.identify import half_widths
+from pixel2catch.identification.identify import half_widths, ratios
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.report_tables import UNKNOWN_WIDTH
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
-FEW = ("elbow_joint", "wrist_3_joint", "index_joint_1")
-GOALS = {"lag": 0.02, "frictionloss": 0.3, "armature": 0.2, "latency": 1e-3}
+LAG, FRICTION = "damping / stiffness", "frictionloss / stiffness"
+GOALS = {LAG: 0.02, "frictionloss": 0.3, FRICTION: 0.3, "armature": 0.2, "latency": 1e-3}
 Row = dict[str, float]
 
 
@@ -36,32 +38,51 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=20.0, help="length of each of the two recordings")
-    parser.add_argument("--all-joints", action="store_true", help="nine joints instead of three")
-    parser.add_argument("--out", type=Path, help="JSON file for the numbers")
+    parser.add_argument("--joints", nargs="+", choices=JOINTS, default=list(JOINTS))
+    parser.add_argument("--viscous", type=float, default=1.0, help="factor on the joints' viscous friction")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--within", type=float, default=1e6, help="begin nothing after so long [s]")
+    parser.add_argument("--out", type=Path, help="file of JSON lines for the numbers, written as they come")
     args = parser.parse_args()
-    names = tuple(JOINTS) if args.all_joints else FEW
-    found: dict[str, list[dict[str, Row]]] = {name: [] for name in names}
-    begun = time.process_time()
-    for seed in range(args.first_seed, args.first_seed + args.seeds):
-        robot, recordings = recorded(seed, names, args.seconds)
-        for j, name in enumerate(names):
-            found[name].append(judged(robot, j, recordings[j]))
-            texts = (
-                f"{key} {row['error']:+.3g}{'' if row['holds'] else '!'}"
-                for key, row in found[name][-1].items()
-            )
+    seeds = range(args.first_seed, args.first_seed + args.seeds)
+    cases = [(seed, name) for seed in seeds for name in args.joints]
+    work = partial(
+        found_in, seconds=args.seconds, faults=Faults(viscous=args.viscous), end=time.time() + args.within
+    )
+    found: dict[str, list[dict[str, Row]]] = {name: [] for name in args.joints}
+    spent = 0.0
+    with ProcessPoolExecutor(args.processes) as pool:
+        for (seed, name), (rows, took) in zip(cases, pool.map(work, cases), strict=True):
+            spent += took
+            if not rows:
+                continue
+            found[name].append(rows)
+            texts = (f"{key} {row['error']:+.3g}{'' if row['holds'] else '!'}" for key, row in rows.items())
             print(f"seed {seed} {name}: {', '.join(texts)}", flush=True)
+            if args.out:
+                with open(args.out, "a", encoding="utf-8") as file:
+                    print(json.dumps({"seed": seed, "joint": name, **rows}), file=file, flush=True)
     print_summary(found)
-    num_fits = args.seeds * len(names)
-    print(f"{(time.process_time() - begun) / num_fits:.1f} s of CPU a fit")
-    if args.out:
-        args.out.write_text(json.dumps(found))
+    print(f"{spent / max(sum(map(len, found.values())), 1):.1f} s of CPU a joint")
 
 
-def recorded(seed: int, names: tuple[str, ...], seconds: float) -> tuple[Robot, list[list[Recording]]]:
+def found_in(
+    case: tuple[int, str], seconds: float, faults: Faults, end: float
+) -> tuple[dict[str, Row], float]:
+    """Errors of a seed's joint, and seconds of CPU; nothing after the end [s since the epoch]."""
+    begin, (seed, name) = time.process_time(), case
+    if time.time() > end:
+        return {}, 0.0
+    robot, (recordings,) = recorded(seed, (name,), seconds, faults)
+    return judged(robot, 0, recordings), time.process_time() - begin
+
+
+def recorded(
+    seed: int, names: tuple[str, ...], seconds: float, faults: Faults
+) -> tuple[Robot, list[list[Recording]]]:
     """A robot, and two recordings of each of its joints."""
-    rng = np.random.default_rng((17, seed))
-    robot = Robot.drawn(rng, names, Faults())
+    rng = np.random.default_rng((17, seed, *(list(JOINTS).index(name) for name in names)))
+    robot = Robot.drawn(rng, names, faults)
     motions = [draw_excitation(ExcitationCfg(seconds=seconds, seed=2 * seed + i), {}) for i in range(2)]
     recordings = [robot.recorded(rng, [motion] * len(names)) for motion in motions]
     return robot, [list(pair) for pair in zip(*recordings, strict=True)]
@@ -81,8 +102,11 @@ def judged(robot: Robot, j: int, recordings: list[Recording]) -> dict[str, Row]:
             error = float(np.log(value / truth[name]))
             rest = np.log(robot.faults.stribeck) if name == "frictionloss" else 0.0
             rows[name] = row(error, width, rest) | {"is known": float(width < UNKNOWN_WIDTH)}
-    lag = np.log(fit.dynamics.damping / fit.dynamics.stiffness * truth["stiffness"] / truth["damping"])
-    rows["lag"] = row(float(lag[0]), np.inf)
+    for ratio in ratios(fit):
+        above, below = ratio.name.split(" / ")
+        error, width = float(np.log(ratio.value[0] * truth[below] / truth[above])), ratio.half_width[0]
+        rest = np.log(robot.faults.stribeck) if ratio.name == FRICTION else 0.0
+        rows[ratio.name] = row(error, width, rest) | {"is known": float(width < UNKNOWN_WIDTH)}
     play = robot.faults.play * GEARS[JOINTS[robot.names[j]][-1]][1]
     rows["play"] = row(fit.encoders.play[0] - play, 1.96 * fit.encoder_deviations.play[0])
     for drift, deviation in zip(fit.encoders.drift[:, 0], fit.encoder_deviations.drift[:, 0], strict=True):
@@ -98,27 +122,32 @@ def row(error: float, width: float, rest: float = 0.0) -> Row:
 
 def print_summary(found: dict[str, list[dict[str, Row]]]) -> None:
     """Medians and 90 % quantiles of the errors, and shares of intervals that hold, joint by joint."""
-    counted: list[bool] = []
+    counted: dict[str, list[bool]] = {}
     for name, seeds in found.items():
-        print(f"\n{name}: error in the median and in nine of ten seeds; intervals that hold [%]")
-        for key in seeds[0]:
+        print(
+            f"\n{name}, {len(seeds)} seeds: error in the median and in nine of ten; intervals that hold [%]"
+        )
+        for key in seeds[0] if seeds else ():
             rows = [each[key] for each in seeds if each[key].get("is known", 1.0)]
             if not rows:
-                print(f"  {key:<13} not identifiable in any of {len(seeds)} seeds")
+                print(f"  {key:<24} not identifiable in any")
                 continue
             errors = np.abs([each["error"] for each in rows])
             holds = [bool(each["holds"]) for each in rows]
-            counted += [] if key == "lag" else holds
-            shares = "" if key == "lag" else f", intervals hold {100 * np.mean(holds):.0f}"
+            counted[key] = counted.get(key, []) + holds
             goal = f", goal {GOALS[key]:g}" if key in GOALS else ""
             left = f", not identifiable in {len(seeds) - len(rows)}" if len(rows) < len(seeds) else ""
-            print(f"  {key:<13} {np.median(errors):.3g}, {np.quantile(errors, 0.9):.3g}{goal}{shares}{left}")
-            if key == "frictionloss":
+            texts = [f"{np.quantile(errors, share):.3g}" for share in (0.5, 0.9)]
+            print(f"  {key:<24} {', '.join(texts)}{goal}, hold {100 * np.mean(holds):.0f}{left}")
+            if key in ("frictionloss", FRICTION):
                 errors = np.abs([each["from 0"] for each in rows])
                 held = np.mean([errors[i] <= each["width"] for i, each in enumerate(rows)])
                 texts = [f"{np.quantile(errors, share):.3g}" for share in (0.5, 0.9)]
-                print(f"    to Coulomb's {', '.join(texts)}, intervals hold {100 * held:.0f}")
-    print(f"\n{100 * np.mean(counted):.1f} % of {len(counted)} intervals hold, 95 are meant to, goal 90")
+                print(f"    to Coulomb's           {', '.join(texts)}, hold {100 * held:.0f}")
+    for key, holds in counted.items():
+        print(f"{key:<26} {100 * np.mean(holds):.0f} % of {len(holds)} intervals hold")
+    whole = [each for holds in counted.values() for each in holds]
+    print(f"\n{100 * np.mean(whole):.1f} % of {len(whole)} intervals hold, 95 are meant to, goal 90")
 
 
 if __name__ == "__main__":

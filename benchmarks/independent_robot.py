@@ -46,6 +46,7 @@ class Faults:
     lost: float = 0.02  #: share of commands and measurements that get lost
     play: float = 1.0  #: factor on the play of the gears
     stribeck: float = 1.3  #: friction at rest over that in motion
+    viscous: float = 1.0  #: factor on viscous friction, which no torque limit holds back
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +70,7 @@ class Robot:
             names=names,
             stiffness=factors[0] * stiffness,
             damping=factors[1] * damping,
-            viscous=np.array([JOINTS[name][6] for name in names]),
+            viscous=faults.viscous * np.array([JOINTS[name][6] for name in names]),
             frictionloss=friction * np.exp(rng.uniform(-np.log(2), np.log(2), len(names))),
             armature=factors[2] * armature,
             faults=faults,
@@ -118,7 +119,6 @@ class Robot:
             arrives[0] = True
             inputs.append(held(t_cmd[arrives] + self.faults.latency, q_cmd[arrives], ticks)[:, 0])
         targets = np.stack(inputs, axis=-1)
-        rows = [JOINTS[name] for name in self.names]
         rows = [JOINTS[name] for name in self.names]
         link, limit = (np.array([row[i] for row in rows]) for i in (4, 5))
         slip, half = np.array([GEARS[row[-1]][:2] for row in rows]).T

@@ -2,17 +2,20 @@
 
 The architecture is that of the public checkpoint `facebook/sam2.1-hiera-tiny`; the weights are random, on
 which the time does not depend. Throws of 30 images each begin with a prompt, so that the memory grows as on
-the robot. Every setting runs in a process of its own and prints a line of JSON: times in ms, and the share of
-images that are late, which took longer than the 33 ms between two images of a 30 Hz camera. `beside` is SAM 2
+the robot. Without --folder the mask that leaves the model is an object's, 40 px wide, put in place of that of
+the random weights; with `noise_` it is theirs, hundreds of specks. Every setting runs in a process of its own
+and prints lines of JSON: times in ms, and the share of images that are late, which took longer than the 33 ms
+between two images of a 30 Hz camera. Images come one right after the other, or at 30 Hz (`paced`); first with
+Python's collector of garbage as it is, then with all there is frozen, as `deploy` does. `beside` is SAM 2
 with background subtraction beside it, as `--segmenter sam2+background`; late is then what came too late to be
-believed. Without --folder the mask is the whole image: one region, whose box is found in no less time than an
-object's.
+believed.
 
 Run: python benchmarks/sam2_speed.py
      python benchmarks/sam2_speed.py --device cpu --settings eager --sizes 256 --frames 20
 """
 
 import argparse
+import gc
 import json
 import subprocess
 import sys
@@ -39,44 +42,61 @@ WARM_UP_IMAGES = 30
 BUSY_IMAGES = 30
 HEIGHT, WIDTH = 480, 640
 BOX = BoxPrompt(box=(300.0, 200.0, 340.0, 240.0))
-Modules = tuple[Module, ...]
-SETTINGS: dict[str, tuple[Modules, Modules]] = {
-    "eager": ((), ()),
-    "graphs": (MODULES, ()),
-    "graphs_compiled": (MODULES, COMPILED),
-    "graphs_compiled_all": (MODULES, MODULES),
-    "beside": (MODULES, ()),
-    "beside_compiled": (MODULES, COMPILED),
+SETTINGS: dict[str, tuple[bool, tuple[Module, ...]]] = {
+    "eager": (False, ()),
+    "graphs": (True, ()),
+    "graphs_compiled": (True, COMPILED),
+    "graphs_compiled_all": (True, MODULES),
+    "noise_graphs": (True, ()),
+    "beside": (True, ()),
+    "beside_compiled": (True, COMPILED),
 }
-"""What is tried: modules that run as CUDA graphs, and those that `torch.compile` fuses before, which takes a
+"""What is tried: whether it runs as CUDA graphs, and modules that `torch.compile` fuses before, which takes a
 minute and needs a C compiler."""
 
 
 def write_checkpoint(folder: Path) -> None:
-    """Write the architecture with random weights that always find the whole image."""
+    """Write the architecture with random weights that always find something."""
     torch.manual_seed(0)
     model = Sam2VideoModel(Sam2VideoConfig())
     torch.nn.init.constant_(model.mask_decoder.pred_obj_score_head.proj_out.bias, 9.0)
-    for name, weights in model.mask_decoder.named_parameters():
-        if name == "upscale_conv2.bias":
-            torch.nn.init.constant_(weights, 50.0)
-        if name.startswith("output_hypernetworks_mlps") and ".proj_out." in name:
-            torch.nn.init.constant_(weights, float(name.endswith("bias")))
     model.save_pretrained(folder)
+
+
+def put_an_object_in_place() -> None:
+    """Let every model say that there is an object in the middle, whatever else it works out."""
+    original = Sam2VideoModel._single_frame_forward
+    objects: dict[torch.Size, torch.Tensor] = {}
+
+    def with_object(model: Sam2VideoModel, **inputs: Any) -> Any:
+        output = original(model, **inputs)
+        shape = output.pred_masks.shape
+        if shape not in objects:
+            objects[shape] = torch.full_like(output.pred_masks, -5.0)
+            rows, columns = (slice(size // 2, size // 2 + size // 16) for size in shape[-2:])
+            objects[shape][..., rows, columns] = 5.0
+        output.pred_masks = objects[shape] + 0.0
+        return output
+
+    Sam2VideoModel._single_frame_forward = with_object
 
 
 def build(folder: Path, setting: str, device: str, size: int) -> Segmenter:
     """Load and warm up as the robot does."""
-    captured, compiled = SETTINGS[setting]
-    sam2 = Sam2Segmenter(folder, device, size, captured=captured, compiled=compiled)
+    is_captured, compiled = SETTINGS[setting]
+    sam2 = Sam2Segmenter(folder, device, size, is_captured=is_captured, compiled=compiled)
     return SideBySide(sam2, BackgroundSubtraction(), LONGEST_WAIT) if setting.startswith("beside") else sam2
 
 
-def stream(segmenter: Segmenter, count: int) -> Iterator[tuple[bool, float, float, bool, bool]]:
-    """Run images; yield for each: begins a throw; time to mask and to box [ms]; is found; is late."""
+def stream(
+    segmenter: Segmenter, count: int, interval: float = 0.0
+) -> Iterator[tuple[bool, float, float, bool, bool]]:
+    """Run images at an interval [s]; yield of each: begins a throw; ms to mask, to box; is found; is late."""
     images = np.random.default_rng(0).integers(0, 256, (8, HEIGHT, WIDTH, 3), dtype=np.uint8)
+    first = time.perf_counter()
     for index in range(count):
         image, is_start = images[index % len(images)], index % THROW_IMAGES == 0
+        time.sleep(max(first + index * interval - time.perf_counter(), 0.0))
         begin = time.perf_counter()
         result = segmenter.start(image, BOX) if is_start else segmenter.track(image)
         to_mask = time.perf_counter()
@@ -94,16 +114,29 @@ def measure(folder: Path, setting: str, device: str, size: int, count: int) -> N
     for _ in stream(segmenter, WARM_UP_IMAGES if device != "cpu" else 2):
         pass
     ready = time.perf_counter() - begin
-    line = {"setting": setting, "image_size": size, **timings(segmenter, count), "images": count}
-    report({**line, "seconds_to_ready": ready, **machine(device)})
+    report({"setting": setting, "image_size": size, "seconds_to_ready": ready, **machine(device)})
+    for name, interval in (("as it is", 0.0), ("frozen", 0.0), ("frozen, paced", LIMIT / 1000.0)):
+        if name == "frozen":
+            gc.collect()
+            gc.freeze()
+        found = timings(segmenter, count, interval)
+        report({"setting": setting, "image_size": size, "stream": name, "images": count, **found})
     if device != "cpu":
-        report({"setting": setting, "image_size": size, "busy": busy_time(segmenter)})
+        report({"setting": setting, "image_size": size, **busy_time(segmenter)})
 
 
-def timings(segmenter: Segmenter, count: int) -> dict[str, float]:
+def timings(segmenter: Segmenter, count: int, interval: float) -> dict[str, float]:
     """Times [ms] and shares of so many images."""
-    columns = zip(*stream(segmenter, count), strict=True)
+    pauses: list[tuple[str, int, float]] = []
+
+    def note(phase: str, info: dict[str, int]) -> None:
+        pauses.append((phase, info["generation"], time.perf_counter()))
+
+    gc.callbacks.append(note)
+    columns = zip(*stream(segmenter, count, interval), strict=True)
     is_start, to_mask, times, is_found, is_late = (np.array(column) for column in columns)
+    gc.callbacks.remove(note)
+    collected = [1000.0 * (end[2] - begin[2]) for begin, end in zip(pauses[::2], pauses[1::2], strict=True)]
     tracked = times[~is_start]
     p50, p95, p99 = np.percentile(tracked, (50, 95, 99))
     return {
@@ -115,6 +148,8 @@ def timings(segmenter: Segmenter, count: int) -> dict[str, float]:
         "start_p50": float(np.median(times[is_start])),
         "late": is_late.mean(),
         "found": is_found.mean(),
+        "collections": len(collected),
+        "longest_collection": max(collected, default=0.0),
     }
 
 
@@ -127,12 +162,17 @@ def machine(device: str) -> dict[str, Any]:
     return {"device": torch.cuda.get_device_name(device), "peak_gib": peak, **versions}
 
 
-def busy_time(segmenter: Segmenter) -> float:
-    """Time of all kernels and copies for an image [ms]: what no better launching can save."""
+def busy_time(segmenter: Segmenter) -> dict[str, Any]:
+    """Time of all kernels and copies for an image [ms], which launching cannot save, and of the longest."""
     with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as profile:
         for _ in stream(segmenter, BUSY_IMAGES):
             pass
-    return sum(event.self_device_time_total for event in profile.key_averages()) / 1000.0 / BUSY_IMAGES
+    events = sorted(profile.key_averages(), key=lambda event: -event.self_device_time_total)
+    each = [(event.key[:60], event.self_device_time_total / 1000.0 / BUSY_IMAGES) for event in events]
+    return {
+        "busy": sum(took for _, took in each),
+        "longest": [(key, round(took, 3)) for key, took in each[:16]],
+    }
 
 
 def report(line: dict[str, Any]) -> None:
@@ -156,13 +196,16 @@ def main() -> None:
     parser.add_argument(
         "--here", action="store_true", help="in this process, the first setting and size only"
     )
+    parser.add_argument("--objects", action="store_true", help="masks are objects, whatever the model says")
     options = parser.parse_args()
     if options.here:
         setting, size = options.settings[0], options.sizes[0]
+        if options.objects and not setting.startswith("noise"):
+            put_an_object_in_place()
         return measure(options.folder, setting, options.device, size, options.frames)
     with tempfile.TemporaryDirectory() as temporary:
         if options.folder is None:
-            options.folder = Path(temporary)
+            options.folder, options.objects = Path(temporary), True
             write_checkpoint(options.folder)
         for size in options.sizes:
             for setting in options.settings:
@@ -173,6 +216,7 @@ def run_apart(setting: str, size: int, options: argparse.Namespace) -> None:
     """Measure in another process; if that fails, say so and leave the others alone."""
     command = [sys.executable, __file__, "--here", "--settings", setting, "--sizes", str(size)]
     command += ["--device", options.device, "--frames", str(options.frames), "--folder", str(options.folder)]
+    command += ["--objects"] if options.objects else []
     try:
         subprocess.run(command, check=True, timeout=options.timeout)
     except subprocess.CalledProcessError as error:

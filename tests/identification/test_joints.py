@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from recorded import short, write_rtde
@@ -9,7 +10,7 @@ from recorded import short, write_rtde
 from pixel2catch.errors import RecordingError, UnknownNameError
 from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
 from pixel2catch.identification.importers import read_recording
-from pixel2catch.identification.joints import joints_of, parts
+from pixel2catch.identification.joints import joints_of, parts, recorded_model, specs_of
 from pixel2catch.identification.recording import Recording, Trajectory
 from pixel2catch.identification.rehearsal import clearances
 from pixel2catch.identification.simulation import RecordedMotion
@@ -64,3 +65,17 @@ def test_logs_of_an_arm_are_those_of_the_arm_of_the_work_cell(tmp_path: Path):
     assert read_recording(folder, "arm", workcell=release).joints == short().joints
     with pytest.raises(RecordingError, match="no column q_6"):
         read_recording(folder, "arm", workcell=find_workcell("fr3_allegro"))
+
+
+@pytest.mark.parametrize("joint", ["shoulder_pan_joint", "elbow_joint", "wrist_1_joint", "index_joint_2"])
+def test_a_joint_alone_moves_what_it_moves_in_the_start_pose(joint: str) -> None:
+    """As one of all joints, which stand there, by MuJoCo's inertia matrix; at zero the pan moves six times it."""
+    inertias = []
+    for names in (tuple(specs_of(UR5E_ALLEGRO)), (joint,)):
+        model = recorded_model(UR5E_ALLEGRO, names, 0.002)
+        data, inertia = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+        data.qpos[:] = [specs_of(UR5E_ALLEGRO)[name].home for name in names]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, inertia)
+        inertias.append(inertia[names.index(joint), names.index(joint)])
+    assert inertias[1] == pytest.approx(inertias[0], rel=1e-6)

@@ -6,6 +6,7 @@ import pytest
 from pixel2catch.identification.encoders import Encoders
 from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit
 from pixel2catch.identification.identify import gain_ranges, half_widths, ratios
+from pixel2catch.identification.intervals import model_covariance
 from pixel2catch.identification.report_tables import weak_directions
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -150,3 +151,16 @@ def test_ranges_of_other_joints_stay():
 def test_a_new_fit_may_know_less_than_an_earlier_one():
     earlier = gain_ranges(fit_of(np.stack([2.5e-7 * np.eye(3)])), PAPER)
     assert gain_ranges(fit_of(np.stack([4.0 * np.eye(3)])), earlier) == PAPER
+
+
+def test_the_armature_of_a_stiff_joint_is_no_better_known_than_its_servo_s_cycle() -> None:
+    """0.4 ms of 200 N·m·s/rad are 0.08 kg·m², 40 % of an armature of 0.2; links as heavy double the scale's 15 %
+    and add 15 % of their own."""
+    joint = JointDynamics.nominal(["elbow_joint"]).with_values(damping=200.0, armature=0.2)
+    alone, heavy = (
+        model_covariance(joint, joint.armature, np.array([inertia]), ("stiffness", "armature"), 0.01)[0]
+        for inertia in (0.0, 0.2)
+    )
+    assert alone[1, 1] == pytest.approx(0.4**2 + 0.15**2)
+    assert heavy[1, 1] == pytest.approx(0.4**2 + 0.3**2 + 0.15**2)
+    assert alone[0, 0] == pytest.approx(0.15**2)

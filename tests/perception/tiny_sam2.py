@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from transformers import Sam2VideoConfig, Sam2VideoModel
+from transformers.models.sam2_video.configuration_sam2_video import Sam2VideoMaskDecoderConfig
 
 SIZE = 64
 CERTAIN = 9.0
@@ -58,7 +59,7 @@ def tiny_config() -> Sam2VideoConfig:
         image_size=SIZE,
         vision_config=vision,
         prompt_encoder_config={"hidden_size": hidden, "image_size": SIZE},
-        mask_decoder_config=decoder,
+        mask_decoder_config=Sam2VideoMaskDecoderConfig(**decoder),
         memory_attention_hidden_size=hidden,
         memory_attention_num_layers=2,
         memory_attention_feed_forward_hidden_size=64,

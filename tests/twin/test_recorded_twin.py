@@ -1,5 +1,6 @@
 """From the twin's joints to a policy for them: the guide's commands, one after the other, in step."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -91,6 +92,11 @@ def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, mon
         DynamicsFile.load(Path(name)).dynamics.select(ARM)
         for name in ("identified/dynamics.json", "rehearsal/truth.json")
     )
+    intervals = json.loads(Path("identified/result.json").read_text())["parameters"]
+    for name in ("stiffness", "damping", "frictionloss", "armature"):
+        for joint, value in zip(ARM, getattr(true, name), strict=True):
+            low, high = intervals[joint][name]["interval"]
+            assert low <= value <= high, (name, joint)
     lag = (found.damping / found.stiffness) / (true.damping / true.stiffness)
     assert lag == pytest.approx(np.ones(6), abs=0.01)
     assert (found.stiffness / true.stiffness)[:5] == pytest.approx(np.ones(5), abs=0.03)

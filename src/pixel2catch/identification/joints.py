@@ -95,15 +95,20 @@ def largest_step(joint: JointSpec) -> float:
 
 
 def recorded_model(workcell: WorkcellSpec, joints: Sequence[str], physics_dt: float) -> mujoco.MjModel:
-    """The robots with only these joints, the others welded, at a time step [s].
+    """The robots with only these joints, the others welded as in the start pose, at a time step [s].
 
     They have no object, contacts, limits, and none of MuJoCo's own dry friction.
     """
     spec = _without_object(workcell)
     for exclude in spec.excludes:
         spec.delete(exclude)
-    for name in specs_of(workcell):
+    whole = spec.compile()
+    for name, joint in specs_of(workcell).items():
         if name not in joints:
+            body, turned, turn = spec.joint(name).parent, np.zeros(4), np.zeros(4)
+            mujoco.mju_axisAngle2Quat(turn, spec.joint(name).axis, joint.home)
+            mujoco.mju_mulQuat(turned, whole.body(body.name).quat, turn)
+            body.quat, body.alt.type = turned, mujoco.mjtOrientation.mjORIENTATION_QUAT
             spec.delete(spec.actuator(name))
             spec.delete(spec.joint(name))
     spec.compiler.fusestatic = True

@@ -30,8 +30,7 @@ WELL_KNOWN = 0.1
 """Half-width of an interval up to which a parameter counts as identified: 10 %, or 1 ms. Source: ours."""
 
 NOTABLE = 0.3  # share of a weak direction's largest component from which a parameter is named (ours)
-UNKNOWN_WIDTH = 1.1  # half-width from which a parameter is not identifiable: a factor of 3 (ours)
-WIDE = 0.3  # half-width from which an interval is told as a factor, not in percent (ours)
+UNKNOWN_WIDTH = 0.3  # half-width from which a parameter is not identifiable: 30 %, or 3 ms (ours)
 
 
 class Told(NamedTuple):
@@ -215,8 +214,6 @@ def _parameter(name: str, value: float, old: float, width: float | None) -> Cell
     if width is None:
         text = _number(scale * value) if np.isfinite(value) else "no filter"
         return Cell(text, "unknown", "not fitted" if value == old else f"assumed; {note}")
-    if width > UNKNOWN_WIDTH:
-        return Cell(f"not identifiable ({_number(scale * value)})", "BAD", note)
     return _interval(name, value, width, note)
 
 
@@ -226,12 +223,13 @@ def _number(value: float) -> str:
 
 def _interval(name: str, value: float, width: float, note: str = "") -> Cell:
     """A value with half of its interval, which is of its logarithm but for the latency."""
+    if width > UNKNOWN_WIDTH:
+        scale = 1e3 if name == "latency" else 1.0
+        return Cell(f"not identifiable ({_number(scale * value)})", "BAD", note)
     if name == "latency":
         text = f"{1e3 * value:.2f} ± {1e3 * LATENCY_UNIT * width:.2f}"
-    elif width < WIDE:
-        text = f"{_number(value)} ± {100 * width:.1f} %"
     else:
-        text = f"{_number(value)} to a factor of {np.exp(width):.2g}"
+        text = f"{_number(value)} ± {100 * width:.1f} %"
     return Cell(text.replace(" ", NO_BREAK), "good" if width <= WELL_KNOWN else "weak", note)
 
 

@@ -40,12 +40,16 @@ from pixel2catch.sim.graphs import GraphedFunction
 from pixel2catch.sim.simulation import require_cuda
 
 Module = Literal["vision_encoder", "memory_attention", "mask_decoder", "memory_encoder"]
-"""A part of the model that takes tensors and returns tensors, and never asks for a value on the host."""
+"""A part of the model whose kernels can be fused."""
 
 MODULES: tuple[Module, ...] = ("vision_encoder", "memory_attention", "mask_decoder", "memory_encoder")
 
 COMPILED: tuple[Module, ...] = ("vision_encoder", "memory_attention")
-"""What is worth the time to compile it. Source: measured on an H200: all four are 0.7 ms an image faster."""
+"""What is worth the time to compile it. Source: ours; all four took more than 110 s on three cores."""
+
+CAPTURED = ("get_image_features", "memory_attention", "_single_frame_forward", "_encode_new_memory")
+"""Parts and methods of the model that take and return tensors, and never ask for a value on the host; those
+modules are in them. Source: transformers 5.17 to 5.23."""
 
 ATTENTION = [SDPBackend.FLASH_ATTENTION, SDPBackend.EFFICIENT_ATTENTION, SDPBackend.MATH]
 """Kernels for attention, the first that can. Without cuDNN's, PyTorch's first choice on an H100: there the
@@ -80,7 +84,7 @@ class Sam2Segmenter(Segmenter):
         device: str,
         image_size: int | None = None,
         *,
-        captured: Sequence[Module] = MODULES,
+        is_captured: bool = True,
         compiled: Sequence[Module] = (),
         dtype: torch.dtype | None = None,
     ) -> None:
@@ -91,7 +95,7 @@ class Sam2Segmenter(Segmenter):
             device: "cpu", "cuda" or "cuda:N".
             image_size: Side of the square that the model sees [px], a multiple of 32; None is the
                 checkpoint's 1024. Half of it is a quarter of the work, and masks are half as fine.
-            captured: Modules that run as CUDA graphs on a CUDA device.
+            is_captured: Whether it runs as CUDA graphs on a CUDA device.
             compiled: Modules whose kernels are fused before.
             dtype: Of weights and work; None is bfloat16 on CUDA, and float32 else.
 
@@ -111,13 +115,19 @@ class Sam2Segmenter(Segmenter):
         self._mean = torch.tensor(MEAN, device=self._device).view(3, 1, 1)
         self._deviation = torch.tensor(DEVIATION, device=self._device).view(3, 1, 1)
         self._upload = torch.empty((0, 0, 3), dtype=torch.uint8)
+        self._mask, self._score = torch.empty((0, 0), dtype=torch.bool), torch.empty(1, pin_memory=is_cuda)
         self._session: Sam2VideoInferenceSession | None = None
         self._frame_idx = 0
         for name in compiled:
             module = getattr(self._model, name)
             module.forward = torch.compile(module.forward)
+        self._encode_memory = self._model._batch_encode_memories
+        self._model._batch_encode_memories = self._read_and_remember
         if is_cuda:
-            capture(self._model, captured)
+            self._is_read = torch.cuda.Event()
+            place_pointers_ahead(self._model)
+            if is_captured:
+                capture(self._model)
             self.start(_blank(), PointPrompt(center=(0.0, 0.0)))
             self.seconds_an_image(WARM_UP_FRAMES)
 
@@ -180,12 +190,24 @@ class Sam2Segmenter(Segmenter):
     @sdpa_kernel(ATTENTION)
     def _segment(self, session: Sam2VideoInferenceSession, image: Image) -> Segmentation:
         """Run the model on the session's next image."""
-        output = self._model(session, frame=self._pixels(image), frame_idx=self._frame_idx)
+        self._model(session, frame=self._pixels(image), frame_idx=self._frame_idx)
         self._prune(session)
         self._frame_idx += 1
-        mask = mask_of_logits(output.pred_masks, *image.shape[:2]).cpu().numpy()
-        score = output.object_score_logits.float().sigmoid().item()
-        return Segmentation(mask=mask if mask.any() else None, score=score)
+        if self._device.type == "cuda":
+            self._is_read.synchronize()
+        mask = self._mask.numpy().copy()
+        return Segmentation(mask=mask if mask.any() else None, score=self._score.item())
+
+    def _read_and_remember(self, inference_session: Sam2VideoInferenceSession, **inputs: Any) -> None:
+        """Send the result to the host before its memory is encoded, which only the next image waits for."""
+        kinds = inference_session.output_dict_per_obj[OBJECT].values()
+        output = next(kind[self._frame_idx] for kind in kinds if self._frame_idx in kind)
+        self._mask.copy_(mask_of_logits(output["pred_masks"], *self._mask.shape), non_blocking=True)
+        score = output["object_score_logits"].float().sigmoid()
+        self._score.copy_(score.flatten(), non_blocking=True)
+        if self._device.type == "cuda":
+            self._is_read.record()
+        self._encode_memory(inference_session=inference_session, **inputs)
 
     def _pixels(self, image: Image) -> Float[Tensor, "1 3 size size"]:
         """Return the image as the model wants it: a square, whatever its aspect, and standardised."""
@@ -214,6 +236,7 @@ class Sam2Segmenter(Segmenter):
         if is_first:
             is_cuda = self._device.type == "cuda"
             self._upload = torch.empty((height, width, 3), dtype=torch.uint8, pin_memory=is_cuda)
+            self._mask = torch.empty((height, width), dtype=torch.bool, pin_memory=is_cuda)
 
 
 class CapturedFunction:
@@ -257,15 +280,28 @@ class CapturedFunction:
         return self._function(*args, **kwargs)
 
 
-def capture(model: nn.Module, modules: Sequence[Module]) -> None:
-    """Let parts of a model on a CUDA device run as CUDA graphs, which compute the same.
+def capture(model: nn.Module) -> None:
+    """Let a model on a CUDA device run as CUDA graphs but for what it remembers; it computes the same.
 
     It runs a thousand small kernels for an image; on a data-centre GPU the time goes into launching them.
     """
     pool = torch.cuda.graph_pool_handle()
-    for name in modules:
-        module = getattr(model, name)
-        module.forward = CapturedFunction(module.forward, pool)
+    for name in CAPTURED:
+        part = getattr(model, name)
+        owner, method = (part, "forward") if isinstance(part, nn.Module) else (model, name)
+        setattr(owner, method, CapturedFunction(getattr(owner, method), pool))
+
+
+def place_pointers_ahead(model: Any) -> None:
+    """Work out on the host how long ago the object's pointers were made, and send it without waiting.
+
+    The library makes a tensor of them on the device, for which the host waits until the image is encoded.
+    """
+    process, host, device = model._process_object_pointers, torch.device("cpu"), model.device
+    model._process_object_pointers = lambda *inputs: process(*inputs[:-1], host)
+    model.temporal_positional_encoding_projection_layer.register_forward_pre_hook(
+        lambda _, inputs: (inputs[0].pin_memory().to(device, non_blocking=True),)
+    )
 
 
 def mask_of_logits(
