@@ -186,7 +186,7 @@ def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str,
 def _largest_violation(method: str, simulated: Mapping[str, float]) -> float:
     """Largest difference on the real robot from a method of which simulation says the opposite [points]."""
     real = {other: REAL_ROBOT[method] - REAL_ROBOT[other] for other in simulated}
-    return max(abs(real[o]) * ((real[o] > 0.0) != (simulated[method] > simulated[o])) for o in simulated)
+    return max(abs(real[o]) * ((real[o] < 0.0) != (simulated[method] < simulated[o])) for o in simulated)
 
 
 def _is_apart(first: Interval, second: Interval) -> bool:
