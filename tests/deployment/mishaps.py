@@ -43,7 +43,7 @@ MISHAPS: tuple[tuple[Fault, str, Callable[[ServoInputs], np.ndarray]], ...] = (
     (Fault.TARGET_NOT_FINITE, "joint_pos_target", elbow(-np.inf, "joint_pos_target")),
     (Fault.JOINTS_STALE, "joint_stamp", lambda good: good.joint_stamp - 0.021 * ELBOW),
     (Fault.JOINTS_NOT_FINITE, "joint_pos", elbow(np.nan, "joint_pos")),
-    (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", lambda good: good.joint_pos + 0.1 * ELBOW),
+    (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", lambda good: good.joint_pos + 0.08 * ELBOW),
     (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", finger(100.0)),
     (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", finger(-7.0)),
     (Fault.JOINTS_IMPLAUSIBLE, "joint_pos", finger(1e308)),

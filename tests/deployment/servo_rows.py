@@ -108,7 +108,7 @@ class Lab:
     def swung(self) -> "Lab":
         """In the middle of a fast motion of the arm, which is not its first."""
         self.started()
-        for way, seconds in ((0.4, 0.1), (-0.4, 0.5), (0.4, 0.07)):
+        for way, seconds in ((0.4, 0.1), (-0.4, 0.5), (0.4, 0.05)):
             self.target[:, :3] += way * np.array((1.0, -1.0, -1.0))
             self.run(seconds)
         return self

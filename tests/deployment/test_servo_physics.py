@@ -58,7 +58,8 @@ def physical_lab(lag: float | None, share: float = 1.0, is_identified: bool = Tr
 def check_swings(lab: PhysicalLab, share: float) -> None:
     """From side to side at the largest speed that it has, and then stopped in the middle of it.
 
-    An arm with a short lag cannot follow as its lag says, for its torque, and may stop by itself for that.
+    An arm with a short lag cannot follow as its lag says, for its torque, and may stop by itself for that;
+    with a long one fingers are so soft that a swing flings them out of their place, which stops it, too.
     """
     for swing in range(4):
         lab.target[0, :5] = HOME[:5] + (SWING if swing % 2 else -SWING)
@@ -73,7 +74,8 @@ def check_swings(lab: PhysicalLab, share: float) -> None:
         stop = np.diff(lab.speeds[first:], axis=0) * PHYSICS_HZ
         assert np.abs(stop).max() < 2.0 * lab.limits.joints.deceleration[0]
     else:
-        assert lab.outputs[-1].stopped_by & Fault.TRACKING_ERROR
+        stops = Fault.TRACKING_ERROR | Fault.JOINTS_IMPLAUSIBLE
+        assert any(output.stopped_by & stops for output in lab.outputs)
 
 
 def test_a_swing_and_a_stop_of_the_nominal_arm():

@@ -15,7 +15,7 @@ from pixel2catch.robots.allegro import PALM
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, WorkcellGeometry, first_chain
 from pixel2catch.robots.workcell import TableSpec
 from pixel2catch.scene.scene import SceneCfg, build_model
-from pixel2catch.servo.workspace import Workspace
+from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, distances
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -83,7 +83,7 @@ def test_the_box_about_the_hand_holds_it_whatever_the_fingers_do(workcell: str):
             assert (middle + half <= np.array(PALM.upper)).all()
 
 
-HANDS = ("ur5e_allegro", "ur5e_allegro_right")
+HANDS = ("ur5e_allegro", "ur5e_allegro_right", "ur5e_leap")
 
 
 def geoms_of(model: mujoco.MjModel, *bodies: str, with_children: bool = True) -> list[int]:
@@ -95,22 +95,28 @@ def geoms_of(model: mujoco.MjModel, *bodies: str, with_children: bool = True) ->
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_the_closer_box_holds_the_hand_alone(name: str):
+def test_the_closer_boxes_hold_the_hand_alone(name: str):
+    """All points of its parts, but for a share of the clearance."""
     model, data = model_of(name)
     workcell = find_workcell(name)
     palm = workcell.palms[0].spec
     lower, upper = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
-    assert palm.hand
+    boxes = np.array(palm.hand)
+    grid = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 3)] * 3), axis=-1).reshape(-1, 3)
     random = np.random.default_rng(6)
     for number in range(300):
         pose = random.uniform(lower, upper)
         put(model, data, np.where(random.random(len(pose)) < 0.5, lower, upper) if number % 2 else pose)
         axes, origin = data.body(palm.body).xmat.reshape(3, 3), data.body(palm.body).xpos
         for geom in geoms_of(model, palm.body):
-            middle = axes.T @ (data.geom_xpos[geom] - origin)
-            half = half_extents(model, data, geom, axes)
-            assert (middle - half >= np.array(palm.hand[0])).all()
-            assert (middle + half <= np.array(palm.hand[1])).all()
+            own = data.geom_xmat[geom].reshape(3, 3)
+            middle, half = data.geom_xpos[geom], half_extents(model, data, geom, own)
+            shape = grid * half
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+                shape /= np.maximum(np.linalg.norm(grid, axis=1, keepdims=True), 1.0)
+            points = (shape @ own.T + middle - origin) @ axes
+            out = np.maximum(boxes[:, :1] - points, points - boxes[:, 1:]).clip(0.0)
+            assert np.linalg.norm(out, axis=-1).min(axis=0).max() < 0.3 * HAND_CLEARANCE
 
 
 ANYWHERE = {"lower": (-9.0, -9.0, -9.0), "upper": (9.0, 9.0, 9.0), "clearance": -9.0}
@@ -132,7 +138,20 @@ def test_no_pose_inside_has_the_hand_at_its_own_arm(name: str):
     is_free = np.array([own_distance(model, data, pose) > 0.0 for pose in poses])
     assert not (is_inside & ~is_free).any()
     assert (~is_free[:600]).sum() > 20
-    assert is_inside[600:][is_free[600:]].mean() > 0.97
+    assert is_inside[600:][is_free[600:]].mean() > (0.98 if len(workcell.palms[0].spec.hand) == 1 else 0.9)
+
+
+def test_the_distance_of_a_way_from_a_box():
+    """Never more than that of its nearest of 4,000 points, and at most 0.1 % of the way less."""
+    random = np.random.default_rng(8)
+    start, end = random.uniform(-1.0, 1.0, (2, 3, 200))
+    upper = random.uniform(0.05, 0.4, (3, 200))
+    points = start + np.linspace(0.0, 1.0, 4001)[:, None, None] * (end - start)
+    true = np.linalg.norm((np.abs(points) - upper).clip(0.0), axis=1).min(axis=0)
+    length = np.linalg.norm(end - start, axis=0)
+    found = distances(start, end - start, np.zeros(200), np.ones(200), -upper, upper)
+    assert (found <= true + 1e-12).all()
+    assert (found >= true - 2e-3 * length).all()
 
 
 def own_distance(model: mujoco.MjModel, data: mujoco.MjData, pose: np.ndarray) -> float:

@@ -92,8 +92,9 @@ def arm_shape(workcell: WorkcellSpec, palm: PlacedPalm) -> ArmShape:
     lower, upper = _box_about(to_site, palm.spec.lower, palm.spec.upper)
     boxes = np.empty((2, 3, 0))
     if palm.spec.hand:
-        own = _box_about(to_site, *palm.spec.hand), _last_link_box(model, data, chain.joints[-1], palm)
-        boxes = np.stack(own, axis=-1)
+        own = [_box_about(to_site, *corners) for corners in palm.spec.hand]
+        own.append(_last_link_box(model, data, chain.joints[-1], palm))
+        boxes = np.moveaxis(np.array(own), 0, -1)
     return ArmShape(
         links=np.array(links),
         ends=np.array(ends),

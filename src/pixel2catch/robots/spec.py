@@ -69,8 +69,8 @@ class PalmSpec:
     #: whatever the fingers do [m].
     lower: Vec3
     upper: Vec3  #: The other corner [m].
-    #: Lower and upper corner of one about palm and fingers alone, which keep away from their arm; or none.
-    hand: tuple[Vec3, Vec3] | None = None
+    #: Lower and upper corners of boxes that hold palm and fingers alone, which keep away from their arm [m].
+    hand: tuple[tuple[Vec3, Vec3], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,10 +27,10 @@ LAG_MARGIN = 1.05
 
 LEAST_LAG = 0.002  #: Lag that any joint has [s]. Source: ours, a tick.
 
-LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.3
+LEAST_EVIDENCE, MOST_EVIDENCE = 0.003, 0.15
 """Motion from which the lag of a joint is known, and that of which it is the mean: v² t [rad²/s].
 
-Source: ours; 0.03 s after the beginning of a swing, and 0.05 s of the fastest.
+Source: ours; 0.03 s after the beginning of a swing, and 0.02 s of the fastest.
 """
 
 CLOCK_ERROR = 1e-3  #: How far ahead a stamp may be [s]. Source: ours; processes read the clock in turn.
@@ -125,7 +125,7 @@ class JointTrack:
     evidence: Rows  #: How much motion that is known of [rad²/s].
     #: Which joints of an arm have moved enough for their lag to be known by that.
     is_lag_seen: Bool[np.ndarray, "rows joints"]
-    lag: Rows  #: How long joints are behind their commands [s]: as told, or as seen if that is less.
+    lag: Rows  #: How long joints are behind their commands [s]: as told, or as seen as soon as it is.
 
     @classmethod
     def unknown(cls, num_rows: int, num_joints: int) -> "JointTrack":
@@ -181,7 +181,9 @@ class JointTrack:
         evidence = np.minimum(self.evidence + way * speed, MOST_EVIDENCE)
         seen_lag = self.seen_lag + way * (ahead - self.seen_lag * speed) / np.maximum(evidence, 1e-9)
         is_lag_seen = joints.is_arm & (evidence >= LEAST_EVIDENCE)
-        least_lag = np.minimum(np.maximum(LAG_MARGIN * seen_lag, LEAST_LAG), joints.lag)
+        # Up to the lag that is told, a little more than is seen counts; beyond it, what is seen.
+        most_lag = np.minimum(np.maximum(joints.lag, seen_lag), (1.0 + joints.lag_error) * joints.lag)
+        own_lag = np.minimum(np.maximum(LAG_MARGIN * seen_lag, LEAST_LAG), most_lag)
         track = JointTrack(
             position=np.where(is_new, position, self.position),
             stamp=np.where(is_new, stamp, self.stamp),
@@ -196,7 +198,7 @@ class JointTrack:
             seen_lag=seen_lag,
             evidence=evidence,
             is_lag_seen=is_lag_seen,
-            lag=np.where(is_lag_seen, least_lag, joints.lag),
+            lag=np.where(is_lag_seen, own_lag, joints.lag),
         )
         return track, is_jump
 

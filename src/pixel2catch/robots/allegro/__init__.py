@@ -65,12 +65,12 @@ PALM = PalmSpec(
     ),
     lower=(-0.06, -0.18, -0.11),
     upper=(0.15, 0.18, 0.25),
-    hand=((-0.055, -0.18, -0.03), (0.15, 0.075, 0.25)),
+    hand=(((-0.055, -0.18, -0.03), (0.15, 0.075, 0.25)),),
 )
 """The point called palm is the centre of the palm's surface (release). Box: the model over all joint
 positions of either hand, on the last link of the UR5e, rounded up; and of the left hand alone."""
 
-RIGHT_PALM = replace(PALM, hand=((-0.055, -0.075, -0.03), (0.15, 0.18, 0.25)))
+RIGHT_PALM = replace(PALM, hand=(((-0.055, -0.075, -0.03), (0.15, 0.18, 0.25)),))
 """The same of the right hand, whose thumb is at the other side."""
 
 MENAGERIE = (

@@ -66,9 +66,22 @@ LEAP_RIGHT = RobotSpec(
             ),
             lower=(-0.25, -0.17, -0.20),
             upper=(0.16, 0.19, 0.10),
+            hand=(
+                ((-0.161, -0.081, -0.136), (-0.139, 0.091, 0.026)),
+                ((-0.156, 0.089, -0.056), (-0.149, 0.101, 0.021)),
+                ((-0.151, 0.089, -0.086), (-0.139, 0.111, 0.026)),
+                ((-0.156, 0.049, 0.024), (-0.144, 0.081, 0.041)),
+                ((-0.151, 0.079, 0.024), (-0.144, 0.091, 0.031)),
+                ((-0.146, 0.029, 0.024), (-0.139, 0.091, 0.051)),
+                ((-0.141, -0.126, -0.161), (0.131, 0.051, 0.061)),
+                ((-0.141, 0.049, -0.126), (-0.134, 0.116, 0.056)),
+                ((-0.136, 0.049, -0.146), (0.021, 0.136, 0.061)),
+                ((-0.126, -0.116, 0.059), (0.101, 0.101, 0.081)),
+            ),
         ),
     ),
 )
 """The palm is the middle of the surface between fingers and thumb. Box: the model over all joint positions,
-and the last link of an arm behind it, rounded up (ours). One about the hand alone would forbid a third of the
-poses about the start: its fingers go too far."""
+and the last link of an arm behind it, rounded up (ours). Boxes about the hand alone: where its parts were in
+6,000 random joint positions, cut so that they refuse few poses of the UR5e about its start (ours); one box
+would forbid a third of those: its fingers go far."""
