@@ -19,18 +19,31 @@ from pixel2catch.perception.segmenter import (
     Segmenter,
 )
 
-FOREGROUND, SHADOW = 255, 127
-"""What OpenCV calls the foreground, and what is the background, but darker."""
-
-MEMORY = 300
-"""Images that the background is made of. Source: ours: 10 s at 30 Hz."""
-
-THRESHOLD = 16.0
-"""Squared distance of a pixel from the background, in variances, from which it differs. Source: OpenCV."""
+MEMORY = 100
+"""Images that the background is the mean of. Source: ours: 3 s at 30 Hz."""
 
 LEARNING_IMAGES = 30
-"""Images that a pixel must have been seen in without the robot before its changes mean anything: a tenth of
-the memory, after which OpenCV takes something new for background."""
+"""Images that a pixel must have been seen in without the robot before its changes mean anything, where it was
+not seen in all; and of something new that stands still, until it is background. Source: ours: 1 s."""
+
+LEAST_DIFFERENCE, DEVIATIONS = 6.0, 4.0
+"""Levels by which a pixel differs from the background, and how many times its usual difference, at least.
+Source: ours; five standard deviations of noise are 3.8 times the mean of the largest of three channels."""
+
+USUAL_WEIGHT = 0.05
+"""Weight of a new image in what difference of a pixel is usual. Source: ours: 20 images."""
+
+DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
+"""Levels between which a pixel tells the light's gain, and how many pixels tell it. Source: ours: no noise,
+and not saturated with a sixth more."""
+
+LEAST_GAIN = 0.004  #: Change of the light that is left as it is: a level in 255.
+SAMPLING = 8  #: Every so many rows and columns tell light and noise of an image.
+
+EDGE = 0.3
+"""Share of the difference inside a thing at which its edge is. Source: ours: more than what compression adds
+around it, and no more than half, where the edge of a blurred thing is."""
+BRIGHT = 80.0  #: Percentile of the differences in a region that is that inside: its rim is less.
 
 INNER = 0.8
 """Share of the width and height of a prompted box in which the object's colours are learned. Source: ours."""
@@ -53,8 +66,6 @@ Source: ours; what is further off and does not move does not touch it."""
 THINNING = 2
 """Of what is ignored, every second pixel of every second row is learned."""
 
-RIM = 4  #: Pixels about a part of an image on which it depends what is moving in it.
-
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
 """Speed from which the object moves [px an image], and for how many images after that it is no background
 yet, so that what differs in nothing from the background is not the object. Source: ours."""
@@ -65,53 +76,99 @@ class Motion:
     """What an image shows of motion.
 
     Attributes:
+        image: The image, smoothed, in the light of the background.
+        difference: How far each pixel is from the background, in its worst channel.
         moving: Which pixels differ from the background.
         unknown: In which pixels that cannot be told.
-        classes: What OpenCV says of each pixel.
     """
 
+    image: Image
+    difference: UInt8[np.ndarray, "height width"]
     moving: Mask
     unknown: Mask
-    classes: UInt8[np.ndarray, "height width"]
 
-    def changed(self, window: tuple[slice, slice]) -> Mask:
-        """Which pixels of a part of the image differ, are only darker, or are near to such ones, or unknown.
-
-        Darker is what is in a shadow, or of a thing of the same colour.
-        """
-        rows, columns = (slice(max(each.start - RIM, 0), each.stop + RIM) for each in window)
-        around = rows, columns
-        darker = _opened(self.classes[around] == SHADOW) & ~self.unknown[around]
-        grown = _grown(self.moving[around] | darker, GAP) | self.unknown[around]
-        top, left = window[0].start - rows.start, window[1].start - columns.start
-        return grown[top:, left:][: window[0].stop - window[0].start, : window[1].stop - window[1].start]
+    def sharpened(self, window: tuple[slice, slice]) -> Mask:
+        """What moves in a part of the image, each thing up to where it differs much less than inside."""
+        difference, sharp = self.difference[window], np.zeros_like(self.moving[window])
+        for blob in _regions(self.moving[window]):
+            inside = blob.mask()
+            level = EDGE * float(np.percentile(difference[inside], BRIGHT))
+            sharp |= inside & (difference >= level)
+        return sharp
 
 
 class Foreground:
-    """Which pixels differ from the background, in a stream of images.
+    """Which pixels differ from the background, in a stream of images, in whatever light.
 
     Where pixels are ignored the background is not learned: the robot that waits for a throw is not taken for
     background, and neither is what it uncovers taken for an object.
     """
 
-    def __init__(self, learning_images: int = LEARNING_IMAGES) -> None:
-        """Know no background, and say nothing of a pixel before so many images of it."""
+    def __init__(self, learning_images: int = 1) -> None:
+        """Know no background, and say nothing before so many images of it."""
         self._learning_images = learning_images
-        self._model = cv2.createBackgroundSubtractorMOG2(MEMORY, THRESHOLD, detectShadows=True)
-        self._scene = np.empty((0, 0, 3), dtype=np.uint8)
-        self._num_seen = np.empty((0, 0), dtype=np.uint8)
+        self._mean = np.empty((0, 0, 3), dtype=np.float32)
 
-    def step(self, image: Image, ignored: Mask | None) -> Motion:
-        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel."""
-        if self._scene.shape != image.shape:
-            self._scene = image.copy()
-            self._num_seen = np.zeros(image.shape[:2], dtype=np.uint8)
+    def step(self, image: Image, ignored: Mask | None, kept: Mask | None = None) -> Motion:
+        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel.
+
+        Args:
+            image: The image.
+            ignored: Where nothing is known of the scene.
+            kept: Where what differs stays foreground however long it stands still.
+        """
+        smooth = cv2.blur(image, (3, 3))
+        if self._mean.shape != image.shape:
+            self._begin(smooth)
         counted = np.ones_like(self._num_seen) if ignored is None else (~ignored).view(np.uint8)
-        cv2.copyTo(image, counted, self._scene)
-        cv2.add(self._num_seen, counted, self._num_seen)
-        classes = self._model.apply(self._scene)
-        known = counted.view(bool) & (self._num_seen >= self._learning_images)
-        return Motion(moving=_opened(classes == FOREGROUND) & known, unknown=~known, classes=classes)
+        smooth = self._lit(smooth, counted)
+        cv2.copyTo(smooth.astype(np.float32), counted * (self._num_seen == 0), self._mean)
+        known = counted.view(bool) & (self._num_seen >= min(self._num_images, LEARNING_IMAGES))
+        known &= self._num_images >= self._learning_images
+        difference = _difference(smooth, cv2.convertScaleAbs(self._mean))
+        noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
+        threshold = cv2.max(cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS), max(noise, LEAST_DIFFERENCE))
+        differs = cv2.compare(difference, threshold, cv2.CMP_GT) > 0
+        moving = _opened(differs) & known
+        self._learn(smooth, difference, _grown(differs & known, SPECK), counted, kept)
+        return Motion(image=smooth, difference=difference, moving=moving, unknown=~known)
+
+    def forget(self, mask: Mask) -> None:
+        """Know nothing of some pixels: what was taken for background is the object."""
+        self._num_seen[mask] = 0
+
+    def _begin(self, image: Image) -> None:
+        shape = image.shape[:2]
+        self._mean, self._last = image.astype(np.float32), image
+        self._usual = np.zeros(shape, dtype=np.float32)
+        self._num_seen, self._num_still = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
+        self._num_images = 0
+
+    def _lit(self, image: Image, counted: np.ndarray) -> Image:
+        """The image in the light of the background."""
+        every = slice(None, None, SAMPLING), slice(None, None, SAMPLING)
+        now, before = image[every].astype(np.float32), self._mean[every]
+        told = (now > DARKEST) & (now < BRIGHTEST) & (before > DARKEST) & (before < BRIGHTEST)
+        told &= (counted[every] * (self._num_seen[every] > 0)).view(bool)[..., None]
+        ratios = now[told] / before[told]
+        gain = float(np.median(ratios)) if len(ratios) >= LEAST_SAMPLES else 1.0
+        return image if abs(gain - 1.0) < LEAST_GAIN else cv2.convertScaleAbs(image, alpha=1.0 / gain)
+
+    def _learn(
+        self, image: Image, difference: np.ndarray, differs: Mask, counted: np.ndarray, kept: Mask | None
+    ) -> None:
+        """Learn what does not differ, and what has stood still for long."""
+        self._num_images += 1
+        free = counted if kept is None else counted * ~kept
+        same = (_difference(image, self._last) <= 2 * LEAST_DIFFERENCE).view(np.uint8)
+        self._num_still = cv2.add(self._num_still, same) * same * differs.view(np.uint8)
+        absorbed = free * (self._num_still >= LEARNING_IMAGES)
+        cv2.copyTo(image.astype(np.float32), absorbed, self._mean)
+        learned = free * ~differs
+        cv2.accumulateWeighted(image, self._mean, 1.0 / min(self._num_images, MEMORY), mask=learned)
+        cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
+        cv2.add(self._num_seen, free, self._num_seen)
+        self._last = image
 
 
 class BackgroundSubtraction(Segmenter):
@@ -127,11 +184,12 @@ class BackgroundSubtraction(Segmenter):
         self._foreground = Foreground()
         self._track: ImageTrack | None = None
         self._appearance, self._area, self._num_still = Appearance(), inf, inf
+        self._kept: Mask | None = None
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`."""
         self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
-        self._area = self._num_still = inf
+        self._area, self._num_still, self._kept = inf, inf, None
         return self._follow(image, ignored, prompt)
 
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
@@ -140,20 +198,25 @@ class BackgroundSubtraction(Segmenter):
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
-        self._track = None
+        self._track = self._kept = None
 
     def _follow(self, image: Image, ignored: Mask | None, prompt: Prompt | None) -> Segmentation:
         """Find the object in the next image, in which it is where a prompt says, if there is one."""
-        motion = self._foreground.step(image, ignored)
+        motion = self._foreground.step(image, ignored, self._kept)
         if self._track is None:
             return NOT_FOUND
+        image = motion.image
         if isinstance(prompt, BoxPrompt):
-            self._learn(image, *_prompted(prompt.box, image), motion, ignored)
+            inside, maybe = _prompted(prompt.box, image)
+            self._area = float(inside.sum()) / INNER**2
+            self._learn(image, inside, maybe, motion, ignored)
+        is_first = isinf(self._area)
         blobs, blob = self._object(image, motion, self._track)
         self._track, segmentation = self._track.advanced(blobs, blob)
-        mask, is_first = segmentation.mask, isinf(self._area)
-        is_moving = blob is not None and not is_first and hypot(*self._track.velocity) >= LEAST_SPEED
+        mask = segmentation.mask
+        is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
+        self._kept = None if mask is None or self._is_fresh else _grown(mask, GAP)
         if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
             self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
             self._learn(image, mask, _grown(mask, GAP), motion, ignored)
@@ -165,8 +228,8 @@ class BackgroundSubtraction(Segmenter):
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alike, whole = self._resembling(image, motion, track)
-        for mask in (whole, alike, alike & (motion.moving | motion.unknown), motion.moving):
+        alone, whole, alike = self._resembling(image, motion, track)
+        for mask in (alone, whole, alike, alike & (motion.moving | motion.unknown), motion.moving):
             blobs = _regions(mask)
             for blob in track.candidates(blobs):
                 if self._fits(blob, motion.unknown):
@@ -185,21 +248,23 @@ class BackgroundSubtraction(Segmenter):
         is_large = blob.area >= LEAST_SHARE * self._area
         return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(blob.mask(), unknown))
 
-    def _resembling(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask]:
-        """Pixels with the object's colours, and these with what moves along with them in a new colour.
+    def _resembling(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask, Mask]:
+        """Things that move and have the object's colours; these with new colours; these alone.
 
         In reach of where the object should be and a little further: what is out of reach now may be in reach
         in the next image, and is known for another thing then. An object that moved lately is no background
         yet: what differs in nothing from the background is not the object.
         """
-        alike, whole = (np.zeros(image.shape[:2], dtype=bool) for _ in range(2))
+        alone, whole, alike = (np.zeros(image.shape[:2], dtype=bool) for _ in range(3))
         reach = track.reach + REACH
         window = _window((track.center, track.expected), reach, image)
         has_colors, is_new = self._appearance.compare(image[window])
+        sharp = motion.sharpened(window)
         extended = _extended(has_colors, is_new & motion.moving[window])
-        changed = motion.changed(window) if self._is_fresh else True
-        alike[window], whole[window] = has_colors & changed, extended & changed
-        return alike, whole
+        changed = _grown(sharp, GAP) | motion.unknown[window] if self._is_fresh else True
+        alone[window] = _extended(has_colors & sharp, sharp)
+        whole[window], alike[window] = extended & changed, has_colors & changed
+        return alone, whole, alike
 
     def _learn(self, image: Image, mask: Mask, maybe: Mask, motion: Motion, ignored: Mask | None) -> None:
         """Learn the colours of the object, and of what it could be confused with.
@@ -234,6 +299,12 @@ def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image)
     first = np.maximum(points.min(axis=0) - reach, 0).astype(int)
     last = (points.max(axis=0) + reach).astype(int) + 1
     return slice(first[1], last[1]), slice(first[0], last[0])
+
+
+def _difference(image: Image, other: Image) -> UInt8[np.ndarray, "height width"]:
+    """How far the pixels of two images are apart, in the worst channel."""
+    red, green, blue = cv2.split(cv2.absdiff(image, other))
+    return cv2.max(cv2.max(red, green), blue)
 
 
 def _overlap(mask: Mask, other: Mask) -> bool:

@@ -104,7 +104,7 @@ class Appearance:
 
         The former are none if the colours are unknown; the latter may be an unseen side of the object.
         """
-        codes, other = _codes(cv2.blur(image, (3, 3))), _spread(self._other)
+        codes, other = _codes(image), _spread(self._other)
         is_likely, is_new = _spread(self._object) > np.maximum(other, LEAST_COUNT), other <= LEAST_COUNT
         return is_likely[codes], is_new[codes]
 

@@ -5,7 +5,7 @@ from itertools import product
 import cv2
 import numpy as np
 
-from pixel2catch.perception.background import Foreground
+from pixel2catch.perception.background import LEARNING_IMAGES, Foreground
 from pixel2catch.perception.color import ColorRange
 from pixel2catch.perception.image_track import GAP, Blob, find_blobs
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt
@@ -50,7 +50,7 @@ class Prompter:
         """
         self._usual = prompt
         self._colors, self._region = colors, region
-        self._foreground = Foreground() if finds_flights else None
+        self._foreground = Foreground(LEARNING_IMAGES) if finds_flights else None
         self.reset()
 
     def reset(self) -> None:
