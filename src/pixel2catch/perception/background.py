@@ -1,7 +1,7 @@
 """The object by its motion and its colours: what differs from a learned background where it should be."""
 
 from dataclasses import dataclass
-from math import hypot, inf, isinf
+from math import hypot, inf, isinf, log
 
 import cv2
 import numpy as np
@@ -229,12 +229,21 @@ class BackgroundSubtraction(Segmenter):
             The regions that were looked at, and which of them is the object; None if none is.
         """
         alone, whole, alike = self._resembling(image, motion, track)
-        for mask in (alone, whole, alike, alike & (motion.moving | motion.unknown), motion.moving):
-            blobs = _regions(mask)
-            for blob in track.candidates(blobs):
-                if self._fits(blob, motion.unknown):
-                    return blobs, blob
+        for masks in ((alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)):
+            regions = [_regions(mask) for mask in masks]
+            firsts = (self._first(track.candidates(blobs), motion) for blobs in regions)
+            found = [(blobs, blob) for blobs, blob in zip(regions, firsts, strict=True) if blob]
+            if found:
+                return min(found, key=lambda each: self._change(each[1]))
         return _regions(alike), None
+
+    def _first(self, blobs: list[Blob], motion: Motion) -> Blob | None:
+        """The first region that fits."""
+        return next((blob for blob in blobs if self._fits(blob, motion.unknown)), None)
+
+    def _change(self, blob: Blob) -> float:
+        """How far the size of a region is from that of the object, as a logarithm."""
+        return abs(log(blob.area / self._area)) if self._area < inf else 0.0
 
     @property
     def _is_fresh(self) -> bool:
