@@ -1,6 +1,6 @@
 """The object by its motion and its colours: what differs from a learned background where it should be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, inf, isinf, log
 
 import cv2
@@ -51,6 +51,9 @@ INNER = 0.8
 LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
 """How many times larger or smaller than before the object may be; where the robot may hide a part of it, any
 times smaller. Source: ours."""
+
+LEAST_MOVING = 0.2
+"""Share of a prompted object that differs from the background, below which it was taken for background."""
 
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
@@ -209,6 +212,9 @@ class BackgroundSubtraction(Segmenter):
         if isinstance(prompt, BoxPrompt):
             inside, maybe = _prompted(prompt.box, image)
             self._area = float(inside.sum()) / INNER**2
+            if motion.moving[inside].mean() < LEAST_MOVING:
+                self._foreground.forget(maybe)
+                motion = replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
             self._learn(image, inside, maybe, motion, ignored)
         is_first = isinf(self._area)
         blobs, blob = self._object(image, motion, self._track)
@@ -216,7 +222,7 @@ class BackgroundSubtraction(Segmenter):
         mask = segmentation.mask
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
-        self._kept = None if mask is None or self._is_fresh else _grown(mask, GAP)
+        self._kept = None if mask is None else _grown(mask, GAP)
         if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
             self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
             self._learn(image, mask, _grown(mask, GAP), motion, ignored)
@@ -270,7 +276,7 @@ class BackgroundSubtraction(Segmenter):
         has_colors, is_new = self._appearance.compare(image[window])
         sharp = motion.sharpened(window)
         extended = _extended(has_colors, is_new & motion.moving[window])
-        changed = _grown(sharp, GAP) | motion.unknown[window] if self._is_fresh else True
+        changed = _grown(sharp, GAP) | motion.unknown[window]
         alone[window] = _extended(has_colors & sharp, sharp)
         whole[window], alike[window] = extended & changed, has_colors & changed
         return alone, whole, alike

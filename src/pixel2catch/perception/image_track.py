@@ -27,6 +27,9 @@ REACH, REACH_GROWTH, LARGEST_REACH = 45.0, 30.0, 150.0
 may be for every image without it, and in the end [px]. Source: ours; the release of a throw makes up to 30 px
 in an image interval out of nothing."""
 
+FIRST_REACH = 90.0
+"""The same while its velocity is not known [px]. Source: ours: what a box moves at most, `PlausibilityCfg`."""
+
 LONGEST_STEP = 20.0
 """How far another thing moves between two images, at most, to be known again [px]. Source: ours."""
 
@@ -104,12 +107,14 @@ class ImageTrack:
         center: Middle of its last box [px].
         velocity: Its last change in an image interval [px].
         num_missed: Images since then.
+        is_new: Whether it was not seen twice, so that its velocity is unknown.
         others: Middles of the things in the last image that were not the object [px].
     """
 
     center: tuple[float, float]
     velocity: tuple[float, float] = (0.0, 0.0)
     num_missed: int = 0
+    is_new: bool = False
     others: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -142,7 +147,8 @@ class ImageTrack:
     @property
     def reach(self) -> float:
         """How far from the way to there it may be [px]."""
-        return min(REACH + REACH_GROWTH * self.num_missed, LARGEST_REACH)
+        least = FIRST_REACH if self.is_new else REACH
+        return min(least + REACH_GROWTH * self.num_missed, LARGEST_REACH)
 
     def next_blob(self, blobs: list[Blob]) -> Blob | None:
         """The likeliest of the regions that may be the object, if there is one: see `candidates`."""
