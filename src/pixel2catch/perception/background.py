@@ -170,7 +170,7 @@ class Foreground:
         learned = free * ~differs
         cv2.accumulateWeighted(image, self._mean, 1.0 / min(self._num_images, MEMORY), mask=learned)
         cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
-        cv2.add(self._num_seen, free, self._num_seen)
+        cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
         self._last = image
 
 
