@@ -276,7 +276,7 @@ class BackgroundSubtraction(Segmenter):
         has_colors, is_new = self._appearance.compare(image[window])
         sharp = motion.sharpened(window)
         extended = _extended(has_colors, is_new & motion.moving[window])
-        changed = _grown(sharp, GAP) | motion.unknown[window]
+        changed = sharp | motion.unknown[window]
         alone[window] = _extended(has_colors & sharp, sharp)
         whole[window], alike[window] = extended & changed, has_colors & changed
         return alone, whole, alike
