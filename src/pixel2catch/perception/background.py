@@ -58,6 +58,9 @@ LEAST_MOVING = 0.2
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
 
+LARGEST_CHANGE = 4.0
+"""The same after it was lost. Source: ours: half or twice as far from the camera."""
+
 AREA_MEMORY = 0.7
 """Weight of what the object's area was before, in every image. Source: ours."""
 
@@ -123,10 +126,13 @@ class Foreground:
         smooth = cv2.blur(image, (3, 3))
         if self._mean.shape != image.shape:
             self._begin(smooth)
-        counted = np.ones_like(self._num_seen) if ignored is None else (~ignored).view(np.uint8)
+        self._num_images += 1
+        counted = np.ones_like(self._num_seen)
+        if ignored is not None:
+            counted[_grown(ignored, SPECK)] = 0  # as far as it is smoothed
         smooth = self._lit(smooth, counted)
         cv2.copyTo(smooth.astype(np.float32), counted * (self._num_seen == 0), self._mean)
-        known = counted.view(bool) & (self._num_seen >= min(self._num_images, LEARNING_IMAGES))
+        known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
         known &= self._num_images >= self._learning_images
         difference = _difference(smooth, cv2.convertScaleAbs(self._mean))
         noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
@@ -161,7 +167,6 @@ class Foreground:
         self, image: Image, difference: np.ndarray, differs: Mask, counted: np.ndarray, kept: Mask | None
     ) -> None:
         """Learn what does not differ, and what has stood still for long."""
-        self._num_images += 1
         free = counted if kept is None else counted * ~kept
         same = (_difference(image, self._last) <= 2 * LEAST_DIFFERENCE).view(np.uint8)
         self._num_still = cv2.add(self._num_still, same) * same * differs.view(np.uint8)
@@ -190,7 +195,13 @@ class BackgroundSubtraction(Segmenter):
         self._kept: Mask | None = None
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
-        """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`."""
+        """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`.
+
+        What only flies is passed by where it does not resemble what was followed before.
+        """
+        if self._track is not None and isinstance(prompt, BoxPrompt) and prompt.is_guess:
+            if not self._resembles(image, prompt.box):
+                return self.track(image, ignored)
         self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
         self._area, self._num_still, self._kept = inf, inf, None
         return self._follow(image, ignored, prompt)
@@ -208,27 +219,32 @@ class BackgroundSubtraction(Segmenter):
         motion = self._foreground.step(image, ignored, self._kept)
         if self._track is None:
             return NOT_FOUND
-        image = motion.image
+        image, maybe = motion.image, None
         if isinstance(prompt, BoxPrompt):
             inside, maybe = _prompted(prompt.box, image)
-            self._area = float(inside.sum()) / INNER**2
-            if motion.moving[inside].mean() < LEAST_MOVING:
+            self._area = inf if _is_cut(maybe) else float(inside.sum()) / INNER**2
+            if motion.moving[inside].sum() < LEAST_MOVING * inside.sum():
                 self._foreground.forget(maybe)
                 motion = replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
             self._learn(image, inside, maybe, motion, ignored)
         is_first = isinf(self._area)
-        blobs, blob = self._object(image, motion, self._track)
+        blobs, blob = self._object(image, motion, self._track, maybe)
         self._track, segmentation = self._track.advanced(blobs, blob)
         mask = segmentation.mask
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
         self._kept = None if mask is None else _grown(mask, GAP)
         if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
-            self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
+            if not _is_cut(mask):
+                self._area = (
+                    blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
+                )
             self._learn(image, mask, _grown(mask, GAP), motion, ignored)
         return segmentation
 
-    def _object(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[list[Blob], Blob | None]:
+    def _object(
+        self, image: Image, motion: Motion, track: ImageTrack, within: Mask | None
+    ) -> tuple[list[Blob], Blob | None]:
         """The region of the object's colours with its new sides, else of less, else whatever moves.
 
         Returns:
@@ -236,12 +252,19 @@ class BackgroundSubtraction(Segmenter):
         """
         alone, whole, alike = self._resembling(image, motion, track)
         for masks in ((alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)):
-            regions = [_regions(mask) for mask in masks]
-            firsts = (self._first(track.candidates(blobs), motion) for blobs in regions)
+            regions = [_regions(mask if within is None else mask & within) for mask in masks]
+            is_alike = masks[0] is not motion.moving or self._appearance.own_share < LEAST_KNOWN
+            firsts = (
+                self._first(
+                    [each for each in track.candidates(blobs) if is_alike or track.leads_to(each)], motion
+                )
+                for blobs in regions
+            )
             found = [(blobs, blob) for blobs, blob in zip(regions, firsts, strict=True) if blob]
             if found:
                 return min(found, key=lambda each: self._change(each[1]))
-        return _regions(alike), None
+        regions = _regions(alike if within is None else within)
+        return regions, None if within is None else next(iter(regions), None)
 
     def _first(self, blobs: list[Blob], motion: Motion) -> Blob | None:
         """The first region that fits."""
@@ -280,6 +303,15 @@ class BackgroundSubtraction(Segmenter):
         alone[window] = _extended(has_colors & sharp, sharp)
         whole[window], alike[window] = extended & changed, has_colors & changed
         return alone, whole, alike
+
+    def _resembles(self, image: Image, box: tuple[float, float, float, float]) -> bool:
+        """Whether what fills a box has the size of what was followed, and its colours if it has any."""
+        inside, _ = _prompted(box, image)
+        area = float(inside.sum()) / INNER**2
+        if self._area < inf and not 1 / LARGEST_CHANGE <= area / self._area <= LARGEST_CHANGE:
+            return False
+        has_colors, _ = self._appearance.compare(cv2.blur(image, (3, 3)))
+        return has_colors[inside].sum() >= LEAST_KNOWN * self._appearance.own_share * inside.sum()
 
     def _learn(self, image: Image, mask: Mask, maybe: Mask, motion: Motion, ignored: Mask | None) -> None:
         """Learn the colours of the object, and of what it could be confused with.
@@ -320,6 +352,11 @@ def _difference(image: Image, other: Image) -> UInt8[np.ndarray, "height width"]
     """How far the pixels of two images are apart, in the worst channel."""
     red, green, blue = cv2.split(cv2.absdiff(image, other))
     return cv2.max(cv2.max(red, green), blue)
+
+
+def _is_cut(mask: Mask) -> bool:
+    """Whether a mask touches the edge of the image, beyond which it may go on."""
+    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
 
 
 def _overlap(mask: Mask, other: Mask) -> bool:

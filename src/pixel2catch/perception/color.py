@@ -108,6 +108,12 @@ class Appearance:
         is_likely, is_new = _spread(self._object) > np.maximum(other, LEAST_COUNT), other <= LEAST_COUNT
         return is_likely[codes], is_new[codes]
 
+    @property
+    def own_share(self) -> float:
+        """Share of the object that has colours of its own."""
+        is_own = _spread(self._object) > np.maximum(_spread(self._other), LEAST_COUNT)
+        return float(self._object[is_own].sum() / max(self._object.sum(), LEAST_COUNT))
+
 
 def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]:
     """Index of every colour in a histogram."""
