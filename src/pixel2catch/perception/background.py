@@ -38,7 +38,7 @@ DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
 and not saturated with a sixth more."""
 
 LEAST_GAIN = 0.004  #: Change of the light that is left as it is: a level in 255.
-SAMPLING = 8  #: Every so many rows and columns tell light and noise of an image.
+SAMPLING = 12  #: Every so many rows and columns tell light and noise of an image.
 
 EDGE = 0.3
 """Share of the difference inside a thing at which its edge is. Source: ours: more than what compression adds
@@ -131,7 +131,7 @@ class Foreground:
         if ignored is not None:
             counted[_grown(ignored, SPECK)] = 0  # as far as it is smoothed
         smooth = self._lit(smooth, counted)
-        cv2.copyTo(smooth.astype(np.float32), counted * (self._num_seen == 0), self._mean)
+        _replace(self._mean, smooth, counted * (self._num_seen == 0))
         known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
         known &= self._num_images >= self._learning_images
         difference = _difference(smooth, cv2.convertScaleAbs(self._mean))
@@ -168,10 +168,16 @@ class Foreground:
     ) -> None:
         """Learn what does not differ, and what has stood still for long."""
         free = counted if kept is None else counted * ~kept
-        same = (_difference(image, self._last) <= 2 * LEAST_DIFFERENCE).view(np.uint8)
-        self._num_still = cv2.add(self._num_still, same) * same * differs.view(np.uint8)
-        absorbed = free * (self._num_still >= LEARNING_IMAGES)
-        cv2.copyTo(image.astype(np.float32), absorbed, self._mean)
+        left, top, width, height = cv2.boundingRect(differs.view(np.uint8))
+        part, num_still = (
+            (slice(top, top + height), slice(left, left + width)),
+            np.zeros_like(self._num_still),
+        )
+        if width:
+            same = (_difference(image[part], self._last[part]) <= 2 * LEAST_DIFFERENCE) & differs[part]
+            num_still[part] = cv2.add(self._num_still[part], same.view(np.uint8)) * same
+            _replace(self._mean, image, free * (num_still >= LEARNING_IMAGES))
+        self._num_still = num_still
         learned = free * ~differs
         cv2.accumulateWeighted(image, self._mean, 1.0 / min(self._num_images, MEMORY), mask=learned)
         cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
@@ -346,6 +352,12 @@ def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image)
     first = np.maximum(points.min(axis=0) - reach, 0).astype(int)
     last = (points.max(axis=0) + reach).astype(int) + 1
     return slice(first[1], last[1]), slice(first[0], last[0])
+
+
+def _replace(image: np.ndarray, other: Image, mask: np.ndarray) -> None:
+    """Take some pixels of another image over."""
+    if mask.any():
+        cv2.copyTo(other.astype(np.float32), mask, image)
 
 
 def _difference(image: Image, other: Image) -> UInt8[np.ndarray, "height width"]:
