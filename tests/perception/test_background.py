@@ -5,7 +5,8 @@ import painted
 import pytest
 from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc
 
-from pixel2catch.perception.background import BackgroundSubtraction, Foreground
+from pixel2catch.perception.background import BackgroundSubtraction
+from pixel2catch.perception.foreground import Foreground
 from pixel2catch.perception.segmenter import BoxPrompt, Mask, PointPrompt, Prompt
 
 NUM_STILL, NUM_FLYING = 8, 22

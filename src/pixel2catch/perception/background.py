@@ -1,14 +1,14 @@
 """The object by its motion and its colours: what differs from a learned background where it should be."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import hypot, inf, isinf, log
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from pixel2catch.perception.color import Appearance
-from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack, find_blobs
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Motion, grown, regions
+from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
@@ -18,32 +18,6 @@ from pixel2catch.perception.segmenter import (
     Segmentation,
     Segmenter,
 )
-
-MEMORY = 100
-"""Images that the background is the mean of. Source: ours: 3 s at 30 Hz."""
-
-LEARNING_IMAGES = 30
-"""Images that a pixel must have been seen in without the robot before its changes mean anything, where it was
-not seen in all; and of something new that stands still, until it is background. Source: ours: 1 s."""
-
-LEAST_DIFFERENCE, DEVIATIONS = 6.0, 4.0
-"""Levels by which a pixel differs from the background, and how many times its usual difference, at least.
-Source: ours; five standard deviations of noise are 3.8 times the mean of the largest of three channels."""
-
-USUAL_WEIGHT = 0.05
-"""Weight of a new image in what difference of a pixel is usual. Source: ours: 20 images."""
-
-DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
-"""Levels between which a pixel tells the light's gain, and how many pixels tell it. Source: ours: no noise,
-and not saturated with a sixth more."""
-
-LEAST_GAIN = 0.004  #: Change of the light that is left as it is: a level in 255.
-SAMPLING = 12  #: Every so many rows and columns tell light and noise of an image.
-
-EDGE = 0.3
-"""Share of the difference inside a thing at which its edge is. Source: ours: more than what compression adds
-around it, and no more than half, where the edge of a blurred thing is."""
-BRIGHT = 80.0  #: Percentile of the differences in a region that is that inside: its rim is less.
 
 INNER = 0.8
 """Share of the width and height of a prompted box in which the object's colours are learned. Source: ours."""
@@ -75,114 +49,6 @@ THINNING = 2
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
 """Speed from which the object moves [px an image], and for how many images after that it is no background
 yet, so that what differs in nothing from the background is not the object. Source: ours."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """What an image shows of motion.
-
-    Attributes:
-        image: The image, smoothed, in the light of the background.
-        difference: How far each pixel is from the background, in its worst channel.
-        moving: Which pixels differ from the background.
-        unknown: In which pixels that cannot be told.
-    """
-
-    image: Image
-    difference: UInt8[np.ndarray, "height width"]
-    moving: Mask
-    unknown: Mask
-
-    def sharpened(self, window: tuple[slice, slice]) -> Mask:
-        """What moves in a part of the image, each thing up to where it differs much less than inside."""
-        difference, sharp = self.difference[window], np.zeros_like(self.moving[window])
-        for blob in _regions(self.moving[window]):
-            inside = blob.mask()
-            level = EDGE * float(np.percentile(difference[inside], BRIGHT))
-            sharp |= inside & (difference >= level)
-        return sharp
-
-
-class Foreground:
-    """Which pixels differ from the background, in a stream of images, in whatever light.
-
-    Where pixels are ignored the background is not learned: the robot that waits for a throw is not taken for
-    background, and neither is what it uncovers taken for an object.
-    """
-
-    def __init__(self, learning_images: int = 1) -> None:
-        """Know no background, and say nothing before so many images of it."""
-        self._learning_images = learning_images
-        self._mean = np.empty((0, 0, 3), dtype=np.float32)
-
-    def step(self, image: Image, ignored: Mask | None, kept: Mask | None = None) -> Motion:
-        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel.
-
-        Args:
-            image: The image.
-            ignored: Where nothing is known of the scene.
-            kept: Where what differs stays foreground however long it stands still.
-        """
-        smooth = cv2.blur(image, (3, 3))
-        if self._mean.shape != image.shape:
-            self._begin(smooth)
-        self._num_images += 1
-        counted = np.ones_like(self._num_seen)
-        if ignored is not None:
-            counted[_grown(ignored, SPECK)] = 0  # as far as it is smoothed
-        smooth = self._lit(smooth, counted)
-        _replace(self._mean, smooth, counted * (self._num_seen == 0))
-        known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
-        known &= self._num_images >= self._learning_images
-        difference = _difference(smooth, cv2.convertScaleAbs(self._mean))
-        noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
-        threshold = cv2.max(cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS), max(noise, LEAST_DIFFERENCE))
-        differs = cv2.compare(difference, threshold, cv2.CMP_GT) > 0
-        moving = _opened(differs) & known
-        self._learn(smooth, difference, _grown(differs & known, SPECK), counted, kept)
-        return Motion(image=smooth, difference=difference, moving=moving, unknown=~known)
-
-    def forget(self, mask: Mask) -> None:
-        """Know nothing of some pixels: what was taken for background is the object."""
-        self._num_seen[mask] = 0
-
-    def _begin(self, image: Image) -> None:
-        shape = image.shape[:2]
-        self._mean, self._last = image.astype(np.float32), image
-        self._usual = np.zeros(shape, dtype=np.float32)
-        self._num_seen, self._num_still = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
-        self._num_images = 0
-
-    def _lit(self, image: Image, counted: np.ndarray) -> Image:
-        """The image in the light of the background."""
-        every = slice(None, None, SAMPLING), slice(None, None, SAMPLING)
-        now, before = image[every].astype(np.float32), self._mean[every]
-        told = (now > DARKEST) & (now < BRIGHTEST) & (before > DARKEST) & (before < BRIGHTEST)
-        told &= (counted[every] * (self._num_seen[every] > 0)).view(bool)[..., None]
-        ratios = now[told] / before[told]
-        gain = float(np.median(ratios)) if len(ratios) >= LEAST_SAMPLES else 1.0
-        return image if abs(gain - 1.0) < LEAST_GAIN else cv2.convertScaleAbs(image, alpha=1.0 / gain)
-
-    def _learn(
-        self, image: Image, difference: np.ndarray, differs: Mask, counted: np.ndarray, kept: Mask | None
-    ) -> None:
-        """Learn what does not differ, and what has stood still for long."""
-        free = counted if kept is None else counted * ~kept
-        left, top, width, height = cv2.boundingRect(differs.view(np.uint8))
-        part, num_still = (
-            (slice(top, top + height), slice(left, left + width)),
-            np.zeros_like(self._num_still),
-        )
-        if width:
-            same = (_difference(image[part], self._last[part]) <= 2 * LEAST_DIFFERENCE) & differs[part]
-            num_still[part] = cv2.add(self._num_still[part], same.view(np.uint8)) * same
-            _replace(self._mean, image, free * (num_still >= LEARNING_IMAGES))
-        self._num_still = num_still
-        learned = free * ~differs
-        cv2.accumulateWeighted(image, self._mean, 1.0 / min(self._num_images, MEMORY), mask=learned)
-        cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
-        cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
-        self._last = image
 
 
 class BackgroundSubtraction(Segmenter):
@@ -239,13 +105,13 @@ class BackgroundSubtraction(Segmenter):
         mask = segmentation.mask
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
-        self._kept = None if mask is None else _grown(mask, GAP)
+        self._kept = None if mask is None else grown(mask, GAP)
         if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
             if not _is_cut(mask):
                 self._area = (
                     blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
                 )
-            self._learn(image, mask, _grown(mask, GAP), motion, ignored)
+            self._learn(image, mask, grown(mask, GAP), motion, ignored)
         return segmentation
 
     def _object(
@@ -258,23 +124,21 @@ class BackgroundSubtraction(Segmenter):
         """
         alone, whole, alike = self._resembling(image, motion, track)
         for masks in ((alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)):
-            regions = [_regions(mask if within is None else mask & within) for mask in masks]
-            is_alike = masks[0] is not motion.moving or self._appearance.own_share < LEAST_KNOWN
-            firsts = (
-                self._first(
-                    [each for each in track.candidates(blobs) if is_alike or track.leads_to(each)], motion
-                )
-                for blobs in regions
-            )
-            found = [(blobs, blob) for blobs, blob in zip(regions, firsts, strict=True) if blob]
+            found = []
+            for mask in masks:
+                blobs = regions(mask if within is None else mask & within)
+                blob = self._first(track, blobs, motion, is_alike=mask is not motion.moving)
+                found += [(blobs, blob)] if blob else []
             if found:
                 return min(found, key=lambda each: self._change(each[1]))
-        regions = _regions(alike if within is None else within)
-        return regions, None if within is None else next(iter(regions), None)
+        blobs = regions(alike if within is None else within)
+        return blobs, None if within is None else next(iter(blobs), None)
 
-    def _first(self, blobs: list[Blob], motion: Motion) -> Blob | None:
-        """The first region that fits."""
-        return next((blob for blob in blobs if self._fits(blob, motion.unknown)), None)
+    def _first(self, track: ImageTrack, blobs: list[Blob], motion: Motion, *, is_alike: bool) -> Blob | None:
+        """The region that fits and is likeliest; what moves, but has not the object's own colours, only ahead."""
+        anywhere = is_alike or self._appearance.own_share < LEAST_KNOWN
+        likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
+        return next((blob for blob in likely if self._fits(blob, motion.unknown)), None)
 
     def _change(self, blob: Blob) -> float:
         """How far the size of a region is from that of the object, as a logarithm."""
@@ -340,11 +204,6 @@ class BackgroundSubtraction(Segmenter):
         self._appearance.learn(image[box][mask[box]], np.concatenate(others))
 
 
-def _regions(mask: Mask) -> list[Blob]:
-    """The regions of a mask, with small gaps closed."""
-    return find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
-
-
 def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> tuple[slice, slice]:
     """Rows and columns within reach of places, or of the points of the image nearest to them [px]."""
     edge = np.array((image.shape[1] - 1, image.shape[0] - 1))
@@ -354,18 +213,6 @@ def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image)
     return slice(first[1], last[1]), slice(first[0], last[0])
 
 
-def _replace(image: np.ndarray, other: Image, mask: np.ndarray) -> None:
-    """Take some pixels of another image over."""
-    if mask.any():
-        cv2.copyTo(other.astype(np.float32), mask, image)
-
-
-def _difference(image: Image, other: Image) -> UInt8[np.ndarray, "height width"]:
-    """How far the pixels of two images are apart, in the worst channel."""
-    red, green, blue = cv2.split(cv2.absdiff(image, other))
-    return cv2.max(cv2.max(red, green), blue)
-
-
 def _is_cut(mask: Mask) -> bool:
     """Whether a mask touches the edge of the image, beyond which it may go on."""
     return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
@@ -373,17 +220,7 @@ def _is_cut(mask: Mask) -> bool:
 
 def _overlap(mask: Mask, other: Mask) -> bool:
     """Whether a mask touches another."""
-    return bool((mask & _grown(other, SPECK)).any())
-
-
-def _opened(mask: Mask) -> Mask:
-    """The mask without specks."""
-    return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, SPECK) > 0
-
-
-def _grown(mask: Mask, shape: np.ndarray) -> Mask:
-    """The mask with a rim."""
-    return cv2.dilate(mask.view(np.uint8), shape) > 0
+    return bool((mask & grown(other, SPECK)).any())
 
 
 def _extended(mask: Mask, more: Mask) -> Mask:
@@ -402,4 +239,4 @@ def _prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mas
     across = (columns + 0.5 - 0.5 * (xmin + xmax)) / max(0.5 * (xmax - xmin), 1.0)
     down = (rows + 0.5 - 0.5 * (ymin + ymax)) / max(0.5 * (ymax - ymin), 1.0)
     inside = across**2 + down**2 <= INNER**2
-    return inside, _grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)
+    return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)

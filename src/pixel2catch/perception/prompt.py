@@ -6,8 +6,8 @@ from itertools import product
 import cv2
 import numpy as np
 
-from pixel2catch.perception.background import LEARNING_IMAGES, Foreground
 from pixel2catch.perception.color import ColorRange
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
 from pixel2catch.perception.image_track import GAP, LARGEST_CHANGE, Blob, find_blobs
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt
 
