@@ -55,8 +55,8 @@ class BackgroundSubtraction(Segmenter):
     """Follows what has the object's colours, or moves, near to where the object should be; needs no weights.
 
     The camera must not move. The colours (`Appearance`) are learned from the prompt and while the object
-    flies: they part it from an arm that moves beside it, and show it where motion says nothing, at the robot
-    and while it is held still. An object without colours of its own is followed by its motion alone.
+    flies: they part it from an arm that moves beside it, and show it where motion says nothing, at the
+    robot. An object without colours of its own is followed by its motion alone. It never becomes background.
     """
 
     def __init__(self) -> None:
@@ -71,9 +71,9 @@ class BackgroundSubtraction(Segmenter):
 
         What only flies is passed by where it does not resemble what was followed before.
         """
-        if self._track is not None and isinstance(prompt, BoxPrompt) and prompt.is_guess:
-            if not self._resembles(image, prompt.box):
-                return self.track(image, ignored)
+        guess = prompt.box if isinstance(prompt, BoxPrompt) and prompt.is_guess else None
+        if self._track is not None and guess is not None and not self._resembles(image, guess):
+            return self.track(image, ignored)
         self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
         self._area, self._num_still, self._kept = inf, inf, None
         return self._follow(image, ignored, prompt)
@@ -117,7 +117,16 @@ class BackgroundSubtraction(Segmenter):
     def _object(
         self, image: Image, motion: Motion, track: ImageTrack, within: Mask | None
     ) -> tuple[list[Blob], Blob | None]:
-        """The region of the object's colours with its new sides, else of less, else whatever moves.
+        """The region of the object's colours, else of less, else whatever moves.
+
+        A whole thing that moves, its part with the object's and new colours, or with the object's alone:
+        that is taken which continues the size, so that no hand is added and no blurred rim cut off.
+
+        Args:
+            image: The image.
+            motion: What moves in it.
+            track: Where the object should be.
+            within: Where a person says that it is; None without a prompt.
 
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
@@ -135,7 +144,7 @@ class BackgroundSubtraction(Segmenter):
         return blobs, None if within is None else next(iter(blobs), None)
 
     def _first(self, track: ImageTrack, blobs: list[Blob], motion: Motion, *, is_alike: bool) -> Blob | None:
-        """The region that fits and is likeliest; what moves, but has not the object's own colours, only ahead."""
+        """The likeliest region that fits; where colours of its own are missing, only where it should be."""
         anywhere = is_alike or self._appearance.own_share < LEAST_KNOWN
         likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
         return next((blob for blob in likely if self._fits(blob, motion.unknown)), None)
@@ -160,8 +169,8 @@ class BackgroundSubtraction(Segmenter):
         """Things that move and have the object's colours; these with new colours; these alone.
 
         In reach of where the object should be and a little further: what is out of reach now may be in reach
-        in the next image, and is known for another thing then. An object that moved lately is no background
-        yet: what differs in nothing from the background is not the object.
+        in the next image, and is known for another thing then. What differs in nothing from a background that
+        is known is not the object.
         """
         alone, whole, alike = (np.zeros(image.shape[:2], dtype=bool) for _ in range(3))
         reach = track.reach + REACH

@@ -21,8 +21,10 @@ LEAST_DIFFERENCE, DEVIATIONS = 6.0, 4.0
 Source: ours; five standard deviations of noise are 3.8 times the mean of the largest of three channels."""
 
 USUAL_WEIGHT, BUSY_WEIGHT = 0.05, 0.003
-"""Weight of a new image in what difference of a pixel is usual, and where it differs. Source: ours: 20 images,
-and 10 s, in which a place that never rests gets to say nothing, but not one where a thing passes."""
+"""Weight of a new image in what difference of a pixel is usual, and where it differs.
+
+Source: ours: 20 images, and 10 s, in which a place that never rests gets to say nothing, but not one where
+a thing passes."""
 
 DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
 """Levels between which a pixel tells the light's gain, and how many pixels tell it. Source: ours: no noise,
@@ -46,7 +48,7 @@ class Motion:
         image: The image, smoothed, in the light of the background.
         difference: How far each pixel is from the background, in its worst channel.
         moving: Which pixels differ from the background.
-        unknown: In which pixels that cannot be told.
+        unknown: In which pixels that cannot be told, but for the smoothed rim of what is ignored.
     """
 
     image: Image
@@ -97,11 +99,13 @@ class Foreground:
         known &= self._num_images >= self._learning_images
         difference = _difference(smooth, cv2.convertScaleAbs(self._mean))
         noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
-        threshold = cv2.max(cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS), max(noise, LEAST_DIFFERENCE))
+        least = round(max(noise, LEAST_DIFFERENCE))
+        threshold = np.maximum(cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS), min(least, 255))
         differs = cv2.compare(difference, threshold, cv2.CMP_GT) > 0
         moving = opened(differs) & known
         self._learn(smooth, difference, grown(differs & known, SPECK), counted, kept)
-        return Motion(image=smooth, difference=difference, moving=moving, unknown=~known)
+        unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
+        return Motion(image=smooth, difference=difference, moving=moving, unknown=unknown)
 
     def forget(self, mask: Mask) -> None:
         """Know nothing of some pixels: what was taken for background is the object."""

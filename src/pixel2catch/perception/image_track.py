@@ -28,11 +28,11 @@ may be for every image without it, and in the end [px]. Source: ours; the releas
 in an image interval out of nothing."""
 
 FIRST_REACH = 90.0
-"""The same while its velocity is not known [px]. Source: ours: what a box moves at most, `PlausibilityCfg`."""
+"""The same while its velocity is unknown [px]. Source: ours: what a box moves at most, `PlausibilityCfg`."""
 
 LARGEST_CHANGE = 12.0
-"""Largest change of the motion of what flies, between two images [px]. Source: ours; gravity and approach make
-up to 10."""
+"""Largest change of the motion of what flies, between two images [px]. Source: ours; gravity and approach
+make up to 10."""
 
 LONGEST_STEP = 20.0
 """How far another thing moves between two images, at most, to be known again [px]. Source: ours."""
