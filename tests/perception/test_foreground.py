@@ -32,10 +32,9 @@ def test_what_stands_still_becomes_background_unless_it_is_kept():
     forgetful, keeping = Foreground(), Foreground()
     for step, image in enumerate(painted.images((disc,), 10 + LEARNING_IMAGES + 5)):
         absorbed = forgetful.step(image, None).moving
-        kept = keeping.step(image, None, disc.mask(20)).moving
+        kept = keeping.step(image, None, disc.mask(20) if step > 10 else None).moving
     assert not absorbed[disc.mask(20)].any()
     assert kept[disc.mask(20)].mean() > 0.9
-    assert step == 10 + LEARNING_IMAGES + 4
 
 
 def test_the_edge_of_a_thing_is_where_its_difference_falls():

@@ -190,7 +190,8 @@ class BackgroundSubtraction(Segmenter):
         if self._area < inf and not 1 / LARGEST_CHANGE <= area / self._area <= LARGEST_CHANGE:
             return False
         has_colors, _ = self._appearance.compare(cv2.blur(image, (3, 3)))
-        return has_colors[inside].sum() >= LEAST_KNOWN * self._appearance.own_share * inside.sum()
+        least = LEAST_KNOWN * self._appearance.own_share
+        return bool(has_colors[inside].sum() >= least * inside.sum())
 
     def _learn(self, image: Image, mask: Mask, maybe: Mask, motion: Motion, ignored: Mask | None) -> None:
         """Learn the colours of the object, and of what it could be confused with.
