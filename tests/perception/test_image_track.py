@@ -69,8 +69,17 @@ def blob_at(u: int, v: int) -> np.ndarray:
     ],
 )
 def test_a_track_goes_on_near_its_way(place: tuple[int, int], is_in_reach: bool):
-    track = ImageTrack(center=(100.0, 100.0), velocity=(60.0, 0.0))
+    track = ImageTrack(center=(100.0, 100.0), velocity=(60.0, 0.0), num_seen=2)
     assert (track.next_blob(find_blobs(blob_at(*place))) is not None) == is_in_reach
+    first = ImageTrack(center=(100.0, 100.0), num_seen=1)  # it may go anywhere at any speed of a throw
+    assert (first.next_blob(find_blobs(blob_at(*place))) is not None) == (place != (220, 100))
+
+
+def test_what_flies_goes_on_ahead():
+    track = ImageTrack(center=(100.0, 100.0), velocity=(30.0, 0.0), num_seen=2)
+    ahead, behind = find_blobs(blob_at(137, 108) | blob_at(100, 100))
+    assert sorted(map(track.leads_to, (ahead, behind))) == [False, True]
+    assert not ImageTrack(center=(130.0, 100.0)).leads_to(ahead)  # no motion was seen yet
 
 
 def test_of_two_things_the_nearest_goes_on():

@@ -1,14 +1,14 @@
 """The object by its motion and its colours: what differs from a learned background where it should be."""
 
-from dataclasses import dataclass
-from math import hypot, inf, isinf
+from dataclasses import replace
+from math import hypot, inf, isinf, log
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from pixel2catch.perception.color import Appearance
-from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack, find_blobs
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Motion, grown, regions
+from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
@@ -19,19 +19,6 @@ from pixel2catch.perception.segmenter import (
     Segmenter,
 )
 
-FOREGROUND, SHADOW = 255, 127
-"""What OpenCV calls the foreground, and what is the background, but darker."""
-
-MEMORY = 300
-"""Images that the background is made of. Source: ours: 10 s at 30 Hz."""
-
-THRESHOLD = 16.0
-"""Squared distance of a pixel from the background, in variances, from which it differs. Source: OpenCV."""
-
-LEARNING_IMAGES = 30
-"""Images that a pixel must have been seen in without the robot before its changes mean anything: a tenth of
-the memory, after which OpenCV takes something new for background."""
-
 INNER = 0.8
 """Share of the width and height of a prompted box in which the object's colours are learned. Source: ours."""
 
@@ -39,8 +26,14 @@ LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
 """How many times larger or smaller than before the object may be; where the robot may hide a part of it, any
 times smaller. Source: ours."""
 
+LEAST_MOVING = 0.2
+"""Share of a prompted object that differs from the background, below which it was taken for background."""
+
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
+
+LARGEST_CHANGE = 4.0
+"""The same after it was lost. Source: ours: half or twice as far from the camera."""
 
 AREA_MEMORY = 0.7
 """Weight of what the object's area was before, in every image. Source: ours."""
@@ -53,73 +46,17 @@ Source: ours; what is further off and does not move does not touch it."""
 THINNING = 2
 """Of what is ignored, every second pixel of every second row is learned."""
 
-RIM = 4  #: Pixels about a part of an image on which it depends what is moving in it.
-
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
 """Speed from which the object moves [px an image], and for how many images after that it is no background
 yet, so that what differs in nothing from the background is not the object. Source: ours."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """What an image shows of motion.
-
-    Attributes:
-        moving: Which pixels differ from the background.
-        unknown: In which pixels that cannot be told.
-        classes: What OpenCV says of each pixel.
-    """
-
-    moving: Mask
-    unknown: Mask
-    classes: UInt8[np.ndarray, "height width"]
-
-    def changed(self, window: tuple[slice, slice]) -> Mask:
-        """Which pixels of a part of the image differ, are only darker, or are near to such ones, or unknown.
-
-        Darker is what is in a shadow, or of a thing of the same colour.
-        """
-        rows, columns = (slice(max(each.start - RIM, 0), each.stop + RIM) for each in window)
-        around = rows, columns
-        darker = _opened(self.classes[around] == SHADOW) & ~self.unknown[around]
-        grown = _grown(self.moving[around] | darker, GAP) | self.unknown[around]
-        top, left = window[0].start - rows.start, window[1].start - columns.start
-        return grown[top:, left:][: window[0].stop - window[0].start, : window[1].stop - window[1].start]
-
-
-class Foreground:
-    """Which pixels differ from the background, in a stream of images.
-
-    Where pixels are ignored the background is not learned: the robot that waits for a throw is not taken for
-    background, and neither is what it uncovers taken for an object.
-    """
-
-    def __init__(self, learning_images: int = LEARNING_IMAGES) -> None:
-        """Know no background, and say nothing of a pixel before so many images of it."""
-        self._learning_images = learning_images
-        self._model = cv2.createBackgroundSubtractorMOG2(MEMORY, THRESHOLD, detectShadows=True)
-        self._scene = np.empty((0, 0, 3), dtype=np.uint8)
-        self._num_seen = np.empty((0, 0), dtype=np.uint8)
-
-    def step(self, image: Image, ignored: Mask | None) -> Motion:
-        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel."""
-        if self._scene.shape != image.shape:
-            self._scene = image.copy()
-            self._num_seen = np.zeros(image.shape[:2], dtype=np.uint8)
-        counted = np.ones_like(self._num_seen) if ignored is None else (~ignored).view(np.uint8)
-        cv2.copyTo(image, counted, self._scene)
-        cv2.add(self._num_seen, counted, self._num_seen)
-        classes = self._model.apply(self._scene)
-        known = counted.view(bool) & (self._num_seen >= self._learning_images)
-        return Motion(moving=_opened(classes == FOREGROUND) & known, unknown=~known, classes=classes)
 
 
 class BackgroundSubtraction(Segmenter):
     """Follows what has the object's colours, or moves, near to where the object should be; needs no weights.
 
     The camera must not move. The colours (`Appearance`) are learned from the prompt and while the object
-    flies: they part it from an arm that moves beside it, and show it where motion says nothing, at the robot
-    and while it is held still. An object without colours of its own is followed by its motion alone.
+    flies: they part it from an arm that moves beside it, and show it where motion says nothing, at the
+    robot. An object without colours of its own is followed by its motion alone. It never becomes background.
     """
 
     def __init__(self) -> None:
@@ -127,11 +64,18 @@ class BackgroundSubtraction(Segmenter):
         self._foreground = Foreground()
         self._track: ImageTrack | None = None
         self._appearance, self._area, self._num_still = Appearance(), inf, inf
+        self._kept: Mask | None = None
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
-        """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`."""
+        """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`.
+
+        What only flies is passed by where it does not resemble what was followed before.
+        """
+        guess = prompt.box if isinstance(prompt, BoxPrompt) and prompt.is_guess else None
+        if self._track is not None and guess is not None and not self._resembles(image, guess):
+            return self.track(image, ignored)
         self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
-        self._area = self._num_still = inf
+        self._area, self._num_still, self._kept = inf, inf, None
         return self._follow(image, ignored, prompt)
 
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
@@ -140,38 +84,74 @@ class BackgroundSubtraction(Segmenter):
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
-        self._track = None
+        self._track = self._kept = None
 
     def _follow(self, image: Image, ignored: Mask | None, prompt: Prompt | None) -> Segmentation:
         """Find the object in the next image, in which it is where a prompt says, if there is one."""
-        motion = self._foreground.step(image, ignored)
+        motion = self._foreground.step(image, ignored, self._kept)
         if self._track is None:
             return NOT_FOUND
+        image, maybe = motion.image, None
         if isinstance(prompt, BoxPrompt):
-            self._learn(image, *_prompted(prompt.box, image), motion, ignored)
-        blobs, blob = self._object(image, motion, self._track)
+            inside, maybe = _prompted(prompt.box, image)
+            self._area = inf if _is_cut(maybe) else float(inside.sum()) / INNER**2
+            if motion.moving[inside].sum() < LEAST_MOVING * inside.sum():
+                self._foreground.forget(maybe)
+                motion = replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
+            self._learn(image, inside, maybe, motion, ignored)
+        is_first = isinf(self._area)
+        blobs, blob = self._object(image, motion, self._track, maybe)
         self._track, segmentation = self._track.advanced(blobs, blob)
-        mask, is_first = segmentation.mask, isinf(self._area)
-        is_moving = blob is not None and not is_first and hypot(*self._track.velocity) >= LEAST_SPEED
+        mask = segmentation.mask
+        is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
+        self._kept = None if mask is None else grown(mask, GAP)
         if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
-            self._area = blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
-            self._learn(image, mask, _grown(mask, GAP), motion, ignored)
+            if not _is_cut(mask):
+                self._area = (
+                    blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
+                )
+            self._learn(image, mask, grown(mask, GAP), motion, ignored)
         return segmentation
 
-    def _object(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[list[Blob], Blob | None]:
-        """The region of the object's colours with its new sides, else of less, else whatever moves.
+    def _object(
+        self, image: Image, motion: Motion, track: ImageTrack, within: Mask | None
+    ) -> tuple[list[Blob], Blob | None]:
+        """The region of the object's colours, else of less, else whatever moves.
+
+        A whole thing that moves, its part with the object's and new colours, or with the object's alone:
+        that is taken which continues the size, so that no hand is added and no blurred rim cut off.
+
+        Args:
+            image: The image.
+            motion: What moves in it.
+            track: Where the object should be.
+            within: Where a person says that it is; None without a prompt.
 
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alike, whole = self._resembling(image, motion, track)
-        for mask in (whole, alike, alike & (motion.moving | motion.unknown), motion.moving):
-            blobs = _regions(mask)
-            for blob in track.candidates(blobs):
-                if self._fits(blob, motion.unknown):
-                    return blobs, blob
-        return _regions(alike), None
+        alone, whole, alike = self._resembling(image, motion, track)
+        for masks in ((alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)):
+            found = []
+            for mask in masks:
+                blobs = regions(mask if within is None else mask & within)
+                blob = self._first(track, blobs, motion, is_alike=mask is not motion.moving)
+                found += [(blobs, blob)] if blob else []
+            if found:
+                return min(found, key=lambda each: self._change(each[1]))
+        blobs = regions(alike if within is None else within)
+        return blobs, None if within is None else next(iter(blobs), None)
+
+    def _first(self, track: ImageTrack, blobs: list[Blob], motion: Motion, *, is_alike: bool) -> Blob | None:
+        """The likeliest region that fits; where colours of its own are missing, only where it should be."""
+        anywhere = is_alike or self._appearance.own_share < LEAST_KNOWN
+        likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
+        return next((blob for blob in likely if self._fits(blob, motion.unknown)), None)
+
+    def _change(self, blob: Blob) -> float:
+        """How far the size of a region is from that of the object, as a logarithm."""
+        return abs(log(blob.area / self._area)) if self._area < inf else 0.0
 
     @property
     def _is_fresh(self) -> bool:
@@ -185,21 +165,33 @@ class BackgroundSubtraction(Segmenter):
         is_large = blob.area >= LEAST_SHARE * self._area
         return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(blob.mask(), unknown))
 
-    def _resembling(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask]:
-        """Pixels with the object's colours, and these with what moves along with them in a new colour.
+    def _resembling(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask, Mask]:
+        """Things that move and have the object's colours; these with new colours; these alone.
 
         In reach of where the object should be and a little further: what is out of reach now may be in reach
-        in the next image, and is known for another thing then. An object that moved lately is no background
-        yet: what differs in nothing from the background is not the object.
+        in the next image, and is known for another thing then. What differs in nothing from a background that
+        is known is not the object.
         """
-        alike, whole = (np.zeros(image.shape[:2], dtype=bool) for _ in range(2))
+        alone, whole, alike = (np.zeros(image.shape[:2], dtype=bool) for _ in range(3))
         reach = track.reach + REACH
         window = _window((track.center, track.expected), reach, image)
         has_colors, is_new = self._appearance.compare(image[window])
+        sharp = motion.sharpened(window)
         extended = _extended(has_colors, is_new & motion.moving[window])
-        changed = motion.changed(window) if self._is_fresh else True
-        alike[window], whole[window] = has_colors & changed, extended & changed
-        return alike, whole
+        changed = sharp | motion.unknown[window]
+        alone[window] = _extended(has_colors & sharp, sharp)
+        whole[window], alike[window] = extended & changed, has_colors & changed
+        return alone, whole, alike
+
+    def _resembles(self, image: Image, box: tuple[float, float, float, float]) -> bool:
+        """Whether what fills a box has the size of what was followed, and its colours if it has any."""
+        inside, _ = _prompted(box, image)
+        area = float(inside.sum()) / INNER**2
+        if self._area < inf and not 1 / LARGEST_CHANGE <= area / self._area <= LARGEST_CHANGE:
+            return False
+        has_colors, _ = self._appearance.compare(cv2.blur(image, (3, 3)))
+        least = LEAST_KNOWN * self._appearance.own_share
+        return bool(has_colors[inside].sum() >= least * inside.sum())
 
     def _learn(self, image: Image, mask: Mask, maybe: Mask, motion: Motion, ignored: Mask | None) -> None:
         """Learn the colours of the object, and of what it could be confused with.
@@ -222,11 +214,6 @@ class BackgroundSubtraction(Segmenter):
         self._appearance.learn(image[box][mask[box]], np.concatenate(others))
 
 
-def _regions(mask: Mask) -> list[Blob]:
-    """The regions of a mask, with small gaps closed."""
-    return find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
-
-
 def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> tuple[slice, slice]:
     """Rows and columns within reach of places, or of the points of the image nearest to them [px]."""
     edge = np.array((image.shape[1] - 1, image.shape[0] - 1))
@@ -236,19 +223,14 @@ def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image)
     return slice(first[1], last[1]), slice(first[0], last[0])
 
 
+def _is_cut(mask: Mask) -> bool:
+    """Whether a mask touches the edge of the image, beyond which it may go on."""
+    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+
+
 def _overlap(mask: Mask, other: Mask) -> bool:
     """Whether a mask touches another."""
-    return bool((mask & _grown(other, SPECK)).any())
-
-
-def _opened(mask: Mask) -> Mask:
-    """The mask without specks."""
-    return cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, SPECK) > 0
-
-
-def _grown(mask: Mask, shape: np.ndarray) -> Mask:
-    """The mask with a rim."""
-    return cv2.dilate(mask.view(np.uint8), shape) > 0
+    return bool((mask & grown(other, SPECK)).any())
 
 
 def _extended(mask: Mask, more: Mask) -> Mask:
@@ -267,4 +249,4 @@ def _prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mas
     across = (columns + 0.5 - 0.5 * (xmin + xmax)) / max(0.5 * (xmax - xmin), 1.0)
     down = (rows + 0.5 - 0.5 * (ymin + ymax)) / max(0.5 * (ymax - ymin), 1.0)
     inside = across**2 + down**2 <= INNER**2
-    return inside, _grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)
+    return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)

@@ -104,9 +104,15 @@ class Appearance:
 
         The former are none if the colours are unknown; the latter may be an unseen side of the object.
         """
-        codes, other = _codes(cv2.blur(image, (3, 3))), _spread(self._other)
+        codes, other = _codes(image), _spread(self._other)
         is_likely, is_new = _spread(self._object) > np.maximum(other, LEAST_COUNT), other <= LEAST_COUNT
         return is_likely[codes], is_new[codes]
+
+    @property
+    def own_share(self) -> float:
+        """Share of the object that has colours of its own."""
+        is_own = _spread(self._object) > np.maximum(_spread(self._other), LEAST_COUNT)
+        return float(self._object[is_own].sum() / max(self._object.sum(), LEAST_COUNT))
 
 
 def _codes(colors: UInt8[np.ndarray, "*places 3"]) -> Int[np.ndarray, "*places"]:

@@ -27,6 +27,13 @@ REACH, REACH_GROWTH, LARGEST_REACH = 45.0, 30.0, 150.0
 may be for every image without it, and in the end [px]. Source: ours; the release of a throw makes up to 30 px
 in an image interval out of nothing."""
 
+FIRST_REACH = 90.0
+"""The same while its velocity is unknown [px]. Source: ours: what a box moves at most, `PlausibilityCfg`."""
+
+LARGEST_CHANGE = 12.0
+"""Largest change of the motion of what flies, between two images [px]. Source: ours; gravity and approach
+make up to 10."""
+
 LONGEST_STEP = 20.0
 """How far another thing moves between two images, at most, to be known again [px]. Source: ours."""
 
@@ -104,12 +111,14 @@ class ImageTrack:
         center: Middle of its last box [px].
         velocity: Its last change in an image interval [px].
         num_missed: Images since then.
+        num_seen: How often it was seen; its velocity is known from the second time on.
         others: Middles of the things in the last image that were not the object [px].
     """
 
     center: tuple[float, float]
     velocity: tuple[float, float] = (0.0, 0.0)
     num_missed: int = 0
+    num_seen: int = 0
     others: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -126,7 +135,7 @@ class ImageTrack:
         """The track after an image with the object [px]."""
         steps = self.num_missed + 1
         velocity = (center[0] - self.center[0]) / steps, (center[1] - self.center[1]) / steps
-        return ImageTrack(center=center, velocity=velocity)
+        return ImageTrack(center=center, velocity=velocity, num_seen=self.num_seen + 1)
 
     def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
         """The track after the next image, in which the object is this one of the regions, and its mask.
@@ -142,7 +151,8 @@ class ImageTrack:
     @property
     def reach(self) -> float:
         """How far from the way to there it may be [px]."""
-        return min(REACH + REACH_GROWTH * self.num_missed, LARGEST_REACH)
+        least = REACH if self.num_seen > 1 else FIRST_REACH
+        return min(least + REACH_GROWTH * self.num_missed, LARGEST_REACH)
 
     def next_blob(self, blobs: list[Blob]) -> Blob | None:
         """The likeliest of the regions that may be the object, if there is one: see `candidates`."""
@@ -157,6 +167,10 @@ class ImageTrack:
         plausible = (blob for blob in blobs if blob.is_plausible and not self._is_other(blob, blobs))
         near = (blob for blob in plausible if self._distance(blob.center) <= self.reach)
         return sorted(near, key=lambda blob: blob.distance(self.expected))
+
+    def leads_to(self, blob: Blob) -> bool:
+        """Whether a region is where the object should be, up to what gravity and approach change."""
+        return self.num_seen > 1 and blob.distance(self.expected) <= LARGEST_CHANGE * (self.num_missed + 1)
 
     def _distance(self, point: tuple[float, float]) -> float:
         """From a point to the way between the last and the expected place [px]."""

@@ -1,13 +1,14 @@
 """What says which of all the things in an image is the object: a person, its colour, or its flight."""
 
+from dataclasses import replace
 from itertools import product
 
 import cv2
 import numpy as np
 
-from pixel2catch.perception.background import Foreground
 from pixel2catch.perception.color import ColorRange
-from pixel2catch.perception.image_track import GAP, Blob, find_blobs
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
+from pixel2catch.perception.image_track import GAP, LARGEST_CHANGE, Blob, find_blobs
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt
 
 Region = tuple[float, float, float, float]
@@ -16,9 +17,6 @@ Region = tuple[float, float, float, float]
 LEAST_SPEED, LARGEST_SPEED = 8.0, 90.0
 """Slowest and fastest motion of a flying thing between two images [px]. Source: ours; a throw begins with 10
 or more, and rendered catches move by 61 at most."""
-
-LARGEST_CHANGE = 12.0
-"""Largest change of its motion [px]. Source: ours; gravity and approach make up to 10."""
 
 LARGEST_GROWTH = 2.5
 """How many times larger a flying thing may be in one of three images than in another. Source: ours."""
@@ -50,7 +48,7 @@ class Prompter:
         """
         self._usual = prompt
         self._colors, self._region = colors, region
-        self._foreground = Foreground() if finds_flights else None
+        self._foreground = Foreground(LEARNING_IMAGES) if finds_flights else None
         self.reset()
 
     def reset(self) -> None:
@@ -90,7 +88,8 @@ class Prompter:
         oldest, middle = self._before
         self._before = (middle, newest)
         triples = product(newest, middle, oldest)
-        return next((_box(now) for now, *before in triples if _flies(now, *before)), None)
+        flying = next((_box(now) for now, *before in triples if _flies(now, *before)), None)
+        return flying and replace(flying, is_guess=True)
 
 
 def _flies(now: Blob, before: Blob, oldest: Blob) -> bool:

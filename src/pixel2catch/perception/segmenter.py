@@ -17,6 +17,7 @@ class BoxPrompt:
     """The object is what this box holds: xmin, ymin, xmax, ymax in continuous image coordinates [px]."""
 
     box: tuple[float, float, float, float]
+    is_guess: bool = False  #: Whether only its flight points it out.
 
     @property
     def center(self) -> tuple[float, float]:

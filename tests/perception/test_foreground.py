@@ -1,0 +1,100 @@
+"""What differs from a background: noise, light, edges, what stands still, what a robot hides."""
+
+import numpy as np
+import painted
+from painted import NUM_EMPTY, Disc
+
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
+from pixel2catch.perception.segmenter import Mask
+
+ROBOT_COLOR = (20, 20, 20)
+
+
+def waiting_and_gone(num_steps: int, first_step: int) -> Disc:
+    """A robot's hand that waits in the middle of the image, and is away from a step on."""
+    path = np.tile((160.0, 120.0), (num_steps, 1))
+    path[first_step:] = (-100.0, -100.0)
+    return Disc(path=path, radius=30.0, color=ROBOT_COLOR)
+
+
+def test_neither_a_step_of_the_exposure_nor_flicker_is_foreground():
+    foreground = Foreground()
+    for step, image in enumerate(painted.images((), 60)):
+        gain = 1.0 + 0.06 * np.sin(2.1 * step) + (0.15 if step > 45 else 0.0)
+        lit = np.clip(gain * image, 0, 255).astype(np.uint8)
+        share = foreground.step(lit, None).moving.mean()
+        assert step < 10 or share < 1e-3
+
+
+def test_what_stands_still_becomes_background_unless_it_is_kept():
+    disc = Disc(path=np.tile((160.0, 120.0), (100, 1)), radius=9.0)
+    disc.path[:10] = -100.0
+    forgetful, keeping = Foreground(), Foreground()
+    for step, image in enumerate(painted.images((disc,), 10 + LEARNING_IMAGES + 5)):
+        absorbed = forgetful.step(image, None).moving
+        kept = keeping.step(image, None, disc.mask(20) if step > 10 else None).moving
+    assert not absorbed[disc.mask(20)].any()
+    assert kept[disc.mask(20)].mean() > 0.9
+
+
+def test_the_edge_of_a_thing_is_where_its_difference_falls():
+    """A bright disc with a halo of a fifth of its contrast, as compression makes: the halo is left out."""
+    halo = Disc(path=np.tile((160.0, 120.0), (30, 1)), radius=16.0, color=(165, 165, 165))
+    disc = Disc(path=halo.path, radius=9.0, color=(255, 255, 255))
+    room = np.full((painted.HEIGHT, painted.WIDTH, 3), 142, dtype=np.uint8)
+    foreground = Foreground()
+    for _ in range(5):
+        foreground.step(room, None)
+    image = room.copy()
+    for each in (halo, disc):
+        image[each.mask(0)] = each.color
+    motion = foreground.step(image, None)
+    whole = (slice(0, painted.HEIGHT), slice(0, painted.WIDTH))
+    assert np.abs(painted.box_of(motion.moving) - painted.box_of(halo.mask(0))).max() <= 2
+    assert np.abs(painted.box_of(motion.sharpened(whole)) - painted.box_of(disc.mask(0))).max() <= 1
+
+
+def test_noise_is_no_foreground():
+    foreground = Foreground()
+    shares = [foreground.step(image, None).moving.mean() for image in painted.images((), 60)]
+    assert max(shares[NUM_EMPTY:]) < 1e-3
+
+
+def test_nothing_is_said_before_the_background_is_learned():
+    disc = Disc(path=painted.thrown(0, 20), radius=8.0)
+    learning_images = NUM_EMPTY + 5
+    foreground = Foreground(learning_images)
+    for step, image in enumerate(painted.images((disc,), NUM_EMPTY + 20)):
+        motion = foreground.step(image, None)
+        assert motion.unknown.all() == (step + 1 < learning_images)
+        assert motion.moving.any() == (step + 1 >= learning_images)
+
+
+def test_what_a_waiting_robot_uncovers_is_not_taken_for_an_object():
+    num_steps, first_step = NUM_EMPTY + 10, NUM_EMPTY
+    robot = waiting_and_gone(num_steps, first_step)
+    ignorant, foreground = Foreground(), Foreground()
+    for step, image in enumerate(painted.images((robot,), num_steps)):
+        ghost = ignorant.step(image, None).moving
+        motion = foreground.step(image, robot.mask(step))
+        if step == first_step:
+            assert ghost[robot.mask(0)].mean() > 0.9
+        if step >= first_step:
+            assert not motion.moving[robot.mask(0)].any()
+            assert motion.unknown[robot.mask(0)].all()
+
+
+def test_a_background_that_was_known_before_a_robot_came_is_known_after_it():
+    num_steps = NUM_EMPTY + 12
+    path = np.full((num_steps, 2), -100.0)
+    path[NUM_EMPTY : NUM_EMPTY + 6] = (160.0, 120.0)
+    robot = Disc(path=path, radius=30.0, color=ROBOT_COLOR)
+    disc_path = np.full((num_steps, 2), -100.0)
+    disc_path[-1] = (160.0, 120.0)
+    disc = Disc(path=disc_path, radius=8.0)
+    foreground = Foreground()
+    moving: Mask = np.zeros(0, dtype=bool)
+    for step, image in enumerate(painted.images((disc, robot), num_steps)):
+        moving = foreground.step(image, robot.mask(step)).moving
+        assert not (moving & robot.mask(step)).any()
+    assert np.abs(painted.box_of(moving) - painted.box_of(disc.mask(num_steps - 1))).max() <= 2
