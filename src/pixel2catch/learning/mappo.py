@@ -98,8 +98,10 @@ class Mappo:
         self._draw = {agent: self._recorded(networks.act) for agent, networks in self.networks.items()}
 
     def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function by the fewest launches that the device and the configuration allow."""
-        function = torch.compile(function, dynamic=False) if self.cfg.fuse else function
+        """The function by as few launches as the device allows, if steps are fused; else as it is."""
+        if not self.cfg.fuse:
+            return function
+        function = torch.compile(function, dynamic=False)
         if not self.cfg.device.startswith("cuda"):
             return function
         device = torch.device(self.cfg.device)
