@@ -30,6 +30,7 @@ def test_what_stands_still_becomes_background_unless_it_is_kept():
     disc = Disc(path=np.tile((160.0, 120.0), (100, 1)), radius=9.0)
     disc.path[:10] = -100.0
     forgetful, keeping = Foreground(), Foreground()
+    absorbed = kept = np.zeros(0, dtype=bool)
     for step, image in enumerate(painted.images((disc,), 10 + LEARNING_IMAGES + 5)):
         absorbed = forgetful.step(image, None).moving
         kept = keeping.step(image, None, disc.mask(20) if step > 10 else None).moving
