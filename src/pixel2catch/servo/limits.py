@@ -48,7 +48,8 @@ class JointLimits:
     Sources:
         lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
             its travel (UR), and `TRAVEL_MARGIN` is kept from it.
-        speed, acceleration: ours, less for a share of the speed. Of an arm's, 300 rad/s² with a lag that is
+        speed, acceleration: ours, less for a share of the speed, and 300 rad/s² for an arm that is not
+            identified. Of an arm's, 300 rad/s² with a lag that is
             only as told catch 94.2 % of 600 throws in simulation, 1,000 rad/s² with the lag that is seen
             97.0 % (won 18, lost 4 of 400), no limits at all 97.0 (experiments/LOG.md).
         jerk: ours; an arm's acceleration may turn in 10 ms, for which commands come 4 ms later, a finger's
@@ -123,7 +124,9 @@ class JointLimits:
         own_speed = share * np.minimum(full_speed, most["speed"])
         even_speed = SPEED_MARGIN * own_speed
         part = own_speed / full_speed
-        acceleration = np.minimum(part * each(1000.0, 2000.0), most["acceleration"])
+        acceleration = np.minimum(
+            part * each(1000.0 if is_identified else 300.0, 2000.0), most["acceleration"]
+        )
         lead, age = even_speed * lag, each(0.02, 0.05)
         ends = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
         margin = each(TRAVEL_MARGIN, 0.0) * np.vectorize(_is_end_of_travel)(ends)
@@ -132,7 +135,7 @@ class JointLimits:
             upper=ends[1] - margin[1],
             speed=part * each(10.0, 20.0) if is_identified else even_speed,
             acceleration=acceleration,
-            jerk=np.minimum(part * each(200e3, 2e6), most["jerk"]),
+            jerk=np.minimum(part * each(200e3 if is_identified else 60e3, 2e6), most["jerk"]),
             deceleration=np.minimum(np.maximum(each(20.0, 100.0), even_speed / RETURN_TIME), acceleration),
             step=each(0.03, 0.04),
             lag=lag,
