@@ -65,7 +65,8 @@ def write_checkpoint(folder: Path) -> None:
 
 def put_an_object_in_place() -> None:
     """Let every model say that there is an object in the middle, whatever else it works out."""
-    original = Sam2VideoModel._single_frame_forward
+    patched: Any = Sam2VideoModel
+    original = patched._single_frame_forward
     objects: dict[torch.Size, torch.Tensor] = {}
 
     def with_object(model: Sam2VideoModel, **inputs: Any) -> Any:
@@ -78,7 +79,7 @@ def put_an_object_in_place() -> None:
         output.pred_masks = objects[shape] + 0.0
         return output
 
-    Sam2VideoModel._single_frame_forward = with_object
+    patched._single_frame_forward = with_object
 
 
 def build(folder: Path, setting: str, device: str, size: int) -> Segmenter:

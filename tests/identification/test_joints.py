@@ -69,7 +69,7 @@ def test_logs_of_an_arm_are_those_of_the_arm_of_the_work_cell(tmp_path: Path):
 
 @pytest.mark.parametrize("joint", ["shoulder_pan_joint", "elbow_joint", "wrist_1_joint", "index_joint_2"])
 def test_a_joint_alone_moves_what_it_moves_in_the_start_pose(joint: str) -> None:
-    """As one of all joints, which stand there, by MuJoCo's inertia matrix; at zero the pan moves six times it."""
+    """As one of all joints, which stand there, by MuJoCo; at zero the pan moves six times as much."""
     inertias = []
     for names in (tuple(specs_of(UR5E_ALLEGRO)), (joint,)):
         model = recorded_model(UR5E_ALLEGRO, names, 0.002)

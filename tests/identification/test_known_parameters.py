@@ -154,8 +154,10 @@ def test_a_new_fit_may_know_less_than_an_earlier_one():
 
 
 def test_the_armature_of_a_stiff_joint_is_no_better_known_than_its_servo_s_cycle() -> None:
-    """0.4 ms of 200 N·m·s/rad are 0.08 kg·m², 40 % of an armature of 0.2; heavy links double the scale's 15 %
-    and add 15 % of their own."""
+    """0.4 ms of 200 N·m·s/rad are 0.08 kg·m², 40 % of an armature of 0.2.
+
+    Links as heavy as that double the scale's 15 %, and add 15 % of their own.
+    """
     joint = JointDynamics.nominal(["elbow_joint"]).with_values(damping=200.0, armature=0.2)
     alone, heavy = (
         model_covariance(joint, joint.armature, np.array([inertia]), ("stiffness", "armature"), 0.01)[0]

@@ -121,8 +121,9 @@ class Sam2Segmenter(Segmenter):
         for name in compiled:
             module = getattr(self._model, name)
             module.forward = torch.compile(module.forward)
-        self._encode_memory = self._model._batch_encode_memories
-        self._model._batch_encode_memories = self._read_and_remember
+        model: Any = self._model
+        self._encode_memory = model._batch_encode_memories
+        model._batch_encode_memories = self._read_and_remember
         if is_cuda:
             self._is_read = torch.cuda.Event()
             place_pointers_ahead(self._model)
