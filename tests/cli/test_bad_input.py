@@ -192,8 +192,8 @@ def test_what_is_stopped_says_so(
 
 
 def _small_files() -> None:
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a full disk in small: writing fails behind 20 kB
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a full disk in small: writing fails behind 25 kB
+    resource.setrlimit(resource.RLIMIT_FSIZE, (25_000, 25_000))
 
 
 def test_a_full_disk_gives_no_false_comfort(tmp_path: Path):

@@ -216,9 +216,8 @@ def test_train_has_and_explains_every_option_of_its_configuration():
     text = " ".join(pixel2catch("train", "--help").stdout.replace("│", "").split())
     assert "None" not in text
     for field in dataclasses.fields(TrainCfg)[2:]:  # the method and the environments are told otherwise
-        said = re.search(
-            rf"--{field.name.replace('_', '-')} [A-Z{{].*?[A-Z].*?(\(default: .*?\)|Default: .*?\.)", text
-        )
+        flag = rf"--{field.name.replace('_', '-')}(?:, --no-[a-z-]+)?"
+        said = re.search(rf"{flag} [A-Z{{].*?[A-Z].*?(\(default: .*?\)|Default: .*?\.)", text)
         assert said, field.name
         if field.default not in (None, dataclasses.MISSING, "cuda") and field.name != "physics_hz":
             assert said[1].startswith(f"(default: {field.default}"), field.name

@@ -23,6 +23,9 @@ LATE = ("--env.sensing.latency-steps", "1", "3", "--env.throws.hover-steps", "7"
 COVARIANCE = tuple(tuple(0.5 if i == j else 0.0 for j in range(6)) for i in range(6))
 OTHER = {
     "engine": "physx",
+    "cone": "pyramidal",
+    "robot_model": ("maker.urdf",),
+    "robot_surface": "visual",
     "workcell": "ur5e_leap",
     "physics_hz": 240.0,
     "object_scale": 1.1,

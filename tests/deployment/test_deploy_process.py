@@ -39,7 +39,7 @@ def test_it_stops_without_a_laboratory_goes_on_with_a_new_one_and_ends_without_i
     assert watcher.deploy.wait(PATIENCE) == 2
     said = watcher.log.read_text(errors="replace")
     assert "press its stop" in said
-    assert "arm: joints up to 2.79 rad/s; commands up to 10 rad/s, 300 rad/s²" in said
+    assert "arm: joints up to 2.79 rad/s; commands up to 10 rad/s, 1000 rad/s²" in said
     assert np.isfinite([command for _, command in watcher.commands]).all()
     assert (watcher.log.parent / "tape" / "tape.mcap").stat().st_size > 0
 

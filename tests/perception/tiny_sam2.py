@@ -1,6 +1,7 @@
 """SAM 2.1 with 1.5 million random weights: the real code in milliseconds."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -54,7 +55,7 @@ def tiny_config() -> Sam2VideoConfig:
         "backbone_feature_sizes": [[SIZE // stride] * 2 for stride in (4, 8, 16)],
         "fpn_hidden_size": hidden,
     }
-    decoder = {"hidden_size": hidden, "mlp_dim": 64, "num_attention_heads": 4, "iou_head_hidden_dim": 32}
+    decoder: dict[str, Any] = {"hidden_size": hidden, "mlp_dim": 64, "num_attention_heads": 4, "iou_head_hidden_dim": 32}
     return Sam2VideoConfig(
         image_size=SIZE,
         vision_config=vision,

@@ -223,6 +223,10 @@ def _options(options: Mapping[str, Any]) -> list[str]:
             continue
         if isinstance(value, Mapping):
             value = [part for pair in value.items() for part in pair]
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            args.append(f"--{flag}" if value else f"--no-{flag}")
+            continue
         values = value if isinstance(value, tuple | list) else [value]
-        args += [f"--{name.replace('_', '-')}", *map(str, values)]
+        args += [f"--{flag}", *map(str, values)]
     return args
