@@ -55,7 +55,12 @@ def tiny_config() -> Sam2VideoConfig:
         "backbone_feature_sizes": [[SIZE // stride] * 2 for stride in (4, 8, 16)],
         "fpn_hidden_size": hidden,
     }
-    decoder: dict[str, Any] = {"hidden_size": hidden, "mlp_dim": 64, "num_attention_heads": 4, "iou_head_hidden_dim": 32}
+    decoder: dict[str, Any] = {
+        "hidden_size": hidden,
+        "mlp_dim": 64,
+        "num_attention_heads": 4,
+        "iou_head_hidden_dim": 32,
+    }
     return Sam2VideoConfig(
         image_size=SIZE,
         vision_config=vision,
