@@ -4,7 +4,7 @@ import numpy as np
 import painted
 from painted import NUM_EMPTY, Disc
 
-from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Weakness
 from pixel2catch.perception.segmenter import Mask
 
 ROBOT_COLOR = (20, 20, 20)
@@ -24,6 +24,19 @@ def test_neither_a_step_of_the_exposure_nor_flicker_is_foreground():
         lit = np.clip(gain * image, 0, 255).astype(np.uint8)
         share = foreground.step(lit, None).moving.mean()
         assert step < 10 or share < 1e-3
+
+
+def test_flicker_is_recognised_and_a_step_of_the_exposure_is_none():
+    """Mains of 50 Hz at 30 images a second: every third image is as bright."""
+    told = []
+    for swing, jump in ((0.06, 0.0), (0.0, 0.15), (0.0, 0.0)):
+        foreground = Foreground()
+        for step, image in enumerate(painted.images((), 50)):
+            gain = 1.0 + swing * np.sin(2.0 * np.pi * step / 3.0) + jump * (step > 45)
+            foreground.step(np.clip(gain * image, 0, 255).astype(np.uint8), None)
+            assert (foreground.weakness is Weakness.FEW_IMAGES) == (step + 1 < LEARNING_IMAGES)
+        told.append(foreground.weakness)
+    assert told == [Weakness.FLICKER, None, None]
 
 
 def test_what_stands_still_becomes_background_unless_it_is_kept():

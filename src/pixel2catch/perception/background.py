@@ -76,15 +76,19 @@ class BackgroundSubtraction(Segmenter):
             return self.track(image, ignored)
         self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
         self._area, self._num_still, self._kept = inf, inf, None
-        return self._follow(image, ignored, prompt)
+        return self._sure(self._follow(image, ignored, prompt))
 
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
         """See `Segmenter.track`."""
-        return self._follow(image, ignored, None)
+        return self._sure(self._follow(image, ignored, None))
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
         self._track = self._kept = None
+
+    def _sure(self, segmentation: Segmentation) -> Segmentation:
+        """The same, with what speaks against it."""
+        return replace(segmentation, doubt=self._foreground.weakness or "")
 
     def _follow(self, image: Image, ignored: Mask | None, prompt: Prompt | None) -> Segmentation:
         """Find the object in the next image, in which it is where a prompt says, if there is one."""

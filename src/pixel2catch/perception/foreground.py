@@ -1,6 +1,9 @@
 """What differs from a learned background, in whatever light: where it moves, and where its edges are."""
 
+from collections import deque
 from dataclasses import dataclass
+from enum import StrEnum
+from math import log
 
 import cv2
 import numpy as np
@@ -31,6 +34,11 @@ DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
 and not saturated with a sixth more."""
 
 LEAST_GAIN = 0.004  #: Change of the light that is left as it is: a level in 255.
+FLICKER, FLICKER_IMAGES = 0.01, 10
+"""Change of the light between two images, as a share, in the median of so many, that is flicker.
+
+Source: ours: an exposure that adapts or steps changes few images or each by less."""
+
 SMOOTHED = np.ones((3, 3), dtype=np.uint8)  #: Pixels that each smoothed one is the mean of.
 SAMPLING = 12  #: Every so many rows and columns tell light and noise of an image.
 
@@ -66,6 +74,13 @@ class Motion:
         return sharp
 
 
+class Weakness(StrEnum):
+    """Why what differs from the background is less sure than usual."""
+
+    FEW_IMAGES = "few images of the room"
+    FLICKER = "the light flickers"
+
+
 class Foreground:
     """Which pixels differ from the background, in a stream of images, in whatever light.
 
@@ -77,6 +92,16 @@ class Foreground:
         """Know no background, and say nothing before so many images of it."""
         self._learning_images = learning_images
         self._mean = np.empty((0, 0, 3), dtype=np.float32)
+        self._num_images = 0
+        self._light: deque[float] = deque(maxlen=FLICKER_IMAGES + 1)
+
+    @property
+    def weakness(self) -> Weakness | None:
+        """What the last image lacked; None for nothing."""
+        if self._num_images < LEARNING_IMAGES:
+            return Weakness.FEW_IMAGES
+        is_unsteady = len(self._light) > FLICKER_IMAGES and np.median(np.abs(np.diff(self._light))) > FLICKER
+        return Weakness.FLICKER if is_unsteady else None
 
     def step(self, image: Image, ignored: Mask | None, kept: Mask | None = None) -> Motion:
         """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel.
@@ -117,6 +142,7 @@ class Foreground:
         self._usual = np.zeros(shape, dtype=np.float32)
         self._num_seen, self._num_still = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         self._num_images = 0
+        self._light.clear()
 
     def _lit(self, image: Image, counted: np.ndarray) -> Image:
         """The image in the light of the background."""
@@ -126,6 +152,7 @@ class Foreground:
         told &= (counted[every] * (self._num_seen[every] > 0)).view(bool)[..., None]
         ratios = now[told] / before[told]
         gain = float(np.median(ratios)) if len(ratios) >= LEAST_SAMPLES else 1.0
+        self._light.append(log(gain))
         return image if abs(gain - 1.0) < LEAST_GAIN else cv2.convertScaleAbs(image, alpha=1.0 / gain)
 
     def _learn(

@@ -79,6 +79,7 @@ class Tally:
         self.num_steps = self.num_without_joints = 0
         self._verdicts: Counter[Verdict] = Counter()
         self._sources: Counter[str] = Counter()
+        self._doubts: Counter[str] = Counter()
         self._durations: dict[str, list[float]] = {}
         self._num_valid = self._num_seen = self._num_skipped = self._num_identical = 0
         self._last_image: np.ndarray | None = None
@@ -90,9 +91,10 @@ class Tally:
         self.num_steps += 1
         self.num_without_joints += frame.joint_pos is None
         self._verdicts[seen.verdict] += 1
-        if seen.source or seen.doubt:
-            believed = seen.source or "nobody"
-            self._sources[f"{believed} ({seen.doubt})" if seen.doubt else believed] += 1
+        if seen.source:
+            self._sources[f"{seen.source} ({seen.doubt})" if seen.doubt else seen.source] += 1
+        elif seen.doubt:
+            self._doubts[seen.doubt] += 1
         self._seconds = sighting.time
         self._num_skipped += seen.num_skipped
         self._longest_pause = max(self._longest_pause, sighting.tick.now - frame.stamp)
@@ -127,6 +129,7 @@ class Tally:
             "seconds": self._seconds,
             "verdicts": {str(verdict): count for verdict, count in self._verdicts.most_common()},
             "believed": dict(self._sources.most_common()),
+            "doubts": dict(self._doubts.most_common()),
             "seen_since_first": self._num_seen / self._num_valid if self._num_valid else None,
             "num_skipped": self._num_skipped,
             "num_identical": self._num_identical,
