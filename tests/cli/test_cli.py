@@ -15,6 +15,7 @@ import tyro
 
 import commands
 from pixel2catch.camera.camera_file import CameraFile
+from pixel2catch.cli.device import prepare
 from pixel2catch.cli.main import COMMANDS, main
 from pixel2catch.cli.reproduce import METHODS
 from pixel2catch.cli.train import Train
@@ -112,6 +113,16 @@ def test_unknown_object(untrained: Path, capsys: pytest.CaptureFixture[str]):
 @pytest.mark.parametrize("command", ["train", "evaluate", "bench"])
 def test_absent_cuda(command: str, capsys: pytest.CaptureFixture[str]):
     assert "--device cpu" in one_line_error(capsys, command, "--device", "cuda")
+
+
+@pytest.mark.parametrize(("device", "index"), [("cuda", 0), ("cuda:1", 1)])
+def test_a_cuda_device_is_named_in_full(device: str, index: int, monkeypatch: pytest.MonkeyPatch):
+    """PyTorch takes no device without its number for the one to use."""
+    used: list[int] = []
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "set_device", used.append)
+    assert prepare(device) == f"cuda:{index}"
+    assert used == [index]
 
 
 @pytest.mark.parametrize("name", shipped_policies())
@@ -216,8 +227,8 @@ def test_train_has_and_explains_every_option_of_its_configuration():
     text = " ".join(pixel2catch("train", "--help").stdout.replace("│", "").split())
     assert "None" not in text
     for field in dataclasses.fields(TrainCfg)[2:]:  # the method and the environments are told otherwise
-        flag = rf"--{field.name.replace('_', '-')}(?:, --no-[a-z-]+)?"
-        said = re.search(rf"{flag} [A-Z{{].*?[A-Z].*?(\(default: .*?\)|Default: .*?\.)", text)
+        flag = rf"--{field.name.replace('_', '-')}(?:, --no-[a-z-]+| [A-Z{{]\S*)"
+        said = re.search(rf"{flag} .*?[A-Z].*?(\(default: .*?\)|Default: .*?\.)", text)
         assert said, field.name
         if field.default not in (None, dataclasses.MISSING, "cuda") and field.name != "physics_hz":
             assert said[1].startswith(f"(default: {field.default}"), field.name

@@ -28,13 +28,13 @@ class Bench:
         from pixel2catch.files import json_text
         from pixel2catch.methods import PROPOSED
 
-        prepare(self.device)
-        env = CatchEnv(CatchEnvCfg(), PROPOSED, num_envs=self.num_envs, device=self.device)
+        device = prepare(self.device)
+        env = CatchEnv(CatchEnvCfg(), PROPOSED, num_envs=self.num_envs, device=device)
         try:
             control = _control_rate(env, self.seconds)
             physics = self.num_envs * _rate(env.world.simulation.step, env, self.seconds)
             result = {
-                "device": self.device,
+                "device": device,
                 "num_envs": self.num_envs,
                 "cpu_cores": os.cpu_count(),
                 "control_steps_per_second": control,

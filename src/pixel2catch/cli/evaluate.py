@@ -62,15 +62,15 @@ class Evaluate:
         from pixel2catch.files import json_text, write_atomically
         from pixel2catch.scene.objects import select_objects
 
-        prepare(self.device)
-        policy, method = load_policy(self.policy, self.device)
+        device = prepare(self.device)
+        policy, method = load_policy(self.policy, device)
         task = task_of(policy, self.physics_hz, self.dynamics, self.camera)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
-            device=self.device,
+            device=device,
             task=EvaluatedTask(options=self.env, command="evaluate", robot_model=self.robot_model)(task),
         )
         files = {"dynamics": self.dynamics, "camera": self.camera}

@@ -61,10 +61,9 @@ class Stress:
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
-            device=self.device,
+            device=prepare(self.device),
             task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
         )
-        prepare(self.device)
         results = plan_results(find_policies(self.policies), settings, self.out)
 
         def report(number: int, result: "Result", metrics: "Metrics") -> None:
