@@ -1,6 +1,7 @@
 """The web page: what it shows is what is on the wire, and its buttons ask the twin."""
 
 import json
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -97,7 +98,10 @@ def test_buttons_prepare_and_throw(shown: Shown):
     shown.page.ask("prepare")
     shown.go_on(300)
     assert shown.bench.lab.phase is Phase.HELD
-    assert shown.page.page.scene.view.thrown.visible
+    deadline = time.monotonic() + PATIENCE
+    while not shown.page.page.scene.view.thrown.visible:  # the page is drawn at its own pace
+        assert time.monotonic() < deadline
+        shown.go_on(1)
     assert shown.page.page.scene.view.thrown.position == pytest.approx(
         shown.bench.lab.episode.throw.pos[0].numpy(), abs=1e-3
     )

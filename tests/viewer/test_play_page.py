@@ -87,7 +87,7 @@ def test_a_visitor_plays(visited: Visited, browser_page: Any):
     browser_page.on("pageerror", lambda error: wrong.append(str(error)))
     browser_page.goto(page.server.address)
     browser_page.get_by_text(re.compile("S.R. 100 %")).wait_for()
-    assert browser_page.get_by_text("1 of 1").count() == 1
+    browser_page.get_by_text("1 of 1").wait_for()
     assert len(np.unique(np.frombuffer(browser_page.locator("canvas").first.screenshot(), np.uint8))) > 100
 
     browser_page.get_by_text("pause", exact=True).click()
