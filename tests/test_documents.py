@@ -61,6 +61,12 @@ def test_the_comparison_is_that_of_its_report(page: str):
         assert values[: len(columns)] == expected
 
 
+def test_results_name_no_machine():
+    results = (ROOT / "experiments" / "results").rglob("*.json")
+    private = re.compile(r'"/(?:home|root|tmp|work)/')
+    assert [path.name for path in results if private.search(path.read_text("utf-8"))] == []
+
+
 def test_links_lead_somewhere():
     made = {"catching.md"}  # from the notebook
     for page in PAGES:

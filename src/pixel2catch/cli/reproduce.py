@@ -21,7 +21,7 @@ PROGRAM = (sys.executable, "-m", "pixel2catch.cli.main")
 OWN = ("method", "env", "device", "seed", "dynamics", "camera")
 """Fields of a training's configuration that a study sets for each training, or leaves as they are."""
 
-NEUTRAL = ("checkpoint_seconds", "report_seconds")  #: Fields of a training that change no result.
+NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
 JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `comparison.jobs`.
 
 TRAINING, EVALUATION = "training", "evaluation"

@@ -34,11 +34,6 @@ if TYPE_CHECKING:
 
 VIDEO, TABLE, SUMMARY = "track.mp4", "features.csv", "summary.json"  #: Files in the folder that it writes.
 REPORT_SECONDS = 5.0  #: Time between two lines of progress [s].
-REMEDIES = {
-    "few images of the room": "; let the camera see the room for a second before the object is pointed out",
-    "the light flickers": "; expose for a multiple of 10 ms at 50 Hz of mains, of 8.33 ms at 60 Hz",
-}
-"""What helps against a doubt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,12 +233,15 @@ def _truth_table(truth: dict[str, Any]) -> Table:
 
 def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
     """What was seen and how fast, in words."""
+    from pixel2catch.perception.foreground import Weakness
+
     counts = ", ".join(f"{verdict} {count}" for verdict, count in summary["verdicts"].items())
     yield f"{summary['num_steps']} control steps in {summary['seconds']:.1f} s: {counts}"
     if believed := summary["believed"]:
         yield f"Believed: {', '.join(f'{name} {count}' for name, count in believed.items())}."
+    remedies = {str(weakness): f"; {weakness.remedy}" for weakness in Weakness}
     for doubt, count in summary["doubts"].items():
-        yield f"Doubt in {count} images: {doubt}{REMEDIES.get(doubt, '')}."
+        yield f"In {count} images: {doubt}{remedies.get(doubt, '')}."
     share = summary["seen_since_first"]
     yield (
         "The object was never seen: point it out with --box, --point or --color, at the time --at."

@@ -32,8 +32,9 @@ LEAST_MOVING = 0.2
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
 
-LARGEST_CHANGE = 4.0
-"""The same after it was lost. Source: ours: half or twice as far from the camera."""
+LARGEST_RATIO = 4.0
+"""Largest factor between the area of what was lost and of a flight that is taken for it, either way.
+Source: ours: half or twice as far from the camera."""
 
 AREA_MEMORY = 0.7
 """Weight of what the object's area was before, in every image. Source: ours."""
@@ -191,7 +192,7 @@ class BackgroundSubtraction(Segmenter):
         """Whether what fills a box has the size of what was followed, and its colours if it has any."""
         inside, _ = _prompted(box, image)
         area = float(inside.sum()) / INNER**2
-        if self._area < inf and not 1 / LARGEST_CHANGE <= area / self._area <= LARGEST_CHANGE:
+        if self._area < inf and not 1 / LARGEST_RATIO <= area / self._area <= LARGEST_RATIO:
             return False
         has_colors, _ = self._appearance.compare(cv2.blur(image, (3, 3)))
         least = LEAST_KNOWN * self._appearance.own_share

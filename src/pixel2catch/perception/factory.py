@@ -53,7 +53,7 @@ class PerceptionArgs:
     #: Side of the square that SAM 2 sees [px], a multiple of 32. Default: the checkpoint's.
     image_size: Count | None = None
     device: Device = "cpu"  #: Where SAM 2 runs: cpu, cuda, cuda:1, ...
-    #: Fuse SAM 2's kernels at the start: a minute, for 1 of 10 ms an image on an H100. Needs a C compiler.
+    #: Fuse SAM 2's kernels at the start: a minute, with a C compiler. docs/results.md says what it saves.
     compile: bool = False
 
     def prepare(self) -> None:

@@ -80,6 +80,14 @@ class Weakness(StrEnum):
     FEW_IMAGES = "few images of the room"
     FLICKER = "the light flickers"
 
+    @property
+    def remedy(self) -> str:
+        """What a person can do."""
+        return {
+            Weakness.FEW_IMAGES: "let the camera see the room for a second before the object is pointed out",
+            Weakness.FLICKER: "expose for a multiple of 10 ms at 50 Hz of mains, of 8.33 ms at 60 Hz",
+        }[self]
+
 
 class Foreground:
     """Which pixels differ from the background, in a stream of images, in whatever light.
@@ -161,10 +169,8 @@ class Foreground:
         """Learn what does not differ, and what has stood still for long."""
         free = counted if kept is None else counted * ~kept
         left, top, width, height = cv2.boundingRect(differs.view(np.uint8))
-        part, num_still = (
-            (slice(top, top + height), slice(left, left + width)),
-            np.zeros_like(self._num_still),
-        )
+        part = slice(top, top + height), slice(left, left + width)
+        num_still = np.zeros_like(self._num_still)
         if width:
             same = (_difference(image[part], self._last[part]) <= 2 * LEAST_DIFFERENCE) & differs[part]
             num_still[part] = cv2.add(self._num_still[part], same.view(np.uint8)) * same

@@ -48,10 +48,9 @@ class JointLimits:
     Sources:
         lower, upper: those of the spec; where an arm's joint may go whole half turns, that is the end of
             its travel (UR), and `TRAVEL_MARGIN` is kept from it.
-        speed, acceleration: ours, less for a share of the speed, and 300 rad/s² for an arm that is not
-            identified. Of an arm's, 300 rad/s² with a lag that is
-            only as told catch 94.2 % of 600 throws in simulation, 1,000 rad/s² with the lag that is seen
-            97.0 % (won 18, lost 4 of 400), no limits at all 97.0 (experiments/LOG.md).
+        speed, acceleration: ours, in proportion to the share of the speed; 300 rad/s² for an arm that is not
+            identified. With 300 rad/s² for all, and a lag that was only as told, 94.2 % of 600 throws were
+            caught in simulation; as it is, 97.0 of 400; without limits 97.0 of 600 (experiments/LOG.md).
         jerk: ours; an arm's acceleration may turn in 10 ms, for which commands come 4 ms later, a finger's
             in a tick: the slowest driver of a hand takes every fifth command.
         deceleration: ours; that of an arm is five times that with which UR's driver stops one that nobody

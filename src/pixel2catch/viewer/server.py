@@ -168,9 +168,9 @@ def open_server(cfg: PageCfg, title: str, own: OwnPage | None = None) -> PageSer
 
 
 def page_files(path: str) -> dict[str, tuple[str, bytes]]:
-    """Files of a page of our own by their paths, with their types; they are in the folder of its name."""
-    name = path.removeprefix("/")
-    found = {file.name: file.read_bytes() for file in (files("pixel2catch.viewer") / name).iterdir()}
+    """Files of a page of our own by their paths, with their types: the folder of its name, and `link.js`."""
+    name, viewer = path.removeprefix("/"), files("pixel2catch.viewer")
+    found = {file.name: file.read_bytes() for file in (viewer / "link.js", *(viewer / name).iterdir())}
     contents = {
         f"{path}/{each}": (f"{KINDS[PurePath(each).suffix]}; charset=utf-8", data)
         for each, data in found.items()

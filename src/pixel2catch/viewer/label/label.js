@@ -1,31 +1,22 @@
 // The page on which a person labels a video. The program behind it keeps the labels and saves every change.
 
+import { ask, connect, part } from "./link.js";
+
 const NEAR = 9; // distance at which a corner is taken [px of the page]
 const LEAST_SIDE = 2; // of a box [px of the image]
 const ZOOMS = [1, 2, 4, 8];
 const COLORS = { held: "#e0a030", flight: "#3f9bff", "near the hand": "#22b455" };
 
-const part = (id) => document.getElementById(id);
 const canvas = part("image"), context = canvas.getContext("2d");
 const line = part("line"), lineContext = line.getContext("2d");
 
-let link = null, state = null, picture = null;
+let state = null, picture = null;
 let phase = "held"; // of what is labelled next
 let drag = null; // a box that is being dragged: the corner that stays, and the one that moves
 let zoom = 1, center = null; // of the part of the image that is shown
 
-function ask(request) {
-  if (link?.readyState === WebSocket.OPEN) link.send(JSON.stringify(request));
-}
-
-function connect() {
-  link = new WebSocket(`${location.origin.replace(/^http/, "ws")}/label/link`);
-  link.binaryType = "blob";
-  link.onmessage = ({ data }) => (data instanceof Blob ? show(data) : hear(JSON.parse(data)));
-  link.onclose = () => {
-    part("video").textContent = "no connection to the program that serves this page";
-    setTimeout(connect, 500);
-  };
+function lose() {
+  part("video").textContent = "no connection to the program that serves this page";
 }
 
 function hear(told) {
@@ -194,4 +185,4 @@ addEventListener("keydown", (event) => {
 });
 addEventListener("resize", draw);
 
-connect();
+connect("/label", show, hear, lose);

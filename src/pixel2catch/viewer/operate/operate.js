@@ -1,6 +1,8 @@
 // The operator's page. A browser is no safety device: whenever there is doubt whether anybody holds the
 // switch, it is let go, here and in the program that serves this page.
 
+import { ask, connect, part } from "./link.js";
+
 const BEAT_MS = 50; // time between two messages of a switch that is held
 const HEARD_MS = 500; // time after which a stop should have been heard
 const ERROR_MS = 6000, PROMPT_MS = 3000; // for how long an error and a box that was sent are shown
@@ -8,10 +10,8 @@ const LEAST_SIDE = 3; // of a box [px]
 const WIDE = 900; // width of a page from which on the twin's scene is shown at once [px]
 const LONGEST_MS = 100; // what a bar of full length is: images must not be older
 
-const part = (id) => document.getElementById(id);
 const canvas = part("image"), context = canvas.getContext("2d");
 
-let link = null; // the connection to the program
 let state = null; // what it told last
 let picture = null; // the camera's newest image
 let drag = null, prompt = null; // a box that is being dragged, and the one sent last, in image pixels
@@ -23,22 +23,12 @@ function tell(id, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-function ask(request) {
-  if (link?.readyState === WebSocket.OPEN) link.send(JSON.stringify(request));
-}
-
-function connect() {
-  link = new WebSocket(`${location.origin.replace(/^http/, "ws")}/operate/link`);
-  link.binaryType = "blob";
-  link.onmessage = ({ data }) => (data instanceof Blob ? show(data) : hear(JSON.parse(data)));
-  link.onclose = () => {
-    letGo();
-    state = null;
-    document.body.dataset.tone = "absent";
-    tell("headline", "no connection to the program that serves this page");
-    tell("advice", "Stop with the hardware emergency stop. The page connects again by itself.");
-    setTimeout(connect, 500);
-  };
+function lose() {
+  letGo();
+  state = null;
+  document.body.dataset.tone = "absent";
+  tell("headline", "no connection to the program that serves this page");
+  tell("advice", "Stop with the hardware emergency stop. The page connects again by itself.");
 }
 
 function hear(told) {
@@ -277,4 +267,4 @@ function showDetails(rows) {
   );
 }
 
-connect();
+connect("/operate", show, hear, lose);
