@@ -30,6 +30,9 @@ MAX_GEOM_GROUPS = mujoco.mjNGROUP
 ENGINES = ("mujoco", "physx", "drake")
 """Physics that there is: MuJoCo's, on a CPU or a GPU, and others to judge policies by, on a CPU."""
 
+INELASTIC = ("drake",)
+"""Those in which nothing bounces."""
+
 
 class Simulation(ABC):
     """`num_envs` independent copies of one MuJoCo model on one device."""
