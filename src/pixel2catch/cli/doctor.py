@@ -274,8 +274,8 @@ class Doctor:
     def _laboratory(self, profile: str) -> list[Check]:
         """Look at the machine of a deployment, and listen to a robot."""
         from pixel2catch.camera.camera_file import CameraFile
-        from pixel2catch.cli.extras import needs_extra
         from pixel2catch.cli.link import Network, Robot
+        from pixel2catch.installation import needs_extra
         from pixel2catch.scene.constants import RGB_CAMERA
 
         with needs_extra("deployment"):

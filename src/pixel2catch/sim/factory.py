@@ -9,6 +9,9 @@ from pixel2catch.sim.simulation import Simulation
 ENGINES = ("mujoco", "physx", "drake")
 """Physics that there is: MuJoCo's, on a CPU or a GPU, and others to judge policies by, on a CPU."""
 
+INELASTIC = ("drake",)
+"""Those in which nothing bounces."""
+
 
 def make_simulation(
     model: mujoco.MjModel, num_envs: int, device: str, engine: str = ENGINES[0]
