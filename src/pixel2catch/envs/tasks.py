@@ -50,7 +50,7 @@ GOOD_CAMERA = SensingCfg(latency_steps=(0.8, 2.0), latency_grid=0.0, noise_scale
 """The sight of the paper's task, and better: images that are 0.9 control steps old at the decision, and boxes
 that are exact to 1 px. Source: rehearsals in step."""
 
-HELD_STEPS = (5, 45)
+HELD_STEPS = (5, 75)
 """Control steps for which people hold what they throw: the servo takes a second to go over to the policy, and
 nobody throws before. Source: rehearsals in step; a policy that never waited for more than 19 drifts away."""
 
