@@ -101,7 +101,7 @@ class Reproduce:
         """Where to train; CUDA devices that are asked for, to train or to evaluate, must be there."""
         import torch
 
-        from pixel2catch.sim.simulation import require_cuda
+        from pixel2catch.sim.factory import require_cuda
 
         devices = self.device or ("cuda" if torch.cuda.is_available() else "cpu",)
         for device in (*devices, *self.evaluation_device):

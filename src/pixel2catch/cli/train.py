@@ -122,7 +122,7 @@ class Train:
                 given[name] = policy_folder(given[name])
         import torch
 
-        from pixel2catch.sim.simulation import require_cuda
+        from pixel2catch.sim.factory import require_cuda
 
         if self.resume and (self._folder / CONFIG_FILE).exists():
             named = PRESETS[self.preset] if self.preset else {}

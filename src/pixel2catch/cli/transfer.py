@@ -64,7 +64,7 @@ class Transfer:
         from pixel2catch.files import json_text
         from pixel2catch.progress import ProgressBar, duration
         from pixel2catch.shipped import policy_folder
-        from pixel2catch.sim.simulation import require_engine
+        from pixel2catch.sim.factory import require_engine
 
         for engine in self.engines:
             require_engine(engine)

@@ -10,7 +10,7 @@ from pixel2catch.evaluation.metrics import Metrics, metrics, pooled_counts, wils
 from pixel2catch.evaluation.protocol import ROUND_STEPS, EvaluationCfg, Trials, round_steps
 from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
-from pixel2catch.sim.simulation import INELASTIC
+from pixel2catch.sim.factory import INELASTIC
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
 RATES = {
