@@ -207,11 +207,22 @@ def test_evaluate_prints_one_json_object(untrained: Path, tmp_path: Path):
     }
 
 
-def test_bench_prints_one_json_object(capsys: pytest.CaptureFixture[str]):
-    assert main(["bench", "--num-envs", "4", "--seconds", "0.2", "--json"]) == 0
-    rates = json.loads(capsys.readouterr().out)
-    assert rates["control_steps_per_second"] > 0
-    assert rates["physics_steps_per_second"] > 0
+def test_bench_splits_a_training_into_its_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    files = {"--out": tmp_path / "new" / "costs.json", "--plot": tmp_path / "costs.png"}
+    options = [str(part) for pair in files.items() for part in pair]
+    task = ["--env.scene.cone", "pyramidal", "--env.scene.physics-hz", "60", "--env.episode.max-steps", "5"]
+    assert main(["bench", "--num-envs", "4", "--seconds", "0.1", "--json", *task, *options]) == 0
+    printed = capsys.readouterr().out
+    result = json.loads(printed)
+    assert files["--out"].read_text() == printed
+    assert files["--plot"].read_bytes().startswith(b"\x89PNG")
+    (row,) = result["results"]
+    assert (row["device"], row["num_envs"], row["physics_hz"]) == ("cpu", 4, 60.0)
+    parts = [row[f"{part}_us"] for part in ("acting", "physics", "sensing", "update")]
+    assert min(parts) > 0.0
+    assert sum(parts) == pytest.approx(1e6 / row["training_steps_per_second"])
+    assert row["trained_steps_per_second"] < row["physics_steps_per_second"]
+    assert row["rss_bytes"] > 1e8 > row["device_bytes"]
 
 
 @pytest.mark.parametrize("ending", [".xml", ".mjb"])

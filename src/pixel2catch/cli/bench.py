@@ -1,81 +1,138 @@
-"""`pixel2catch bench`: how fast the simulation is on this machine."""
+"""`pixel2catch bench`: what physics, the environment and a training cost on this machine."""
 
-import os
-import time
-from collections.abc import Callable
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pixel2catch.checks import Count, Device, Positive
+from pixel2catch.checks import Count, Device, OutputFile, Positive
+from pixel2catch.cli.fields import FieldOptions
+from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
-    from pixel2catch.envs.catch_env import CatchEnv
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
+Row = dict[str, Any]
+
+RATES = {
+    "physics steps/s": "physics_steps_per_second",
+    "environment, random actions, steps/s": "random_steps_per_second",
+    "environment, policy's actions, steps/s": "trained_steps_per_second",
+    "training, transitions/s": "training_steps_per_second",
+}
+
+STAGES = {"acting": "acting_us", "physics": "physics_us", "sensing, MDP": "sensing_us", "update": "update_us"}
+"""Parts of a training, which take turns."""
+
+PICTURED = {"training": tuple(STAGES), "environment": ("physics", "sensing, MDP"), "physics": ("physics",)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Measure control steps a second of the environment, and physics steps a second of the simulation."""
+    """Measure what physics, the environment and a training cost, with the throws of a trained policy.
 
-    device: Device = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
-    num_envs: Count = 512  #: Environments that are simulated side by side.
-    seconds: Positive = 5.0  #: How long each of the two is measured [s].
-    json: bool = False  #: Print the figures as one JSON object.
+    Rates are summed over the environments. Microseconds of a training are for a control step of one of them.
+    """
+
+    device: tuple[Device, ...] = ("cpu",)  #: Where to simulate and learn: cpu, cuda, cuda:1, ..., or several.
+    num_envs: tuple[Count, ...] = (512,)  #: Environments that are simulated side by side; or several numbers.
+    seconds: Positive = 5.0  #: How long each part is measured [s].
+    #: Folder of the policy that acts and goes on to learn, or name of a shipped one.
+    policy: PolicyPath = Path("proposed")
+    fuse: bool = False  #: Whether torch.compile makes fewer kernels, as in a training.
+    #: Any field of the task, also as --env.scene.cone pyramidal. All fields: bench --env.help.
+    env: FieldOptions = ()
+    json: bool = False  #: Print everything as one JSON object.
+    out: Annotated[Path, OutputFile((".json",))] | None = None  #: File that gets the same JSON object.
+    #: File that gets a picture: costs and memory against the number of environments.
+    plot: Annotated[Path, OutputFile((".png",))] | None = None
 
     def run(self) -> None:
-        """Measure and print."""
+        """Measure, print and write."""
+        from pixel2catch.circumstances import circumstances
+        from pixel2catch.cli.bench_costs import measure
+        from pixel2catch.cli.console import results_console, say, working
         from pixel2catch.cli.device import prepare
-        from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
-        from pixel2catch.files import json_text
-        from pixel2catch.methods import PROPOSED
+        from pixel2catch.evaluation.report import png
+        from pixel2catch.files import json_text, write_atomically
+        from pixel2catch.policy import Policy
+        from pixel2catch.shipped import policy_folder
 
-        device = prepare(self.device)
-        env = CatchEnv(CatchEnvCfg(), PROPOSED, num_envs=self.num_envs, device=device)
-        try:
-            control = _control_rate(env, self.seconds)
-            physics = self.num_envs * _rate(env.world.simulation.step, env, self.seconds)
-            result = {
-                "device": device,
-                "num_envs": self.num_envs,
-                "cpu_cores": os.cpu_count(),
-                "control_steps_per_second": control,
-                "physics_steps_per_second": physics,
-            }
-        finally:
-            env.close()
+        folder, devices = policy_folder(self.policy), [*map(prepare, self.device)]
+        with working() as report:
+            rows = [
+                measure(
+                    Policy.load(folder, prepare(device)),
+                    self.env,
+                    device=device,
+                    num_envs=num_envs,
+                    seconds=self.seconds,
+                    fuse=self.fuse,
+                    report=report,
+                )
+                for device, num_envs in itertools.product(devices, sorted(self.num_envs))
+            ]
+        when = circumstances()
+        when["command"] = " ".join(("pixel2catch", *when["command"][1:]))
+        result = when | {"policy": folder.name, "results": rows}
         if self.json:
             print(json_text(result), end="")
-            return
-        for name, value in result.items():
-            print(f"{name.replace('_', ' ')}: {f'{value:,.0f}' if isinstance(value, float) else value}")
+        else:
+            results_console().print(_table(rows))
+        contents = {self.out: json_text(result).encode(), self.plot: png(_figure(rows)) if self.plot else b""}
+        for file, content in contents.items():
+            if file:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically({file: content})
+                say(f"wrote {file}")
 
 
-def _control_rate(env: "CatchEnv", seconds: float) -> float:
-    """Control steps a second, summed over the environments, with random actions.
+def _table(rows: Sequence[Row]) -> "Table":
+    """A column for every device and number of environments."""
+    from rich.table import Table
 
-    The clock starts when the environments are at different times of their episodes.
-    """
-    import torch
-
-    from pixel2catch.mdp.terminations import EpisodeCfg
-
-    generator = torch.Generator(env.device).manual_seed(0)
-    actions = {
-        name: 2.0 * torch.rand(env.num_envs, size, generator=generator, device=env.device) - 1.0
-        for name, size in env.action_sizes.items()
-    }
-    env.reset()
-    for _ in range(EpisodeCfg().max_steps):
-        env.step(actions)
-    return env.num_envs * _rate(lambda: env.step(actions), env, seconds)
+    table = Table("", *(f"{row['device']}, {row['num_envs']:,}" for row in rows))
+    for title, name in RATES.items():
+        table.add_row(title, *(f"{row[name]:,.0f}" for row in rows))
+    table.add_section()
+    for title, name in STAGES.items():
+        table.add_row(f"{title}, µs a transition", *(f"{row[name]:.1f}" for row in rows))
+    table.add_section()
+    for title, name in {"memory": "rss_bytes", "memory of the device": "device_bytes"}.items():
+        table.add_row(f"{title}, GB", *(f"{row[name] / 1e9:.2f}" if row[name] else "-" for row in rows))
+    for column in table.columns[1:]:
+        column.justify = "right"
+    return table
 
 
-def _rate(call: Callable[[], object], env: "CatchEnv", seconds: float) -> float:
-    """Calls a second. Reading a number waits for whatever the device has still to do."""
-    env.world.joint_pos.sum().item()
-    started, calls = time.perf_counter(), 0
-    while (elapsed := time.perf_counter() - started) < seconds:
-        for _ in range(10):
-            call()
-        env.world.joint_pos.sum().item()
-        calls += 10
-    return calls / elapsed
+def _figure(rows: Sequence[Row]) -> "Figure":
+    """What a control step of one environment costs, and memory, against the number of environments."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    from pixel2catch.evaluation.comparison.figures import MARKERS, PALETTE, STYLE
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.0, 4.1), layout="constrained")
+        cost, memory = figure.subplots(1, 2)
+        devices = dict.fromkeys(row["device"] for row in rows)
+        for marker, device in zip(itertools.cycle(MARKERS), devices, strict=False):
+            own = [row for row in rows if row["device"] == device]
+            environments = [row["num_envs"] for row in own]
+            for color, (title, names) in zip(PALETTE, PICTURED.items(), strict=False):
+                costs = [sum(row[STAGES[name]] for name in names) for row in own]
+                cost.plot(environments, costs, color=color, marker=marker, label=f"{title}, {device}")
+            used = [(row["device_bytes"] or row["rss_bytes"]) / 1e9 for row in own]
+            memory.plot(environments, used, color=PALETTE[5], marker=marker)
+        cost.set(ylabel="a control step of one environment [µs]", yscale="log")
+        memory.set(ylabel="memory [GB]", ylim=(0.0, None))
+        for axes in (cost, memory):
+            axes.set(xlabel="environments", xscale="log")
+            ticks = sorted({row["num_envs"] for row in rows})
+            axes.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
+            axes.xaxis.minorticks_off()
+            axes.grid()
+        figure.legend(*cost.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        return figure

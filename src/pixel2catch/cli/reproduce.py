@@ -2,12 +2,14 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from contextlib import nullcontext
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Within
+from pixel2catch.evaluation.cluster import Cluster
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison.jobs import Job, Slot
@@ -23,6 +25,7 @@ OWN = ("method", "env", "device", "seed", "dynamics", "camera")
 
 NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
 JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `comparison.jobs`.
+JOBS_ON_CLUSTER = 100  #: Trainings or evaluations that a cluster is given at once. Source: ours.
 
 TRAINING, EVALUATION = "training", "evaluation"
 
@@ -48,8 +51,10 @@ class Reproduce:
     training: tuple[str, ...] = ()
     #: Where to train: cpu, or one or several CUDA devices. Default: cuda where there is one.
     device: tuple[Device, ...] = ()
-    #: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1.
+    #: Trainings and evaluations side by side on a GPU. Default: 3; trainings on a CPU: 1; on a cluster, where
+    #: each is a job: 100.
     jobs_per_device: Count | None = None
+    cluster: Cluster = field(default_factory=Cluster)  #: Where they run.
     num_envs: Count = 100  #: Throws in a round of an evaluation.
     trials: Count = 10  #: Rounds of an evaluation.
     evaluation_device: tuple[Device, ...] = (
@@ -82,12 +87,13 @@ class Reproduce:
         from pixel2catch.evaluation.comparison.jobs import Runner, Status, last_lines, locked, shared_gpus
         from pixel2catch.interruption import StopRequest
 
+        executor = self.cluster.executor(self.out)
         devices = self._devices()
         training = self._training_options(devices[0])
         plan = self._plan(training)
-        with locked(folder.path) as lock, shared_gpus() as shared:
+        with locked(folder.path) as lock, nullcontext({}) if executor else shared_gpus() as shared:
             jobs = [job for run in plan.runs() for job in self._jobs(folder, run, training)]
-            runner = Runner(jobs, self._slots(devices, shared), folder.logs, lock)
+            runner = Runner(jobs, self._slots(devices, shared), folder.logs, lock, executor)
             folder.open(plan, [_session()] if set(runner.status.values()) != {Status.DONE} else [])
             logs = {run.name: folder.metrics(run) for run in plan.runs()}
             with StopRequest() as stop, ProgressTable(logs, training["transitions"]) as table:
@@ -98,14 +104,17 @@ class Reproduce:
         return [f"{name} failed; {runner.log(name)} ends:\n{last_lines(runner.log(name))}" for name in failed]
 
     def _devices(self) -> tuple[str, ...]:
-        """Where to train; CUDA devices that are asked for, to train or to evaluate, must be there."""
+        """Where to train; CUDA devices that are asked for, to train or to evaluate, must be there.
+
+        What a cluster has is seen by its jobs.
+        """
         import torch
 
         from pixel2catch.sim.factory import require_cuda
 
         devices = self.device or ("cuda" if torch.cuda.is_available() else "cpu",)
         for device in (*devices, *self.evaluation_device):
-            if device.startswith("cuda"):
+            if device.startswith("cuda") and self.cluster.is_here:
                 require_cuda(device)
         return devices
 
@@ -116,13 +125,16 @@ class Reproduce:
         """
         from pixel2catch.evaluation.comparison.jobs import Slot
 
-        slots = []
-        on_cpu = {TRAINING: self.jobs_per_device or 1, EVALUATION: 1}
+        given, slots = self.jobs_per_device, []
+        on_cuda, on_cpu = given or JOBS_ON_CUDA, {TRAINING: given or 1, EVALUATION: 1}
+        if not self.cluster.is_here:
+            on_cuda = given or JOBS_ON_CLUSTER
+            on_cpu = dict.fromkeys(on_cpu, on_cuda)
         for kind, places in ((TRAINING, devices), (EVALUATION, self.evaluation_device)):
-            for turn in range(max(JOBS_ON_CUDA, self.jobs_per_device or 1)):
+            for turn in range(max(on_cuda, *on_cpu.values())):
                 for device in places:
                     is_cuda = device.startswith("cuda")
-                    if turn < (self.jobs_per_device or JOBS_ON_CUDA if is_cuda else on_cpu[kind]):
+                    if turn < (on_cuda if is_cuda else on_cpu[kind]):
                         environment = {"OMP_NUM_THREADS": "1", **shared} if is_cuda else {}
                         slots.append(Slot(kind=kind, device=device, environment=environment))
         return slots
@@ -138,8 +150,10 @@ class Reproduce:
         from pixel2catch.scene.scene import SceneCfg
 
         free = {field.name for field in fields(TrainCfg)} - {"transitions", *OWN}
-        given: dict[str, Any] = {"device": device} | {
-            name: getattr(self, name) for name in ("preset", "transitions", "physics_hz")
+        # The device decides on the preset alone: it may be a cluster's.
+        kind = "fast" if device.startswith("cuda") else "cpu"
+        given: dict[str, Any] = {"device": "cpu", "preset": self.preset or kind} | {
+            name: getattr(self, name) for name in ("transitions", "physics_hz")
         }
         for option in self.training:
             name, _, value = option.partition("=")

@@ -1,6 +1,6 @@
 """`pixel2catch stress`: every policy under what the real world does and the training does not."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +8,7 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.evaluation.cluster import Cluster
 from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ class Stress:
     device: Device = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
     #: Policies and settings that are tried at once, each in a process with one thread; on the CPU.
     jobs: Count = 1
+    cluster: Cluster = field(default_factory=Cluster)  #: Where the results are computed.
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
     #: Any field of the task, before it is disturbed, also as --env.throws.peak-z 1.5 1.9. All fields: stress
     #: --env.help.
@@ -55,13 +57,14 @@ class Stress:
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg
 
+        executor = self.cluster.executor(self.out)
         settings = tuple(map(self._with_fields, select_settings(self.axes)))
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
-            device=prepare(self.device),
+            device=prepare(self.device, is_here=executor is None),
             task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
         )
         results = plan_results(find_policies(self.policies), settings, self.out)
@@ -71,7 +74,8 @@ class Stress:
             say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
 
         with ProgressBar("stress", 1.0, console=Console(stderr=True, highlight=False)) as bar:
-            table = make_table(results, measure(results, cfg, report, self.jobs, bar.show))
+            contents = measure(results, cfg, report, self.jobs, bar.show, executor=executor)
+        table = make_table(results, contents)
         print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
         write_report(self.out, table)
         say(f"wrote {self.out}: table.md, table.tex, table.csv, table.json, heatmap.png")

@@ -16,8 +16,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pixel2catch.errors import StudyError
+from pixel2catch.evaluation.cluster import LOOK_SECONDS, SubmittedCommand
+
+if TYPE_CHECKING:
+    from submitit import AutoExecutor
 
 POLL_SECONDS = 0.2  #: Time between two looks at the running jobs [s].
 GRACE_SECONDS = 120.0  #: Time of a job to end when asked to [s]. Source: ours, a rollout and a checkpoint.
@@ -81,12 +86,18 @@ class Runner:
     """Runs jobs in slots, the first ready one first. One that fails holds up only what comes after it."""
 
     def __init__(
-        self, jobs: Sequence[Job], slots: Sequence[Slot], logs: Path, lock: int | None = None
+        self,
+        jobs: Sequence[Job],
+        slots: Sequence[Slot],
+        logs: Path,
+        lock: int | None = None,
+        executor: "AutoExecutor | None" = None,
     ) -> None:
         """See what is done already; a job is not done as long as one before it is not.
 
         The jobs come behind those that they depend on, and print to `NAME.log` in the folder of the logs.
-        They hold the lock that `locked` gave, too, in case that they outlive this process.
+        They hold the lock that `locked` gave, too, in case that they outlive this process. With an executor
+        they are jobs of its cluster.
         """
         self.status: dict[str, Status] = {}  #: How far every job is, by name.
         for job in jobs:
@@ -94,7 +105,8 @@ class Runner:
             self.status[job.name] = Status.DONE if is_done else Status.WAITING
         self._jobs, self._slots, self._logs = jobs, slots, logs
         self._inherited = () if lock is None else (lock,)
-        self._running: dict[int, tuple[Job, subprocess.Popen[bytes]]] = {}
+        self._executor = executor
+        self._running: dict[int, tuple[Job, subprocess.Popen[bytes] | SubmittedCommand]] = {}
 
     def run(
         self,
@@ -112,7 +124,7 @@ class Runner:
                 watch(self.status)
                 if not self._running:
                     return
-                time.sleep(POLL_SECONDS)
+                time.sleep(LOOK_SECONDS if self._executor else POLL_SECONDS)
                 self._end_jobs()
         finally:
             self._stop_jobs()
@@ -134,11 +146,14 @@ class Runner:
                 self._running[i] = job, self._start(job, slot)
                 self.status[job.name] = Status.RUNNING
 
-    def _start(self, job: Job, slot: Slot) -> subprocess.Popen[bytes]:
+    def _start(self, job: Job, slot: Slot) -> "subprocess.Popen[bytes] | SubmittedCommand":
         """Start a job in a session of its own, so that Ctrl-C reaches it only through this runner."""
+        command = list(job.command(slot.device))
+        if self._executor:
+            return SubmittedCommand(self._executor, command, self.log(job.name), slot.environment)
         with open(self.log(job.name), "ab") as log:
             return subprocess.Popen(
-                list(job.command(slot.device)),
+                command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

@@ -16,9 +16,10 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import active_children, get_context
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pixel2catch.errors import InvalidValueError, StudyError
+from pixel2catch.evaluation.cluster import in_jobs
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_rounds
@@ -30,6 +31,9 @@ from pixel2catch.methods import METHODS, Method
 from pixel2catch.own_files import import_files
 from pixel2catch.policy import leaves
 from pixel2catch.shipped import shipped_policies
+
+if TYPE_CHECKING:
+    from submitit import AutoExecutor
 
 Json = dict[str, Any]
 Returned = TypeVar("Returned")
@@ -106,13 +110,15 @@ def measure(
     jobs: int = 1,
     on_share: Callable[[float], None] = lambda _: None,
     summarize: Callable[[Trials], Metrics] = metrics,
+    executor: "AutoExecutor | None" = None,
 ) -> tuple[Json, ...]:
     """Compute the results that are not there, so many jobs at once, and return all.
 
     Of the task only the physics rate counts, the rest is each policy's. Each job is a process of its own;
     only on the CPU there may be more than one. `on_result` is called with number, result and metrics of every
     one that was computed, as soon as it was; `on_share` with the share of them that is done, more often. What
-    is kept of the throws is what `summarize`, a module's function, makes of them.
+    is kept of the throws is what `summarize`, a module's function, makes of them. With an executor every
+    result is a job of its cluster, on any device, and all are handed over at once.
 
     Raises:
         InvalidValueError: If there can not be so many jobs.
@@ -129,7 +135,10 @@ def measure(
     missing = [number for number, content in enumerate(contents) if content is None]
     jobs = min(jobs, len(missing))
     calls = [(results[number], cfg, summarize) for number in missing]
-    measured = in_processes(jobs, _measure, calls) if jobs > 1 else _one_by_one(calls, on_share)
+    if executor:
+        measured = in_jobs(executor, _begin, _measure, calls)
+    else:
+        measured = in_processes(jobs, _measure, calls) if jobs > 1 else _one_by_one(calls, on_share)
     for done, (index, found) in enumerate(measured, start=1):
         on_share(done / len(missing))
         number = missing[index]
