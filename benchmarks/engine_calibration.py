@@ -4,10 +4,11 @@
   how much its angular momentum changed.
 * motion: all joints of the arm, or of the hand, get a step and a sine of 0.1 rad: the largest difference from
   MuJoCo's joint positions at 600 Hz.
-* rebound: a ball and a cube hit the floor at 1 and 4 m/s, impacts spread evenly over a step: mean and
-  deviation of the speed after over the speed before.
+* rebound: a ball and a cube hit the floor at 1 and 4 m/s, or at 2 m/s and as fast along it, impacts spread
+  evenly over a step: mean and deviation of the speed after over the speed before, upwards.
 * rest: how deep a cube lies in the floor after 0.5 s, and how fast it creeps on a slope of 20°.
 * slide: the way of a cube at 1 m/s over v² / (2 mu g).
+* hop: how fast a cube rises that is put on the floor with 1 m/s along it; by Coulomb's law it does not.
 * grip: a cube lies in the hand, which closes; how often a pull of three times its weight leaves it there.
 
 Run: python benchmarks/engine_calibration.py
@@ -157,12 +158,14 @@ def motion(engine: Engine, joints: slice, command: str, duration: float = 1.2) -
     return 1e3 * float((paths[0] - paths[1]).abs().max())
 
 
-def rebound(engine: Engine, object_name: str, speed: float, restitution: float) -> tuple[float, float]:
-    """Mean and deviation of the speed after over the speed before an impact."""
+def rebound(
+    engine: Engine, object_name: str, speed: float, restitution: float, along: float = 0.0
+) -> tuple[float, float]:
+    """Mean and deviation of the speed after over the speed before an impact, `along` the floor left out."""
     simulation = engine.make(object_name, NUM_PHASES, restitution=restitution)
     pos = torch.tensor((*ASIDE, half_height(object_name) + 0.03)).repeat(NUM_PHASES, 1)
     pos[:, 2] += torch.arange(NUM_PHASES) / NUM_PHASES * speed / engine.hz
-    place(simulation, pos, (0.0, 0.0, -speed, 0.0, 0.0, 0.0))
+    place(simulation, pos, (along, 0.0, -speed, 0.0, 0.0, 0.0))
     speeds = []
     for _ in range(round(engine.hz * (0.06 / speed + 0.03))):
         simulation.step()
@@ -190,6 +193,17 @@ def slide(engine: Engine, friction: float, speed: float = 1.0) -> float:
     for _ in range(round((speed / (friction * GRAVITY) + 0.1) * engine.hz)):
         simulation.step()
     return (float(simulation.bind("xpos")[0, BODY, 0]) - ASIDE[0]) / expected
+
+
+def hop(engine: Engine, friction: float, speed: float = 1.0) -> float:
+    """Largest speed upwards [m/s] of a cube that begins to slide on the floor."""
+    simulation = engine.make(friction=friction, restitution=0.0)
+    place(simulation, (*ASIDE, half_height("cube_s")), (speed, 0.0, 0.0, 0.0, 0.0, 0.0))
+    fastest = 0.0
+    for _ in range(round(0.05 * engine.hz)):
+        simulation.step()
+        fastest = max(fastest, float(simulation.bind("qvel")[0, TABLE.indices.dofs][2]))
+    return fastest
 
 
 def creep(engine: Engine) -> float:
@@ -257,26 +271,31 @@ def main() -> None:
     chosen = [each for each in engines() if each.name.startswith(parser.parse_args().only)]
     print(
         "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
-        "| slide 0.5, 1 | creep mm/s | grip % |"
+        "| slide 0.5, 1 | hop 0.5, 1 | creep mm/s | grip % |"
     )
-    print("| --- |" + " ---: |" * 9)
+    print("| --- |" + " ---: |" * 10)
     for each in chosen:
         way, change = flight(each)
         moved = [[motion(each, joints, name) for name in COMMANDS] for joints in (ARM_JOINTS, HAND_JOINTS)]
         cells = [f"{way:.2f}", f"{change:.3f}", *(f"{a:.2f}, {b:.2f}" for a, b in moved)]
         cells += [f"{resting_depth(each):.0f}", f"{slide(each, 0.5):.2f}, {slide(each, 1.0):.2f}"]
+        cells += [f"{hop(each, 0.5):.2f}, {hop(each, 1.0):.2f}"]
         cells += [f"{creep(each):.2f}", f"{100 * grip(each):.0f}"]
         print(f"| {each.name} | {each.hz:g} | " + " | ".join(cells) + " |", flush=True)
-    print("\n| engine | Hz | object, m/s | " + " | ".join(f"e = {e:g}" for e in RESTITUTIONS) + " |")
+    print(
+        "\n| engine | Hz | object, m/s down, along | " + " | ".join(f"e = {e:g}" for e in RESTITUTIONS) + " |"
+    )
     print("| --- | ---: | --- |" + " ---: |" * len(RESTITUTIONS))
     for each in chosen:
         for name in ("sphere_l", "cube_l"):
-            for speed in (1.0, 4.0):
+            for speed, along in ((1.0, 0.0), (4.0, 0.0), (2.0, 2.0)):
                 known = RESTITUTIONS[:1] if each.make_copy is DrakeCopy else RESTITUTIONS  # Drake has none
-                cells = ["{:.2f} ± {:.2f}".format(*rebound(each, name, speed, e)) for e in known]
+                cells = ["{:.2f} ± {:.2f}".format(*rebound(each, name, speed, e, along)) for e in known]
                 cells += [""] * (len(RESTITUTIONS) - len(known))
                 print(
-                    f"| {each.name} | {each.hz:g} | {name}, {speed:g} | " + " | ".join(cells) + " |",
+                    f"| {each.name} | {each.hz:g} | {name}, {speed:g}, {along:g} | "
+                    + " | ".join(cells)
+                    + " |",
                     flush=True,
                 )
 

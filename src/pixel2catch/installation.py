@@ -29,7 +29,9 @@ def install_command(extra: str = "") -> str:
 
 @contextmanager
 def needs_extra(
-    extra: str, what: str = "a package that this needs", error: type[Pixel2CatchError] = PerceptionError
+    extra: str,
+    what: str = "a package that this needs cannot be imported",
+    error: type[Pixel2CatchError] = PerceptionError,
 ) -> Iterator[None]:
     """Turn a failed import of an optional package in this context into an error that says how to install it.
 
@@ -39,7 +41,7 @@ def needs_extra(
     try:
         yield
     except ImportError as failed:
-        raise error(f"{what} cannot be imported ({failed}): {install_command(extra)}.") from None
+        raise error(f"{what} ({failed}): {install_command(extra)}.") from None
 
 
 @cache

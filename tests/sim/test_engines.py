@@ -10,6 +10,7 @@ from engine_calibration import (
     Engine,
     creep,
     flight,
+    hop,
     motion,
     physx,
     rebound,
@@ -81,6 +82,13 @@ def test_friction_is_coulombs(engine):
     assert slide(engine, 0.5) == pytest.approx(1.0, abs=0.1)
     assert abs(creep(engine)) < 0.4
     assert abs(resting_depth(engine)) < 50.0  # µm
+    assert hop(engine, 0.5) < 0.05
+
+
+@pytest.mark.parametrize("friction", [0.5, 1.0])
+def test_what_slides_hops_in_mujoco(friction):
+    """A convex contact slips by w and opens by mu w, which brakes by mu² w: both are 0.9 v, what it stops."""
+    assert hop(Engine(name="mujoco"), friction) == pytest.approx(0.9 * friction / (1 + friction**2), abs=0.03)
 
 
 def world() -> RigidWorld:

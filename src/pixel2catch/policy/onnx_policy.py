@@ -226,7 +226,7 @@ def _require_same(policy: Policy, exported: OnnxPolicy) -> None:
 
 
 def _needs_libraries() -> AbstractContextManager[None]:
-    return needs_extra("onnx", "ONNX files need a package that", PolicyMismatchError)
+    return needs_extra("onnx", "ONNX files need a package that cannot be imported", PolicyMismatchError)
 
 
 def _session(model: bytes | Path, name: str) -> "InferenceSession":

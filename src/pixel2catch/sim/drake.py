@@ -230,7 +230,7 @@ def load_drake() -> dict[str, Any]:
     Raises:
         DeviceUnavailableError: If it is not installed.
     """
-    with needs_extra("drake", "engine 'drake' needs Drake, which", DeviceUnavailableError):
+    with needs_extra("drake", "engine 'drake' needs Drake, which cannot be imported", DeviceUnavailableError):
         modules = {name: importlib.import_module(module) for name, module in MODULES.items()}
     logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of what half-spaces do to soft bodies
     return modules

@@ -254,7 +254,7 @@ def load_sapien() -> Any:
         DeviceUnavailableError: If it is not installed.
     """
     with (
-        needs_extra("physx", "engine 'physx' needs SAPIEN, which", DeviceUnavailableError),
+        needs_extra("physx", "engine 'physx' needs SAPIEN, which cannot be imported", DeviceUnavailableError),
         warnings.catch_warnings(action="ignore"),  # that there is no graphics driver
     ):
         return importlib.import_module("sapien")
