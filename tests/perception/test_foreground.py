@@ -51,6 +51,24 @@ def test_what_stands_still_becomes_background_unless_it_is_kept():
     assert kept[disc.mask(20)].mean() > 0.9
 
 
+def test_what_is_learned_later_is_the_same():
+    """Learned when somebody says so, or at the next image, also where the object is forgotten meanwhile."""
+    disc = Disc(path=painted.thrown(5, 15), radius=9.0)
+    told = []
+    for is_settled in (True, False):
+        foreground = Foreground()
+        for step, image in enumerate(painted.images((disc,), NUM_EMPTY + 20)):
+            motion = foreground.step(image, None)
+            told.append(np.stack((motion.moving, motion.unknown, motion.difference)))
+            if is_settled:
+                foreground.settle()
+            if step == NUM_EMPTY + 2:
+                foreground.forget(disc.mask(step))
+    at_once, later = np.split(np.array(told), 2)
+    np.testing.assert_array_equal(at_once, later)
+    assert told[-1][0].any()
+
+
 def test_the_edge_of_a_thing_is_where_its_difference_falls():
     """A bright disc with a halo of a fifth of its contrast, as compression makes: the halo is left out."""
     halo = Disc(path=np.tile((160.0, 120.0), (30, 1)), radius=16.0, color=(165, 165, 165))

@@ -117,7 +117,7 @@ class TrackState:
             return
         self.box, self.box_stamp = finding.box, stamp
         self.num_lost, self.is_continued, self.has_jumped = 0, True, False
-        xmin, ymin, xmax, ymax = (int(edge) for edge in finding.box[0])
+        xmin, ymin, xmax, ymax = map(int, finding.box[0].tolist())
         self.is_at_robot = ignored is not None and bool(ignored[ymin:ymax, xmin:xmax].any())
 
 
@@ -188,6 +188,11 @@ class PixelFeatureExtractor:
         self._segmenter.reset()
         self._prompter.reset()
         self._state, self._has_begun = TrackState(), True
+
+    def settle(self) -> None:
+        """See `Segmenter.settle`."""
+        self._segmenter.settle()
+        self._prompter.settle()
 
     def step(self, frame: CameraFrame | None, now: float) -> Extraction:
         """Process the newest image; call it once in every control step, by the clock of the stamps [s].

@@ -3,6 +3,7 @@
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from math import log
 
 import cv2
@@ -101,6 +102,7 @@ class Foreground:
         self._learning_images = learning_images
         self._mean = np.empty((0, 0, 3), dtype=np.float32)
         self._num_images = 0
+        self._later: partial[None] | None = None
         self._light: deque[float] = deque(maxlen=FLICKER_IMAGES + 1)
 
     @property
@@ -119,6 +121,7 @@ class Foreground:
             ignored: Where nothing is known of the scene.
             kept: Where what differs stays foreground however long it stands still.
         """
+        self.settle()
         smooth = cv2.blur(image, (3, 3))
         if self._mean.shape != image.shape:
             self._begin(smooth)
@@ -136,12 +139,19 @@ class Foreground:
         threshold = np.maximum(cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS), min(least, 255))
         differs = cv2.compare(difference, threshold, cv2.CMP_GT) > 0
         moving = opened(differs) & known
-        self._learn(smooth, difference, grown(differs & known, SPECK), counted, kept)
+        self._later = partial(self._learn, smooth, difference, differs & known, counted, kept)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
         return Motion(image=smooth, difference=difference, moving=moving, unknown=unknown)
 
+    def settle(self) -> None:
+        """Learn from the last image, which its motion need not wait for; the next image does so first."""
+        later, self._later = self._later, None
+        if later:
+            later()
+
     def forget(self, mask: Mask) -> None:
         """Know nothing of some pixels: what was taken for background is the object."""
+        self.settle()
         self._num_seen[mask] = 0
 
     def _begin(self, image: Image) -> None:
@@ -167,6 +177,7 @@ class Foreground:
         self, image: Image, difference: np.ndarray, differs: Mask, counted: np.ndarray, kept: Mask | None
     ) -> None:
         """Learn what does not differ, and what has stood still for long."""
+        differs = grown(differs, SPECK)
         free = counted if kept is None else counted * ~kept
         left, top, width, height = cv2.boundingRect(differs.view(np.uint8))
         part = slice(top, top + height), slice(left, left + width)
