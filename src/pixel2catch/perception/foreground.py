@@ -132,7 +132,8 @@ class Foreground:
         smooth = self._lit(smooth, counted)
         _replace(self._mean, smooth, counted * (self._num_seen == 0))
         known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
-        known &= self._num_images >= self._learning_images
+        if self._num_images < self._learning_images:
+            known[:] = False
         difference = _difference(smooth, cv2.convertScaleAbs(self._mean))
         noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
         least = round(max(noise, LEAST_DIFFERENCE))
