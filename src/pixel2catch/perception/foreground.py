@@ -130,15 +130,16 @@ class Foreground:
         if ignored is not None:
             counted[grown(ignored, SMOOTHED)] = 0
         smooth = self._lit(smooth, counted)
-        _replace(self._mean, smooth, counted * (self._num_seen == 0))
+        first = counted * (self._num_seen == 0)
+        _replace(self._mean, smooth, first)
+        _replace(self._background, smooth, first)
         known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
         if self._num_images < self._learning_images:
             known[:] = False
-        difference = _difference(smooth, cv2.convertScaleAbs(self._mean))
+        difference = _difference(smooth, self._background)
         noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
-        least = round(max(noise, LEAST_DIFFERENCE))
-        threshold = np.maximum(cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS), min(least, 255))
-        differs = cv2.compare(difference, threshold, cv2.CMP_GT) > 0
+        least = min(round(max(noise, LEAST_DIFFERENCE)), 255)
+        differs = (difference > self._tolerance) & (difference > least)
         moving = opened(differs) & known
         self._later = partial(self._learn, smooth, difference, differs & known, counted, kept)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
@@ -157,8 +158,8 @@ class Foreground:
 
     def _begin(self, image: Image) -> None:
         shape = image.shape[:2]
-        self._mean, self._last = image.astype(np.float32), image
-        self._usual = np.zeros(shape, dtype=np.float32)
+        self._mean, self._background, self._last = image.astype(np.float32), image.copy(), image
+        self._usual, self._tolerance = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         self._num_seen, self._num_still = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         self._num_images = 0
         self._light.clear()
@@ -193,18 +194,25 @@ class Foreground:
         cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
         cv2.accumulateWeighted(difference, self._usual, BUSY_WEIGHT, mask=free * differs)
         cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
-        self._last = image
+        self._last = image  # and what the next image is compared with, before it comes
+        self._background = cv2.convertScaleAbs(self._mean)
+        self._tolerance = cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS)
 
 
 def regions(mask: Mask) -> list[Blob]:
     """The regions of a mask, with small gaps closed."""
-    return find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    rim = len(GAP) // 2 + 1
+    part = slice(max(top - rim, 0), top + height + rim), slice(max(left - rim, 0), left + width + rim)
+    closed = np.zeros_like(mask)
+    closed[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
+    return find_blobs(closed)
 
 
 def _replace(image: np.ndarray, other: Image, mask: np.ndarray) -> None:
     """Take some pixels of another image over."""
     if mask.any():
-        cv2.copyTo(other.astype(np.float32), mask, image)
+        cv2.copyTo(other.astype(image.dtype), mask, image)
 
 
 def _difference(image: Image, other: Image) -> UInt8[np.ndarray, "height width"]:
