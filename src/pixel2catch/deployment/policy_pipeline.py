@@ -266,7 +266,7 @@ class PolicyPipeline:
             joint_pos_target=self._target,
             target_stamp=now,
             image_stamp=self._looked,
-            box_stamp=self.sight.box_stamp,
+            box_stamp=min(self.sight.box_stamp, now),
         )
 
     def _resting(self, joint_pos: Joints, target: Joints) -> Joints:

@@ -201,12 +201,16 @@ class Foreground:
 
 def regions(mask: Mask) -> list[Blob]:
     """The regions of a mask, with small gaps closed."""
+    return find_blobs(closed(mask))
+
+
+def closed(mask: Mask) -> Mask:
+    """The mask without small gaps; only the part is looked at in which there is anything."""
     left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
-    rim = len(GAP) // 2 + 1
+    rim, whole = len(GAP) // 2 + 1, np.zeros_like(mask)
     part = slice(max(top - rim, 0), top + height + rim), slice(max(left - rim, 0), left + width + rim)
-    closed = np.zeros_like(mask)
-    closed[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
-    return find_blobs(closed)
+    whole[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
+    return whole
 
 
 def _replace(image: np.ndarray, other: Image, mask: np.ndarray) -> None:
