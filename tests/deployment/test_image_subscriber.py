@@ -41,6 +41,18 @@ def test_the_stamp_is_of_the_exposure_on_the_monotonic_clock():
         assert now - frame.stamp == pytest.approx(0.04, abs=0.01)
 
 
+@pytest.mark.parametrize("assumes_age", [True, False])
+def test_images_of_the_future_are_none_and_make_perception_unsound(assumes_age: bool):
+    """Up to 50 ms ahead is a clock's error; more, after sound stamps, is a clock that was set."""
+    with surroundings() as around:
+        images = images_in(around, assumes_age=assumes_age)
+        for age, is_good in ((0.02, True), (-0.03, True), (-1.0, False)):
+            around.show(picture(), age=age)
+            assert (images.newest() is not None) == is_good
+            assert ("synchronise the clocks" in images.problem) == (not is_good)
+        assert images.stamp < around.clock.now() + 0.03
+
+
 def age_of_next(images: ImageSubscriber, around: Surroundings, stamp: float) -> float:
     """Age of an image with this stamp in its header, in control steps."""
     around.camera.publish(messages.image(picture(), stamp))

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
-from threading import Event
+from queue import SimpleQueue
+from threading import Event, current_thread
 
 import numpy as np
 import pytest
@@ -73,6 +74,7 @@ class HeldUp(Segmenter):
 
     def __init__(self) -> None:
         self._segmenter, self.has_begun, self.may_go_on = ColorThreshold(RED), Event(), Event()
+        self.settled_by = SimpleQueue[str]()
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         self._wait()
@@ -81,6 +83,9 @@ class HeldUp(Segmenter):
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
         self._wait()
         return self._segmenter.track(image, ignored)
+
+    def settle(self) -> None:
+        self.settled_by.put(current_thread().name)
 
     def reset(self) -> None:
         self._segmenter.reset()
@@ -118,7 +123,7 @@ class Threaded:
 
 @pytest.fixture
 def lab() -> Iterator[Threaded]:
-    with ThreadPoolExecutor(1) as executor:
+    with ThreadPoolExecutor(1, thread_name_prefix="perception") as executor:
         yield Threaded(executor)
 
 
@@ -136,6 +141,14 @@ def test_decisions_go_on_while_a_thread_looks_and_boxes_get_older(lab: Threaded)
     policy_command = lab.pipeline.decide(HOME, 1.2)
     assert policy_command is not None
     assert policy_command.image_stamp == 1.1
+
+
+def test_what_a_look_leaves_to_learn_is_learned_in_its_thread_when_it_is_done(lab: Threaded):
+    lab.perception.begin(PROMPT)
+    lab.show(1.0)
+    assert lab.segmenter.settled_by.empty()
+    assert lab.end()
+    assert lab.segmenter.settled_by.get(timeout=PATIENCE) == "perception_0"
 
 
 def test_a_look_that_ends_after_a_new_throw_began_is_forgotten(lab: Threaded):

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from filmed import CAMERA, DISC, throw
 
-from pixel2catch.camera.boxes import box_of_mask, pixel_features
+from pixel2catch.camera.boxes import box_of_mask
 from pixel2catch.perception.annotate import (
     HEADER,
     HELD,
@@ -33,7 +33,7 @@ def seen(image: np.ndarray = IMAGE, **changes) -> Sighting:
     """The object in flight, as the extractor would say it."""
     extraction = Extraction(
         box=BOX,
-        features=pixel_features(BOX - 5.0, BOX, CAMERA),
+        before=BOX - 5.0,
         verdict=Verdict.SEEN,
         is_valid=True,
         is_fresh=True,

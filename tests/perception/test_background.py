@@ -42,6 +42,19 @@ def test_a_thrown_ball_is_followed_from_a_box_on():
     assert np.isfinite(worst).all()
 
 
+def test_colours_that_are_learned_later_are_the_same():
+    found = []
+    for is_settled in (True, False):
+        segmenter = BackgroundSubtraction()
+        for step, image in enumerate(painted.images((BALL,), NUM_STEPS)):
+            seen = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
+            found += [] if seen.mask is None else [seen.mask]
+            if is_settled:
+                segmenter.settle()
+    at_once, later = np.split(np.array(found), 2)
+    np.testing.assert_array_equal(at_once, later)
+
+
 def test_a_click_is_enough_once_the_ball_flies():
     worst = errors((), PointPrompt(center=(40.0, 150.0)), prompt_step=NUM_EMPTY + NUM_STILL - 1)
     assert (worst[1:] <= 2.0).mean() >= 0.95

@@ -247,6 +247,6 @@ def test_every_stage_is_measured():
     for i in range(3):
         subject.step(CameraFrame(image=picture(START), stamp=i / 30, joint_pos=HOME), i / 30)
     report = subject.clock.percentiles()
-    assert set(report) == {"robot", "segment", "box", "features", "total"}
+    assert set(report) == {"robot", "segment", "box", "total"}
     assert {each.count for each in report.values()} == {3}
     assert report["total"].p50 > report["segment"].p50

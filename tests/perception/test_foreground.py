@@ -1,10 +1,12 @@
 """What differs from a background: noise, light, edges, what stands still, what a robot hides."""
 
+import cv2
 import numpy as np
 import painted
 from painted import NUM_EMPTY, Disc
 
-from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Weakness
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Weakness, closed
+from pixel2catch.perception.image_track import GAP
 from pixel2catch.perception.segmenter import Mask
 
 ROBOT_COLOR = (20, 20, 20)
@@ -49,6 +51,36 @@ def test_what_stands_still_becomes_background_unless_it_is_kept():
         kept = keeping.step(image, None, disc.mask(20) if step > 10 else None).moving
     assert not absorbed[disc.mask(20)].any()
     assert kept[disc.mask(20)].mean() > 0.9
+
+
+def test_what_is_learned_later_is_the_same():
+    """Learned when somebody says so, or at the next image, also where the object is forgotten meanwhile."""
+    disc = Disc(path=painted.thrown(5, 15), radius=9.0)
+    told = []
+    for is_settled in (True, False):
+        foreground = Foreground()
+        for step, image in enumerate(painted.images((disc,), NUM_EMPTY + 20)):
+            motion = foreground.step(image, None)
+            told.append(np.stack((motion.moving, motion.unknown, motion.difference)))
+            if is_settled:
+                foreground.settle()
+            if step == NUM_EMPTY + 2:
+                foreground.forget(disc.mask(step))
+    at_once, later = np.split(np.array(told), 2)
+    np.testing.assert_array_equal(at_once, later)
+    assert told[-1][0].any()
+
+
+def test_gaps_are_closed_as_in_the_whole_mask():
+    """Though only the part is looked at in which there is anything, which may touch the edge."""
+    random = np.random.default_rng(0)
+    for _ in range(200):
+        mask = np.zeros(random.integers(5, 60, 2), dtype=bool)
+        for top, left, height, width in random.integers((0, 0, 1, 1), (*mask.shape, 10, 10), (3, 4)):
+            mask[top : top + height, left : left + width] = random.random() < 0.9
+        mask &= random.random(mask.shape) < 0.8
+        whole = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
+        np.testing.assert_array_equal(closed(mask), whole)
 
 
 def test_the_edge_of_a_thing_is_where_its_difference_falls():

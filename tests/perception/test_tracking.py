@@ -49,7 +49,7 @@ def test_rows_say_what_was_seen():
     np.testing.assert_allclose(center, PATH[50], atol=1.0)
     features = [float(row[name]) for name in PIXEL_FEATURES]
     np.testing.assert_allclose(features, sighting.extraction.features[0], rtol=1e-5)
-    parts = sum(float(row[f"{stage}_ms"]) for stage in ("segment", "box", "features"))
+    parts = sum(float(row[f"{stage}_ms"]) for stage in ("segment", "box"))
     assert 0.0 < parts <= float(row["total_ms"])
 
 
@@ -59,7 +59,7 @@ def sighting(step: int, verdict: Verdict, took: float = 0.010, skipped: int = 0)
     image = np.full((2, 2, 3), step % 7, dtype=np.uint8)
     extraction = Extraction(
         box=torch.zeros(1, 4),
-        features=torch.zeros(1, 8),
+        before=torch.zeros(1, 4),
         verdict=verdict,
         is_valid=verdict is not Verdict.NO_PROMPT,
         is_fresh=True,

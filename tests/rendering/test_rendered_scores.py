@@ -28,7 +28,7 @@ def seen(error: float, verdict: Verdict = Verdict.SEEN) -> Extraction:
     """A box of which the right edge is wrong by so much."""
     return Extraction(
         box=torch.tensor([BOX]) + torch.tensor([[0.0, 0.0, error, 0.0]]),
-        features=torch.zeros(1, 8),
+        before=torch.zeros(1, 4),
         verdict=verdict,
         is_valid=True,
         is_fresh=True,

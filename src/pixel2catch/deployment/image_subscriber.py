@@ -116,7 +116,7 @@ class ImageSubscriber:
         self._lens = transport.subscription(profile.info) if profile.info else None
         self._joints: deque[tuple[float, Joints]] = deque()
         self.received: list[Message] = []  #: What the last call of `newest` took, for a recording.
-        self._other_lens = ""
+        self._other_lens = self._ahead = ""
         self.message = ""  #: Why the last image could not be read; empty if it could.
         self.stamp = -inf  #: When the newest good image was taken [s].
         self._assumes_age, self._is_stamped, self._notices = assumes_age, False, list[str]()
@@ -132,8 +132,9 @@ class ImageSubscriber:
         """Why no image is good, be it readable; empty if that is not so.
 
         The camera may have another lens than the one that it was calibrated with, or not be one that looks.
+        Its clock may have been set.
         """
-        return self._checks.problem or self._other_lens
+        return self._checks.problem or self._other_lens or self._ahead
 
     def newest(self) -> CameraFrame | None:
         """The newest image, if one has arrived since the last call and is good; stamps are of `Clock.now`."""
@@ -147,10 +148,15 @@ class ImageSubscriber:
             except DeploymentError as error:
                 self.message = str(error)
                 continue
-            self.message = ""
+            self.message = self._ahead = ""
             is_new = self._checks.is_new(reading)
             if not self.problem:
-                stamp = self.stamp = self._exposed(reading, message.arrival)
+                stamp = self._exposed(reading, message.arrival)
+                if (ahead := stamp - self._clock.now()) > -EARLIEST:
+                    name = self._profile.image.name
+                    self._ahead = f"images on {name} are of {ahead:.2g} s ahead: synchronise the clocks."
+                    continue
+                self.stamp = stamp
                 if is_new:
                     newest = CameraFrame(image=reading.pixels, stamp=stamp, joint_pos=self._joints_at(stamp))
         return None if self.problem else newest

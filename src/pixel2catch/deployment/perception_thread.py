@@ -132,7 +132,9 @@ class ConcurrentPerception:
         if self._waiting and self.is_free:
             frame, received = self._waiting
             self._waiting = None
-            self._work = (frame, received, now, self._executor.submit(self._pipeline.perceive, frame, now))
+            future = self._executor.submit(self._pipeline.perceive, frame, now)
+            future.add_done_callback(lambda _: self._pipeline.settle())  # there, while this one decides
+            self._work = (frame, received, now, future)
         return look
 
     def _done(self) -> PerceptionResult | None:

@@ -166,7 +166,8 @@ FADE_STEPS = 5  #: Control steps in which an arm comes to rest while nothing is 
 class PolicyPipeline:
     """Perception and policy, without a network and without a clock.
 
-    Only `perceive` may run in another thread than the rest; nothing else of perception may run meanwhile.
+    Only `perceive` and `settle` may run in another thread than the rest, one after the other; nothing else
+    of perception may run while `perceive` does.
     """
 
     def __init__(self, controller: Controller, extractor: PixelFeatureExtractor, person: Prompter) -> None:
@@ -211,6 +212,10 @@ class PolicyPipeline:
             PerceptionError: The first image has the wrong size.
         """
         return self._extractor.step(frame, now)
+
+    def settle(self) -> None:
+        """Learn from the last look what no decision waits for; the next look does it at the latest."""
+        self._extractor.settle()
 
     def remember(self, frame: CameraFrame | None, seen: Extraction) -> None:
         """Keep the box of an image for the policy.
@@ -261,7 +266,7 @@ class PolicyPipeline:
             joint_pos_target=self._target,
             target_stamp=now,
             image_stamp=self._looked,
-            box_stamp=self.sight.box_stamp,
+            box_stamp=min(self.sight.box_stamp, now),
         )
 
     def _resting(self, joint_pos: Joints, target: Joints) -> Joints:

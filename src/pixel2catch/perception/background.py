@@ -1,6 +1,7 @@
 """The object by its motion and its colours: what differs from a learned background where it should be."""
 
 from dataclasses import replace
+from functools import partial
 from math import hypot, inf, isinf, log
 
 import cv2
@@ -66,12 +67,14 @@ class BackgroundSubtraction(Segmenter):
         self._track: ImageTrack | None = None
         self._appearance, self._area, self._num_still = Appearance(), inf, inf
         self._kept: Mask | None = None
+        self._later: partial[None] | None = None
 
     def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
         """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`.
 
         What only flies is passed by where it does not resemble what was followed before.
         """
+        self.settle()
         guess = prompt.box if isinstance(prompt, BoxPrompt) and prompt.is_guess else None
         if self._track is not None and guess is not None and not self._resembles(image, guess):
             return self.track(image, ignored)
@@ -81,7 +84,15 @@ class BackgroundSubtraction(Segmenter):
 
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
         """See `Segmenter.track`."""
+        self.settle()
         return self._sure(self._follow(image, ignored, None))
+
+    def settle(self) -> None:
+        """See `Segmenter.settle`: learn background and colours."""
+        self._foreground.settle()
+        later, self._later = self._later, None
+        if later:
+            later()
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
@@ -116,7 +127,7 @@ class BackgroundSubtraction(Segmenter):
                 self._area = (
                     blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
                 )
-            self._learn(image, mask, grown(mask, GAP), motion, ignored)
+            self._later = partial(self._learn, image, mask, grown(mask, GAP), motion, ignored)
         return segmentation
 
     def _object(

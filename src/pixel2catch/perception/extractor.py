@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -52,9 +53,10 @@ class Extraction:
     """What a control step knows of the object: the box for the policy, the rest for log and safety."""
 
     box: Float[Tensor, "1 4"]  #: `Measurement.box` of training [px]; zeros before the first detection.
-    #: The features of this box and that of the step before, for show; the first box of a throw stands for its
-    #: predecessor, as at the beginning of an episode.
-    features: Float[Tensor, "1 8"]
+    #: That of the step before; the first box of a throw stands for its predecessor, as at the beginning of an
+    #: episode.
+    before: Float[Tensor, "1 4"]
+    camera: CameraSpec = RGB_CAMERA  #: What they are seen with.
     verdict: Verdict  #: What became of the image; only `SEEN` gives a new box.
     is_valid: bool  #: Whether the object was seen in this throw.
     is_fresh: bool  #: Whether the box is no older than those of training.
@@ -67,6 +69,11 @@ class Extraction:
     is_elsewhere: bool = False
     source: str = ""  #: Which of several segmenters was believed, see `Segmentation`.
     doubt: str = ""  #: What speaks against it, see `Segmentation`.
+
+    @cached_property
+    def features(self) -> Float[Tensor, "1 8"]:
+        """The pixel features of the box and that of the step before, for show."""
+        return pixel_features(self.before, self.box, self.camera)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +124,7 @@ class TrackState:
             return
         self.box, self.box_stamp = finding.box, stamp
         self.num_lost, self.is_continued, self.has_jumped = 0, True, False
-        xmin, ymin, xmax, ymax = (int(edge) for edge in finding.box[0])
+        xmin, ymin, xmax, ymax = map(int, finding.box[0].tolist())
         self.is_at_robot = ignored is not None and bool(ignored[ymin:ymax, xmin:xmax].any())
 
 
@@ -189,6 +196,11 @@ class PixelFeatureExtractor:
         self._prompter.reset()
         self._state, self._has_begun = TrackState(), True
 
+    def settle(self) -> None:
+        """See `Segmenter.settle`."""
+        self._segmenter.settle()
+        self._prompter.settle()
+
     def step(self, frame: CameraFrame | None, now: float) -> Extraction:
         """Process the newest image; call it once in every control step, by the clock of the stamps [s].
 
@@ -202,12 +214,11 @@ class PixelFeatureExtractor:
         with self.clock.stage("total"):
             before = state.box if state.is_valid else None
             finding = self._look(frame)
-            with self.clock.stage("features"):
-                features = pixel_features(state.box if before is None else before, state.box, self._camera)
         age = now - state.box_stamp
         return Extraction(
             box=state.box,
-            features=features,
+            before=state.box if before is None else before,
+            camera=self._camera,
             verdict=finding.verdict,
             is_valid=state.is_valid,
             is_fresh=age <= LARGEST_AGE,

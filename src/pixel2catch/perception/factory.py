@@ -58,10 +58,12 @@ class PerceptionArgs:
 
     def prepare(self) -> None:
         """Leave the cores to others, unless SAM 2 is to run on them."""
+        import cv2
         import torch
 
         if self.checkpoint is None:
             torch.set_num_threads(1)
+            cv2.setNumThreads(1)
 
     def camera_spec(self, notes: list[str]) -> CameraSpec:
         """The camera that takes the images; notes get what a user should know of it."""

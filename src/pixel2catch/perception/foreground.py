@@ -3,6 +3,7 @@
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from math import log
 
 import cv2
@@ -101,6 +102,7 @@ class Foreground:
         self._learning_images = learning_images
         self._mean = np.empty((0, 0, 3), dtype=np.float32)
         self._num_images = 0
+        self._later: partial[None] | None = None
         self._light: deque[float] = deque(maxlen=FLICKER_IMAGES + 1)
 
     @property
@@ -119,6 +121,7 @@ class Foreground:
             ignored: Where nothing is known of the scene.
             kept: Where what differs stays foreground however long it stands still.
         """
+        self.settle()
         smooth = cv2.blur(image, (3, 3))
         if self._mean.shape != image.shape:
             self._begin(smooth)
@@ -127,27 +130,36 @@ class Foreground:
         if ignored is not None:
             counted[grown(ignored, SMOOTHED)] = 0
         smooth = self._lit(smooth, counted)
-        _replace(self._mean, smooth, counted * (self._num_seen == 0))
+        first = counted * (self._num_seen == 0)
+        _replace(self._mean, smooth, first)
+        _replace(self._background, smooth, first)
         known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
-        known &= self._num_images >= self._learning_images
-        difference = _difference(smooth, cv2.convertScaleAbs(self._mean))
+        if self._num_images < self._learning_images:
+            known[:] = False
+        difference = _difference(smooth, self._background)
         noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
-        least = round(max(noise, LEAST_DIFFERENCE))
-        threshold = np.maximum(cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS), min(least, 255))
-        differs = cv2.compare(difference, threshold, cv2.CMP_GT) > 0
+        least = min(round(max(noise, LEAST_DIFFERENCE)), 255)
+        differs = (difference > self._tolerance) & (difference > least)
         moving = opened(differs) & known
-        self._learn(smooth, difference, grown(differs & known, SPECK), counted, kept)
+        self._later = partial(self._learn, smooth, difference, differs & known, counted, kept)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
         return Motion(image=smooth, difference=difference, moving=moving, unknown=unknown)
 
+    def settle(self) -> None:
+        """Learn from the last image, which its motion need not wait for; the next image does so first."""
+        later, self._later = self._later, None
+        if later:
+            later()
+
     def forget(self, mask: Mask) -> None:
         """Know nothing of some pixels: what was taken for background is the object."""
+        self.settle()
         self._num_seen[mask] = 0
 
     def _begin(self, image: Image) -> None:
         shape = image.shape[:2]
-        self._mean, self._last = image.astype(np.float32), image
-        self._usual = np.zeros(shape, dtype=np.float32)
+        self._mean, self._background, self._last = image.astype(np.float32), image.copy(), image
+        self._usual, self._tolerance = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         self._num_seen, self._num_still = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         self._num_images = 0
         self._light.clear()
@@ -167,6 +179,7 @@ class Foreground:
         self, image: Image, difference: np.ndarray, differs: Mask, counted: np.ndarray, kept: Mask | None
     ) -> None:
         """Learn what does not differ, and what has stood still for long."""
+        differs = grown(differs, SPECK)
         free = counted if kept is None else counted * ~kept
         left, top, width, height = cv2.boundingRect(differs.view(np.uint8))
         part = slice(top, top + height), slice(left, left + width)
@@ -181,18 +194,29 @@ class Foreground:
         cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
         cv2.accumulateWeighted(difference, self._usual, BUSY_WEIGHT, mask=free * differs)
         cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
-        self._last = image
+        self._last = image  # and what the next image is compared with, before it comes
+        self._background = cv2.convertScaleAbs(self._mean)
+        self._tolerance = cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS)
 
 
 def regions(mask: Mask) -> list[Blob]:
     """The regions of a mask, with small gaps closed."""
-    return find_blobs(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0)
+    return find_blobs(closed(mask))
+
+
+def closed(mask: Mask) -> Mask:
+    """The mask without small gaps; only the part is looked at in which there is anything."""
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    rim, whole = len(GAP) // 2 + 1, np.zeros_like(mask)
+    part = slice(max(top - rim, 0), top + height + rim), slice(max(left - rim, 0), left + width + rim)
+    whole[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
+    return whole
 
 
 def _replace(image: np.ndarray, other: Image, mask: np.ndarray) -> None:
     """Take some pixels of another image over."""
     if mask.any():
-        cv2.copyTo(other.astype(np.float32), mask, image)
+        cv2.copyTo(other.astype(image.dtype), mask, image)
 
 
 def _difference(image: Image, other: Image) -> UInt8[np.ndarray, "height width"]:

@@ -56,6 +56,11 @@ class Prompter:
         self._given = self._usual
         self._before: tuple[list[Blob], list[Blob]] = ([], [])
 
+    def settle(self) -> None:
+        """See `Segmenter.settle`."""
+        if self._foreground:
+            self._foreground.settle()
+
     def give(self, prompt: Prompt) -> None:
         """Point the object out in the next image, once."""
         self._given = prompt

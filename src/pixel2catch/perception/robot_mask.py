@@ -67,13 +67,11 @@ class RobotMask:
         in_front = (
             rounded if is_near.all() else (row[seen] for row, seen in zip(rounded, is_near, strict=True))
         )
-        for corners in in_front:
-            if not len(corners):
-                continue
-            hull = cv2.convexHull(corners)
+        hulls = [cv2.convexHull(corners) for corners in in_front if len(corners)]
+        for hull in hulls:
             cv2.fillConvexPoly(canvas, hull, 1)
-            if self._margin:
-                cv2.polylines(canvas, [hull], isClosed=True, color=1, thickness=2 * self._margin + 1)
+        if self._margin:
+            cv2.polylines(canvas, hulls, isClosed=True, color=1, thickness=2 * self._margin + 1)
         return canvas.view(bool)
 
 

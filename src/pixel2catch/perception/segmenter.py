@@ -75,6 +75,10 @@ class Segmenter(ABC):
     def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
         """Find the object in the next image, see `start`; not found where nothing was started."""
 
+    def settle(self) -> None:
+        """Do what the last answer need not wait for, such as to learn; else the next image does it first."""
+        return
+
     @abstractmethod
     def reset(self) -> None:
         """Forget the object; what is known of the background stays."""

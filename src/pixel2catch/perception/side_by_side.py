@@ -131,6 +131,10 @@ class SideBySide(Segmenter):
             self._work = self._thread.submit(self._sam2.track, self._kept(image))
         return self._judged(image, last, self._background.track(image, ignored), begin, is_asked=is_asked)
 
+    def settle(self) -> None:
+        """See `Segmenter.settle`."""
+        self._background.settle()
+
     def reset(self) -> None:
         """See `Segmenter.reset`."""
         self._cancel()

@@ -13,7 +13,7 @@ from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.sources import Tick
 from pixel2catch.scene.constants import CONTROL_DT
 
-STAGES = ("robot", "segment", "box", "features", "total")
+STAGES = ("robot", "segment", "box", "total")
 """Stages of the extractor, in the order in which they run."""
 
 LOOKED = "segment"  #: The stage that runs whenever an image was looked at; other control steps cost nothing.

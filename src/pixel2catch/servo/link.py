@@ -5,7 +5,7 @@ process ends, however it does, the other end is told so.
 """
 
 import socket
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, final
 
 import numpy as np
@@ -78,7 +78,7 @@ class ServoStatus:
     def of(cls, row: Row) -> "ServoStatus":
         """Read it."""
         values = (*row[:4].tolist(), *map(int, row[4:9].tolist()), *row[9:].reshape(2, -1))
-        by_name: dict[str, Any] = dict(zip((entry.name for entry in fields(cls)), values, strict=True))
+        by_name: dict[str, Any] = dict(zip(cls.__annotations__, values, strict=True))
         return cls(**by_name)
 
     @property

@@ -290,4 +290,4 @@ def faults_of_policy(inputs: ServoInputs, limits: ServoLimits) -> Bits:
 
 def flag_names(kind: type[IntFlag], found: int) -> list[str]:
     """The flags that are set, in words, such as "image stale"."""
-    return [str(flag.name).lower().replace("_", " ") for flag in kind if flag & found]
+    return [str(flag.name).lower().replace("_", " ") for flag in kind if flag & found] if found else []
