@@ -103,10 +103,12 @@ class JointActuators:
             stiffness=self._gainprm[..., 0],
             damping=-self._biasprm[..., 2] / self._implicit,
         )
-        explicit = (1.0 - self._implicit) * state.damping / state.stiffness
-        self._ctrl.copy_(self._servos.limited(aim, state) - explicit * self._qvel)
-        dry = self._dry_friction
-        self._friction.copy_(self._servos.friction(self._qvel) if dry is None else dry.torque(self._qpos))
+        self._ctrl.copy_(self._servos.limited(aim, state))
+        if self._dry_friction is None:
+            self._friction.copy_(self._servos.friction(self._qvel))
+        else:
+            self._ctrl.sub_((1.0 - self._implicit) * state.damping / state.stiffness * self._qvel)
+            self._friction.copy_(self._dry_friction.torque(self._qpos))
 
 
 @dataclass(frozen=True, kw_only=True)
