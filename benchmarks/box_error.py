@@ -28,7 +28,7 @@ from pixel2catch.robots.ur5e import ARM
 from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
 from pixel2catch.scene.objects import OBJECTS, surface_points
 from pixel2catch.scene.scene import SceneCfg, build_model
-from pixel2catch.sim.simulation import make_simulation
+from pixel2catch.sim.factory import make_simulation
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_POINTS = 64

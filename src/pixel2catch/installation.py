@@ -4,12 +4,16 @@ import importlib.metadata
 import importlib.util
 import json
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+
+from pixel2catch.errors import PerceptionError, Pixel2CatchError
 
 PACKAGE = "pixel2catch"
 
@@ -21,6 +25,21 @@ def install_command(extra: str = "") -> str:
     """
     program = "pip install" if importlib.util.find_spec("pip") else "uv pip install"
     return f"{program} {requirement(_origin(), extra)}"
+
+
+@contextmanager
+def needs_extra(
+    extra: str, what: str = "a package that this needs", error: type[Pixel2CatchError] = PerceptionError
+) -> Iterator[None]:
+    """Turn a failed import of an optional package in this context into an error that says how to install it.
+
+    Raises:
+        error: If something cannot be imported.
+    """
+    try:
+        yield
+    except ImportError as failed:
+        raise error(f"{what} cannot be imported ({failed}): {install_command(extra)}.") from None
 
 
 @cache

@@ -1,16 +1,21 @@
 """`--task NAME` of train: what a run is trained for, and what becomes of its policy."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
 from paper_robot import ARM_JOINTS, HAND_JOINTS
+from pixel2catch.api.training import with_task
 from pixel2catch.cli.main import main
+from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import TASKS
 from pixel2catch.evaluation.loading import load_policy
+from pixel2catch.learning.config import preset
 from pixel2catch.policy import Policy
+from pixel2catch.scene.cfg import SceneCfg
 from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -90,6 +95,15 @@ def test_the_default_is_the_papers_task(tmp_path: Path):
     assert run(*TRAIN, "--out", out) == 0
     assert load_policy(out)[0].contract.task == "nominal"
     assert json.loads((out / "config.json").read_text())["env"]["variants"] == []
+
+
+def test_training_has_cones_of_its_own():
+    """They are the configuration's, unless the scene's are given."""
+    cfg = with_task(preset("cpu"))
+    assert (cfg.cone, cfg.env.scene.cone, CatchEnvCfg().scene.cone) == ("pyramidal", "pyramidal", "elliptic")
+    elliptic = with_task(preset("fast"), change=lambda env: replace(env, scene=SceneCfg(cone="elliptic")))
+    assert (elliptic.cone, with_task(elliptic).env.scene.cone) == ("elliptic", "elliptic")
+    assert with_task(preset("paper")).env.scene.cone == "elliptic"
 
 
 def test_an_unknown_task_is_refused_before_anything_is_written(

@@ -10,8 +10,9 @@ from loop_lab import BOX, moved, picture
 from wire_lab import WireLab, frozen, shuffled, with_nan, without_elbow
 
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, Clock, Publisher, RealClock, Transport, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, Publisher, RealClock, Transport
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 from pixel2catch.servo.process import set_niceness

@@ -23,7 +23,8 @@ from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError, UnknownNameError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.dds import MESSAGE, THIS_MACHINE, dds_type
-from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock, Topic, make_transport
+from pixel2catch.ros2.factory import make_transport
+from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock, Topic
 
 STATES = Topic(name="/joint_states", type=messages.JOINT_STATE)
 MODE = Topic(name="/io/safety_mode", type=messages.SAFETY_MODE, is_latched=True)

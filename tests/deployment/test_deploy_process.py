@@ -11,7 +11,8 @@ import pytest
 from process_lab import Watcher
 
 from domains import PATIENCE, own_domain
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
+from pixel2catch.ros2.factory import make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock
 
 RATE = 0.05
 """Rate of the clock: what a busy machine makes wait for half a second is not late by this one."""

@@ -20,7 +20,8 @@ from process_lab import ARM, PROFILE, Watcher
 from domains import own_domain
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport, make_transport
+from pixel2catch.ros2.factory import make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, Transport
 from pixel2catch.servo.limits import STOP_TIME
 
 RATE = 0.1

@@ -16,8 +16,9 @@ from pixel2catch.cli.operate import Operate
 from pixel2catch.cli.record import Record
 from pixel2catch.errors import UnknownNameError
 from pixel2catch.ros2.dds import THIS_MACHINE
+from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock, make_transport
+from pixel2catch.ros2.transport import ANY, LOOPBACK, RealClock
 
 INTERFACES = [name for _, name in socket.if_nameindex()]
 COMMANDS = (["deploy"], ["record", "motion.npz", "--out", "tape"], ["operate", "/dev/null"])

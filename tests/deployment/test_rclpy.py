@@ -21,8 +21,9 @@ from servo_rows import LIMITS
 from domains import PATIENCE
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock, Topic
 from pixel2catch.servo.process import ServoSubscriptions
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)

@@ -12,6 +12,7 @@ from pixel2catch.circumstances import circumstances
 from pixel2catch.cli import transfer as command
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.metrics import paired_difference
 from pixel2catch.evaluation.stress.measuring import PolicyEntry, find_policies, measure, plan_results
 from pixel2catch.evaluation.stress.report import REAL_ROBOT
@@ -78,6 +79,22 @@ def test_the_tables_compare_each_engine_with_home():
     rows = list(csv.DictReader(as_csv(table).splitlines()))
     assert len(rows) == 4 * 3
     assert [row["lost"] for row in rows if row["rate"] == "success_rate"] == ["", "", "1", "0"]
+    assert picture(table).startswith(b"\x89PNG")
+
+
+def test_nothing_bounces_in_drake():
+    """Its cells at other restitutions are left out, where it is not the only engine that could have them."""
+    settings = transfer_settings(("mujoco", "drake"), (0.0, 0.25))
+    assert [each.name for each in settings] == ["mujoco-0", "mujoco-0.25", "drake-0"]
+    for engines, restitutions in ((("mujoco", "drake"), (0.25,)), (("drake", "mujoco"), (0.0, 0.25))):
+        with pytest.raises(
+            InvalidValueError, match="nothing bounces in engine 'drake': give --restitution 0"
+        ):
+            transfer_settings(engines, restitutions)
+    policies = [PolicyEntry(name="one", folder=Path("one"), method="proposed")]
+    results = plan_results(policies, settings, Path("out"))
+    table = make_table(results, [content(caught)["metrics"] for caught in ("11", "10", "01")])
+    assert "| one | 0 | drake | 50.0 [10, 90] |" in as_markdown(table)
     assert picture(table).startswith(b"\x89PNG")
 
 

@@ -53,6 +53,26 @@ def test_fingertips_approach_by_hand():
     assert rewards.fingertips_approach(step, ANY).tolist() == [5.0]
 
 
+def test_approach_is_of_the_robot_whose_palm_was_nearest():
+    """The left palm comes from 2 to 0.5 m, the right one from 3 to 1 m; then both from 3, to 1 and 2 m."""
+    palms = [[[2.0, 3.0], [0.5, 1.0]], [[3.0, 3.0], [1.0, 2.0]]]
+    before, now = (
+        privileged(
+            object_pos=torch.zeros(2, 3),
+            palm_pos=torch.nn.functional.pad(torch.tensor([row[i] for row in palms])[..., None], (0, 2)),
+            fingertip_pos=torch.full((2, 8, 3), 4.0 - i),
+        )
+        for i in (0, 1)
+    )
+    step = transition(before, now)
+    left, right = (replace(ANY, palms=slice(i, i + 1), fingertips=slice(4 * i, 4 * i + 4)) for i in (0, 1))
+    assert rewards.palm_approach(step, left).tolist() == [1.5, 2.0]
+    assert rewards.palm_approach(step, right).tolist() == [0.0, 1.0]
+    tips = 4 * 3**0.5
+    assert rewards.fingertips_approach(step, left).tolist() == pytest.approx([tips, tips])
+    assert rewards.fingertips_approach(step, right).tolist() == pytest.approx([0.0, tips])
+
+
 def test_elapsed_time_is_one_per_step():
     now = privileged(object_pos=torch.ones(3, 3))
     assert rewards.elapsed_time(transition(now=now), ANY).tolist() == [1.0, 1.0, 1.0]

@@ -87,11 +87,11 @@ def test_an_episode_ends_on_time_out_drop_and_success():
     assert is_ended(steps(), EpisodeCfg()).tolist() == [False, True, True, True]
 
 
-def test_an_episode_ends_when_robots_hit_each_other():
+@pytest.mark.parametrize("ends", [True, False])
+def test_an_episode_ends_when_robots_hit_each_other_where_that_is_asked_for(ends: bool):
     now = privileged(is_robot_contact=torch.tensor([False, True]))
-    for cfg in (EpisodeCfg(), EpisodeCfg(ends_on_success=False)):
-        ended = is_ended(transition(now=now, held_steps=(0, 0), episode_steps=(3, 3)), cfg)
-        assert ended.tolist() == [False, True]
+    step = transition(now=now, held_steps=(0, 0), episode_steps=(3, 3))
+    assert is_ended(step, EpisodeCfg(ends_on_robot_contact=ends)).tolist() == [False, ends]
 
 
 def test_evaluation_goes_on_after_a_success():

@@ -21,8 +21,9 @@ from pixel2catch.perception.calibration.target import CharucoBoard, View, read_i
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.robots.ur5e import ARM
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import LOOPBACK, RealClock, make_transport
+from pixel2catch.ros2.transport import LOOPBACK, RealClock
 from pixel2catch.scene.constants import RGB_CAMERA
 
 JOINTS = [joint.name for joint in ARM.joints]

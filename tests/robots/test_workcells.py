@@ -1,5 +1,6 @@
 """Every work cell there is: its model, its chains, its agents, and one from a file of one's own."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,11 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import least_squares
 
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp.columns import count, put, take
+from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method, methods_of
 from pixel2catch.policy import contract_of
 from pixel2catch.robots.geometry import WorkcellGeometry, chain_of
@@ -59,15 +62,39 @@ def test_nothing_touches_at_the_start(workcell: WorkcellSpec):
 
 
 def test_palms_look_up_within_reach_of_the_throws(workcell: WorkcellSpec):
-    """Above the table, and near enough to where throws come down: 0.65 to 0.85 m before the base."""
+    """Above the table, and near enough to where throws come down, at 0.65 to 0.85 m."""
     _, data = at_home(workcell)
     for palm in workcell.palms:
         x, y, z = data.site(palm.spec.site).xpos
-        assert 0.35 < x < 0.6
+        assert 0.35 < x < 0.75
         assert abs(y) < 0.65
         assert 1.2 < z < 1.5
         tips = np.mean([data.site(finger.tip).xpos for finger in palm.spec.fingers], axis=0)
         assert tips[0] > x
+
+
+def test_a_palm_can_be_under_every_throw_and_look_up(workcell: WorkcellSpec):
+    """At the corners of where throws come down, by inverse kinematics; as it looks up at the start."""
+    model, data = at_home(workcell)
+    home, throws = data.qpos.copy(), ThrowCfg()
+    errors = np.full((4, len(workcell.palms)), np.inf)
+    for column, palm in enumerate(workcell.palms):
+        site, joints = data.site(palm.spec.site), workcell.joints[palm.carriers]
+        lower, upper = np.array([(joint.lower, joint.upper) for joint in joints]).T
+        data.qpos[:] = home
+        mujoco.mj_kinematics(model, data)
+        up = site.xmat.reshape(3, 3)[2].copy()
+
+        def error(joint_pos, aim, site=site, up=up, columns=palm.carriers):
+            data.qpos[columns] = joint_pos
+            mujoco.mj_kinematics(model, data)
+            return np.append((site.xpos - aim) / 0.05, site.xmat.reshape(3, 3) @ up - (0.0, 0.0, 1.0))
+
+        start = np.clip(home[palm.carriers], lower + 1e-3, upper - 1e-3)
+        for row, aim in enumerate(itertools.product(throws.aim_x, throws.aim_y, throws.aim_z[1:])):
+            found = least_squares(error, start, bounds=(lower, upper), args=(aim,), max_nfev=50)
+            errors[row, column] = np.linalg.norm(found.fun)
+    assert errors.min(axis=1).max() < 0.3  # 1.5 cm, or 17 degrees
 
 
 def test_chains_agree_with_the_model(workcell: WorkcellSpec):

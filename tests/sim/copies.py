@@ -11,7 +11,8 @@ from paper_robot import JOINTS
 from pixel2catch.envs.world import MASS_POWER
 from pixel2catch.scene.objects import OBJECTS
 from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, object_table
-from pixel2catch.sim.simulation import Simulation, make_simulation
+from pixel2catch.sim.factory import make_simulation
+from pixel2catch.sim.simulation import Simulation
 from pixel2catch.sim.warp import WarpSimulation
 
 NUM_ENVS = 4

@@ -13,7 +13,8 @@ from pixel2catch.scene.constants import PHYSICS_DT
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim import warp
 from pixel2catch.sim.batch import BatchSimulation
-from pixel2catch.sim.simulation import Simulation, make_simulation
+from pixel2catch.sim.factory import make_simulation
+from pixel2catch.sim.simulation import Simulation
 
 NAMES = ("cube_s", "sphere_l", "l_block", "capsule_l")
 CATCH_SPOT = (0.44, 0.1333, 1.3915 + 0.15)

@@ -20,9 +20,9 @@ from engine_calibration import (
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.drake import DrakeCopy
+from pixel2catch.sim.factory import ENGINES, make_simulation, require_engine
 from pixel2catch.sim.physx import MOST_EXCLUDED, PhysxCopy
 from pixel2catch.sim.rigid_world import RigidWorld, rigid_world
-from pixel2catch.sim.simulation import ENGINES, make_simulation, require_engine
 
 PACKAGES = {"physx": "sapien", "drake": "pydrake"}
 MISSING = [engine for engine, name in PACKAGES.items() if importlib.util.find_spec(name) is None]

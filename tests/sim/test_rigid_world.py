@@ -14,8 +14,9 @@ from pixel2catch.scene.cfg import contact_solref, restitution_of
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.engine import MOST_ENVS, EngineSimulation
+from pixel2catch.sim.factory import make_simulation
 from pixel2catch.sim.rigid_world import rigid_world, turned_onto
-from pixel2catch.sim.simulation import Simulation, make_simulation
+from pixel2catch.sim.simulation import Simulation
 from pixel2catch.workcells import workcells
 
 TWO_BALLS = """<mujoco>

@@ -16,10 +16,10 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, Within
 from pixel2catch.cli.console import results_console, say
-from pixel2catch.cli.extras import needs_extra
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, require_free_file, write_atomically
+from pixel2catch.installation import needs_extra
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:

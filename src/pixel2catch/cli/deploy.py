@@ -74,7 +74,7 @@ class Deploy:
     def run(self) -> None:
         """Deploy until the end, and say what happened."""
         from pixel2catch.cli.console import say
-        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.installation import needs_extra
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop

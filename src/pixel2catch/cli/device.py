@@ -12,7 +12,7 @@ def prepare(device: str, *, is_here: bool = True) -> str:
     """
     import torch
 
-    from pixel2catch.sim.simulation import require_cuda
+    from pixel2catch.sim.factory import require_cuda
 
     if device == "cpu":
         torch.set_num_threads(1)

@@ -184,7 +184,8 @@ def dds() -> str:
     if importlib.util.find_spec("cyclonedds") is None:
         raise Absent(f"not looked at without cyclonedds: {install_command('deployment')}")
     from pixel2catch.ros2 import messages
-    from pixel2catch.ros2.transport import RealClock, Topic, make_transport
+    from pixel2catch.ros2.factory import make_transport
+    from pixel2catch.ros2.transport import RealClock, Topic
 
     topic, clock = Topic(name="/pixel2catch/doctor", type=messages.BOOLEAN), RealClock()
     with (
@@ -273,8 +274,8 @@ class Doctor:
     def _laboratory(self, profile: str) -> list[Check]:
         """Look at the machine of a deployment, and listen to a robot."""
         from pixel2catch.camera.camera_file import CameraFile
-        from pixel2catch.cli.extras import needs_extra
         from pixel2catch.cli.link import Network, Robot
+        from pixel2catch.installation import needs_extra
         from pixel2catch.scene.constants import RGB_CAMERA
 
         with needs_extra("deployment"):

@@ -86,7 +86,7 @@ class Export:
 
     def _write_data(self, out: Path) -> None:
         from pixel2catch.cli.device import prepare
-        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.installation import needs_extra
 
         with needs_extra("lerobot"):
             import pyarrow  # noqa: F401 (what writes the files)
@@ -95,8 +95,8 @@ class Export:
         print(f"wrote {out}: {said}")
 
     def _write_recording(self, out: Path) -> str:
-        from pixel2catch.cli.extras import needs_extra
         from pixel2catch.datasets.lerobot import DatasetWriter
+        from pixel2catch.installation import needs_extra
         from pixel2catch.workcells import find_workcell
 
         with needs_extra("deployment"):

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pixel2catch.checks import AtMostFull, DynamicsPath
-from pixel2catch.ros2.transport import ANY, LOOPBACK, NetworkName, RealClock, make_transport
+from pixel2catch.ros2.factory import make_transport
+from pixel2catch.ros2.transport import ANY, LOOPBACK, NetworkName, RealClock
 
 if TYPE_CHECKING:
     from pixel2catch.deployment.recorder import Connection, Images

@@ -40,8 +40,8 @@ class Operate:
     def run(self) -> None:
         """Operate until Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
-        from pixel2catch.cli.extras import needs_extra
         from pixel2catch.errors import InvalidValueError
+        from pixel2catch.installation import needs_extra
         from pixel2catch.interruption import StopRequest
 
         with needs_extra("deployment"):
@@ -71,7 +71,7 @@ class Operate:
         self, profile: "Profile", node: "Transport", clock: "Clock", console: "OperatorConsole"
     ) -> "OperatorPage":
         """Open the page, whose button is the switch where there is no device."""
-        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.installation import needs_extra
         from pixel2catch.scene.scene import SceneCfg
 
         with needs_extra("viewer"):

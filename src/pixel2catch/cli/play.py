@@ -94,7 +94,7 @@ class Play:
         if self.robot_model:
             raise InvalidValueError("--web has the robot of this package alone; leave out --robot-model.")
         from pixel2catch.cli.device import prepare
-        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.installation import needs_extra
         from pixel2catch.viewer.config import PlayCfg
 
         prepare("cpu")

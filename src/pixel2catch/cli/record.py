@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
-from pixel2catch.cli.extras import needs_extra
 from pixel2catch.cli.link import Link
+from pixel2catch.installation import needs_extra
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -36,8 +36,8 @@ class Rehearse:
     def run(self) -> None:
         """Rehearse, write the report and print it."""
         from pixel2catch.cli.console import say
-        from pixel2catch.cli.extras import needs_extra
         from pixel2catch.files import json_text, require_free_folder, write_atomically
+        from pixel2catch.installation import needs_extra
 
         with needs_extra("deployment"):
             from pixel2catch.twin.rehearsal import rehearse

@@ -41,8 +41,8 @@ class Replay:
 
     def run(self) -> None:
         """Replay, compare and report."""
-        from pixel2catch.cli.extras import needs_extra
         from pixel2catch.errors import InvalidValueError
+        from pixel2catch.installation import needs_extra
 
         with needs_extra("deployment"):
             from pixel2catch.deployment.replay import compare, recorded_targets, replay
@@ -68,7 +68,7 @@ class Replay:
 
     def _show(self, profile: "Profile", camera: "CameraSpec") -> None:
         """Show the recording until Ctrl-C."""
-        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.installation import needs_extra
 
         with needs_extra("viewer"):
             from pixel2catch.viewer.process import serve_until_interrupted

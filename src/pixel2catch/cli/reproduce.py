@@ -110,7 +110,7 @@ class Reproduce:
         """
         import torch
 
-        from pixel2catch.sim.simulation import require_cuda
+        from pixel2catch.sim.factory import require_cuda
 
         devices = self.device or ("cuda" if torch.cuda.is_available() else "cpu",)
         for device in (*devices, *self.evaluation_device):

@@ -17,9 +17,9 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder, NotNegative, Positive
 from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import results_console, say
-from pixel2catch.cli.extras import needs_extra
 from pixel2catch.errors import PerceptionError
 from pixel2catch.files import json_text, require_free_folder, write_atomically
+from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
 

@@ -92,7 +92,7 @@ class Train:
         """The page of this training, if there is to be one; of several processes the first has it."""
         if not self.web or os.environ.get("RANK", "0") != "0":
             return nullcontext()
-        from pixel2catch.cli.extras import needs_extra
+        from pixel2catch.installation import needs_extra
 
         with needs_extra("viewer"):
             from pixel2catch.viewer.process import page_process
@@ -122,7 +122,7 @@ class Train:
                 given[name] = policy_folder(given[name])
         import torch
 
-        from pixel2catch.sim.simulation import require_cuda
+        from pixel2catch.sim.factory import require_cuda
 
         if self.resume and (self._folder / CONFIG_FILE).exists():
             named = PRESETS[self.preset] if self.preset else {}

@@ -30,7 +30,8 @@ class Transfer:
     policies: Positional[tuple[PolicyPath, ...]] = ()
     #: Engines: mujoco, physx, drake; the first is home, with which the others are compared.
     engines: tuple[str, ...] = ("mujoco", "physx")
-    #: Restitutions of the objects. Default: drawn for every throw, from 0 to 0.5, as in training.
+    #: Restitutions of the objects; drake has 0 alone. Default: drawn for every throw, from 0 to 0.5, as in
+    #: training.
     restitution: tuple[Share, ...] = ()
     throws: Count = 200  #: Throws in each cell: up to 20, or a multiple of 20.
     #: What is thrown: seen, unseen, real, sizes, names of objects, or several of them.
@@ -63,7 +64,7 @@ class Transfer:
         from pixel2catch.files import json_text
         from pixel2catch.progress import ProgressBar, duration
         from pixel2catch.shipped import policy_folder
-        from pixel2catch.sim.simulation import require_engine
+        from pixel2catch.sim.factory import require_engine
 
         for engine in self.engines:
             require_engine(engine)

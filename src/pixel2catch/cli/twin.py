@@ -39,8 +39,8 @@ class Twin:
 
         from pixel2catch.cli.console import say
         from pixel2catch.cli.device import prepare
-        from pixel2catch.cli.extras import needs_extra
         from pixel2catch.evaluation.loading import load_policy
+        from pixel2catch.installation import needs_extra
         from pixel2catch.interruption import StopRequest
         from pixel2catch.workcells import find_workcell
 

@@ -26,7 +26,8 @@ from pixel2catch.scene.cfg import contact_solref
 from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA, CameraSpec
 from pixel2catch.scene.objects import OBJECTS, surface_points
 from pixel2catch.scene.scene import ObjectTable, SceneCfg, build_model, contact_sensors, object_table
-from pixel2catch.sim.simulation import Simulation, make_simulation
+from pixel2catch.sim.factory import make_simulation
+from pixel2catch.sim.simulation import Simulation
 from pixel2catch.workcells import find_workcell
 
 OCCLUDER_GROUPS = (0, 3)  #: Geom groups that can hide the object: table and floor, robot.

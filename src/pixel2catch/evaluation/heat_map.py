@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
+from math import isnan
 
 import matplotlib
 import numpy as np
@@ -29,7 +30,7 @@ def heat_map(
     """Rates [%] in coloured cells, each with a mark behind it, as a PNG file.
 
     Rows and columns have titles; thick lines part rows of different groups. The label is that of the colours;
-    digits are those of the rates behind the point.
+    digits are those of the rates behind the point; cells of nan stay empty.
     """
     width = COLUMN_WIDTH * len(columns) + 0.45 * max(len(m) for row in marks for m in row) / 8
     figure = Figure(figsize=(3.0 + width, 1.5 + ROW_HEIGHT * len(rates)), layout="constrained")
@@ -58,7 +59,14 @@ def _write_numbers(axes: Axes, rates: Sequence[Sequence[float]], marks: Texts, d
     for i, row in enumerate(rates):
         for j, rate in enumerate(row):
             color = "white" if rate < DARK else "black"
-            axes.text(j + 0.5, i + 0.53, f"{rate:.{digits}f}", ha="center", va="center", color=color)
+            axes.text(
+                j + 0.5,
+                i + 0.53,
+                "" if isnan(rate) else f"{rate:.{digits}f}",
+                ha="center",
+                va="center",
+                color=color,
+            )
             axes.text(j + 0.72, i + 0.56, marks[i][j], ha="left", va="center", color=color)
 
 

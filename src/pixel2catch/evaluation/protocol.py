@@ -68,8 +68,8 @@ class EvaluationCfg:
         require_valid(self)
 
     def make_env(self, method: Method) -> CatchEnv:
-        """The environments: like those of training, but only the loss of the object ends an episode."""
-        endings = EpisodeCfg(max_steps=ROUND_STEPS + 1, ends_on_success=False)
+        """The environments: episodes end by the loss of the object or by robots that hit each other alone."""
+        endings = EpisodeCfg(max_steps=ROUND_STEPS + 1, ends_on_success=False, ends_on_robot_contact=True)
         task = replace(self.task, objects=self.objects, episode=endings)
         return CatchEnv(task, method, num_envs=self.num_envs, device=self.device, seed=self.seed)
 

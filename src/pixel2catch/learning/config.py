@@ -50,17 +50,20 @@ class TrainCfg:
     """Name of the method."""
     env: Any = None
     """The environments: a `CatchEnvCfg` with the task's values and what is given."""
-    num_envs: Count = 4096
+    num_envs: Count = 8192
     """Environments that are simulated side by side, in all processes of torchrun together."""
     device: Device = "cuda"
     """Where to simulate and learn: cpu, cuda (each process on its own device), cuda:1, ... Default: cuda
     where there is one."""
     seed: Seed = 0
     """Seed of networks, exploration and environments."""
-    physics_hz: tuple[PhysicsRate, ...] = (120.0, 120.0, 240.0)
+    physics_hz: tuple[PhysicsRate, ...] = (120.0, 120.0, 120.0, 120.0, 120.0, 240.0)
     """Physics steps in a second, multiples of 30; several: one after the other, in equal shares of the
     training, coarse first (120: paper), then finer, so that the policy does not live by what coarse steps do
     to an impact (ours)."""
+    cone: Literal["elliptic", "pyramidal"] = "pyramidal"
+    """Friction cones of the contacts in training: elliptic, as in evaluations, or pyramidal, which are
+    computed faster and teach as much (ours)."""
     dynamics: DynamicsPath | None = None
     """Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps a copy.
     Evaluations take it by their own --dynamics only. Default: the nominal robot."""
@@ -93,7 +96,7 @@ class TrainCfg:
     """Control steps of every environment between two updates."""
     epochs: Count = 4
     """Passes over a rollout in an update. Source: release."""
-    mini_batches: Count = 4
+    mini_batches: Count = 8
     """Gradient steps a pass. Source: release."""
     schedule: Literal["linear", "kl"] = "linear"
     """How the learning rate changes: linear over the transitions, or kl adaptive."""
@@ -202,13 +205,23 @@ class TrainCfg:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {},
-    "cpu": {"device": "cpu", "num_envs": 256, "rollout_steps": 32, "transitions": 5_000_000, "epochs": 3},
+    "cpu": {
+        "device": "cpu",
+        "num_envs": 256,
+        "physics_hz": (120.0, 120.0, 240.0),
+        "rollout_steps": 32,
+        "transitions": 5_000_000,
+        "epochs": 3,
+        "mini_batches": 4,
+    },
     "paper": {
         "num_envs": 512,
         "rollout_steps": 32,
         "transitions": 51_200_000,
         "schedule": "kl",
         "physics_hz": (120.0,),
+        "cone": "elliptic",
+        "mini_batches": 4,
         "initial_log_std": 0.0,
         "learning_rate": 5e-4,
         "final_learning_rate": 1e-5,

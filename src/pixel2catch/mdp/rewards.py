@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.mdp.snapshot import Privileged, Transition
@@ -57,15 +57,15 @@ def elapsed_time(transition: Transition, part: BodyPart) -> Float[Tensor, " num_
 
 
 def palm_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
-    """Sum over the palms of d(t-1) - d(t) to the object [m]. Source: paper, Eq. 2."""
+    """Sum over the palms of d(t-1) - d(t) to the object [m], for the nearest robot. Source: paper, Eq. 2."""
     closer = palm_distance(transition.before) - palm_distance(transition.now)
-    return closer[:, part.palms].sum(dim=-1)
+    return torch.where(_is_nearest(transition, part), closer[:, part.palms].sum(dim=-1), 0.0)
 
 
 def fingertips_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
-    """Sum over the fingertips of d(t-1) - d(t) to the object [m]. Source: paper, Eq. 2 and 4."""
+    """Sum over the fingertips of d(t-1) - d(t) to the object [m], likewise. Source: paper, Eq. 2 and 4."""
     closer = _fingertip_distance(transition.before) - _fingertip_distance(transition.now)
-    return closer[:, part.fingertips].sum(dim=-1)
+    return torch.where(_is_nearest(transition, part), closer[:, part.fingertips].sum(dim=-1), 0.0)
 
 
 def success(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
@@ -89,7 +89,7 @@ def table_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num
 
 
 def robot_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
-    """One when robots hit each other, which ends the episode. Source: ours."""
+    """One while robots touch each other. Source: ours."""
     return transition.now.is_robot_contact.float()
 
 
@@ -124,6 +124,15 @@ def unrest(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]
 def self_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """One while the robot touches itself. Source: ours: finger tips that press on each other wear."""
     return transition.now.is_self_contact.float()
+
+
+def _is_nearest(transition: Transition, part: BodyPart) -> Bool[Tensor, " num_envs"]:
+    """Whether the palm nearest to the object before the step is of the part's robot.
+
+    Source: ours, so that several robots are not all drawn to one place; the paper's only robot always is.
+    """
+    distance = palm_distance(transition.before)
+    return distance[:, part.palms].amin(dim=-1) <= distance.amin(dim=-1)
 
 
 def _fingertip_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_fingers"]:

@@ -26,6 +26,9 @@ class EpisodeCfg:
     max_steps: int = 90  #: Control steps after which it ends: 3.0 s (Source: release).
     #: Whether a success ends it (Source: paper; evaluation goes on to test the hold).
     ends_on_success: bool = True
+    #: Whether robots that touch each other end it, as in evaluation and on the wire (ours). In training that
+    #: costs instead: robots whose episodes end so learn to keep apart before they learn to catch.
+    ends_on_robot_contact: bool = False
 
 
 def palm_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_palms"]:
@@ -65,5 +68,6 @@ def is_lost(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
 
 def is_ended(transition: Transition, cfg: EpisodeCfg) -> Bool[Tensor, " num_envs"]:
     """Success, loss or time-out. Source: paper; a time-out is a termination there, so it is one here."""
-    ended = is_lost(transition.now) | (transition.episode_steps >= cfg.max_steps)
+    lost = is_lost if cfg.ends_on_robot_contact else is_dropped
+    ended = lost(transition.now) | (transition.episode_steps >= cfg.max_steps)
     return ended | is_success(transition) if cfg.ends_on_success else ended

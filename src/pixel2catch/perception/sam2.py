@@ -36,8 +36,8 @@ from pixel2catch.perception.segmenter import (
     check_image,
 )
 from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.sim.factory import require_cuda
 from pixel2catch.sim.graphs import GraphedFunction
-from pixel2catch.sim.simulation import require_cuda
 
 Module = Literal["vision_encoder", "memory_attention", "mask_decoder", "memory_encoder"]
 """A part of the model whose kernels can be fused."""

@@ -6,8 +6,7 @@ well, zeros at the first step of an episode, and `next_hidden_state.NAME` (num_e
 The metadata's entry `policy` is what `policy.json` says, the contract included.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -18,7 +17,7 @@ from torch import Tensor, nn
 
 from pixel2catch.errors import InvalidValueError, NonFiniteError, PolicyMismatchError
 from pixel2catch.files import MOST_WEIGHTS, json_object, read_bytes, reading, shown
-from pixel2catch.installation import install_command
+from pixel2catch.installation import needs_extra
 from pixel2catch.policy.contract import PolicyContract
 from pixel2catch.policy.networks import INPUT_CLIP, AgentNetwork
 from pixel2catch.policy.policy import Policy, described
@@ -226,14 +225,8 @@ def _require_same(policy: Policy, exported: OnnxPolicy) -> None:
         )
 
 
-@contextmanager
-def _needs_libraries() -> Iterator[None]:
-    try:
-        yield
-    except ImportError as error:
-        raise PolicyMismatchError(
-            f"ONNX files need a package that cannot be imported ({error}): {install_command('onnx')}."
-        ) from None
+def _needs_libraries() -> AbstractContextManager[None]:
+    return needs_extra("onnx", "ONNX files need a package that", PolicyMismatchError)
 
 
 def _session(model: bytes | Path, name: str) -> "InferenceSession":

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, final
 
 from pixel2catch.checks import Requirement
-from pixel2catch.errors import DeploymentError, InvalidValueError, UnknownNameError
-from pixel2catch.installation import install_command
+from pixel2catch.errors import InvalidValueError, UnknownNameError
 
 
 class Clock(ABC):
@@ -153,13 +152,6 @@ class Transport(ABC):
         self.close()
 
 
-TRANSPORTS = {
-    "dds": install_command("deployment"),
-    "ros": "source ROS 2 (. /opt/ros/*/setup.sh) and use its Python, or take the transport dds",
-}
-"""Names of the transports, and how to get what they need."""
-
-
 LOOPBACK, ANY = "lo", "any"
 """Networks besides the interfaces of this machine: itself alone, and what the transport takes by itself."""
 
@@ -178,27 +170,3 @@ class Reachable(Requirement):
 
 NetworkName = Annotated[str, Reachable()]
 """`LOOPBACK`, an interface of this machine, or `ANY`."""
-
-
-def make_transport(name: str, node_name: str, network: str, clock: RealClock) -> Transport:
-    """Join a network, a `NetworkName`, by one of `TRANSPORTS`.
-
-    Raises:
-        UnknownNameError: There is no such transport or network.
-        DeploymentError: Its library is missing, or it cannot be started.
-    """
-    if name not in TRANSPORTS:
-        raise UnknownNameError("transport", name, TRANSPORTS)
-    Reachable().require("network", network)
-    try:
-        if name == "dds":
-            from pixel2catch.ros2.dds import DdsTransport
-
-            return DdsTransport(node_name, clock, network=network)
-        from pixel2catch.ros2.rclpy_node import RosTransport
-
-        return RosTransport(node_name, clock, network=network)
-    except ImportError as error:
-        raise DeploymentError(
-            f"the transport '{name}' cannot be loaded ({error}): {TRANSPORTS[name]}."
-        ) from error

@@ -16,14 +16,13 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
-from pixel2catch.installation import install_command
+from pixel2catch.installation import needs_extra
 from pixel2catch.sim.engine import EngineCopy, Inputs
-from pixel2catch.sim.rigid_world import Body, Geom, Pose, RigidWorld
+from pixel2catch.sim.rigid_world import Body, Geom, Pose, RigidWorld, rotation_of
 
 MODULES = {
     "plant": "pydrake.multibody.plant",
     "tree": "pydrake.multibody.tree",
-    "math": "pydrake.multibody.math",
     "geometry": "pydrake.geometry",
     "framework": "pydrake.systems.framework",
     "transforms": "pydrake.math",
@@ -48,8 +47,7 @@ class DrakeCopy(EngineCopy):
 
         Raises:
             DeviceUnavailableError: If Drake is not installed.
-            InvalidValueError: If there is a restitution, a shape is none of Drake's, or gravity pulls at some
-                links alone.
+            InvalidValueError: If there is a restitution, or gravity pulls at some links alone.
         """
         if world.restitution > 1e-6:
             raise InvalidValueError(
@@ -72,14 +70,10 @@ class DrakeCopy(EngineCopy):
         self._qpos = [body.qpos for body in hinges]
         self._dofs = [body.dof for body in hinges]
         self._ctrl = [body.joint.actuator for body in hinges if body.joint is not None]
+        free = [(body, made.bodies[body.number]) for body in world.bodies if body.joint is None]
         self._free = [
-            (
-                body,
-                made.bodies[body.number].floating_positions_start(),
-                made.bodies[body.number].floating_velocities_start_in_v(),
-            )
-            for body in world.bodies
-            if body.joint is None
+            (body, made.floating_positions_start(), made.floating_velocities_start_in_v())
+            for body, made in free
         ]
         self._aim = np.zeros(2 * len(hinges))
         self._target = plant.get_desired_state_input_port(made.robots)
@@ -90,11 +84,9 @@ class DrakeCopy(EngineCopy):
         q, v = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())
         q[self._q], v[self._v] = qpos[self._qpos], qvel[self._dofs]
         for body, first, speed in self._free:
-            q[first : first + 4], q[first + 4 : first + 7] = (
-                qpos[body.qpos + 3 : body.qpos + 7],
-                qpos[body.qpos : body.qpos + 3],
-            )
-            v[speed : speed + 3] = _rotation(q[first : first + 4]) @ qvel[body.dof + 3 : body.dof + 6]
+            q[first : first + 4] = qpos[body.qpos + 3 : body.qpos + 7]
+            q[first + 4 : first + 7] = qpos[body.qpos : body.qpos + 3]
+            v[speed : speed + 3] = rotation_of(q[first : first + 4]) @ qvel[body.dof + 3 : body.dof + 6]
             v[speed + 3 : speed + 6] = qvel[body.dof : body.dof + 3]
         plant.SetPositionsAndVelocities(self._context, np.concatenate((q, v)))
 
@@ -109,7 +101,7 @@ class DrakeCopy(EngineCopy):
             )
         positions = self._plant.GetPositions(self._context)
         for body, first, speed in self._free:
-            rotation = _rotation(positions[first : first + 4])
+            rotation = rotation_of(positions[first : first + 4])
             applied, pushed = inputs.qfrc_applied[body.dof : body.dof + 6], inputs.xfrc_applied[body.number]
             arm = rotation @ body.inertial_pose[:3, 3]
             force[speed : speed + 3] = rotation @ applied[3:] + pushed[3:] + np.cross(arm, pushed[:3])
@@ -126,7 +118,7 @@ class DrakeCopy(EngineCopy):
             quat = q[first : first + 4] / np.linalg.norm(q[first : first + 4])
             qpos[body.qpos + 3 : body.qpos + 7] = quat
             qvel[body.dof : body.dof + 3] = v[speed + 3 : speed + 6]
-            qvel[body.dof + 3 : body.dof + 6] = _rotation(quat).T @ v[speed : speed + 3]
+            qvel[body.dof + 3 : body.dof + 6] = rotation_of(quat).T @ v[speed : speed + 3]
 
 
 @final
@@ -214,38 +206,21 @@ class _Builder:
             self._shapes.append((number, geom, made))
 
     def _shape(self, geom: Geom) -> Any:
-        """A shape of Drake.
-
-        Raises:
-            InvalidValueError: If Drake has no such shape.
-        """
-        geometry, kinds = self._drake["geometry"], mujoco.mjtGeom
-        match geom.type:
-            case kinds.mjGEOM_BOX:
-                return geometry.Box(*(2.0 * geom.size))
-            case kinds.mjGEOM_SPHERE:
-                return geometry.Sphere(geom.size[0])
-            case kinds.mjGEOM_CAPSULE:
-                return geometry.Capsule(geom.size[0], 2.0 * geom.size[1])
-            case kinds.mjGEOM_CYLINDER:
-                return geometry.Cylinder(geom.size[0], 2.0 * geom.size[1])
-            case kinds.mjGEOM_PLANE:
-                return geometry.HalfSpace()
-            case kinds.mjGEOM_MESH:
-                return geometry.Convex(geom.vertices.T, "hull")
-            case _:
-                raise InvalidValueError(f"Drake has no shape for a geom of type {geom.type.name}")
+        geometry, kinds, size = self._drake["geometry"], mujoco.mjtGeom, geom.size
+        make = {
+            kinds.mjGEOM_BOX: lambda: geometry.Box(*(2.0 * size)),
+            kinds.mjGEOM_SPHERE: lambda: geometry.Sphere(size[0]),
+            kinds.mjGEOM_CAPSULE: lambda: geometry.Capsule(size[0], 2.0 * size[1]),
+            kinds.mjGEOM_CYLINDER: lambda: geometry.Cylinder(size[0], 2.0 * size[1]),
+            kinds.mjGEOM_PLANE: geometry.HalfSpace,
+            kinds.mjGEOM_MESH: lambda: geometry.Convex(geom.vertices.T, "hull"),
+        }
+        return make[geom.type]()
 
     def _pose(self, matrix: Pose) -> Any:
         transforms = self._drake["transforms"]
         rotation = transforms.RotationMatrix.ProjectToRotationMatrix(matrix[:3, :3])
         return transforms.RigidTransform(rotation, matrix[:3, 3])
-
-
-def _rotation(quat: Float[ndarray, "4"]) -> Float[ndarray, "3 3"]:
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, np.ascontiguousarray(quat))
-    return rotation.reshape(3, 3)
 
 
 @cache
@@ -255,11 +230,7 @@ def load_drake() -> dict[str, Any]:
     Raises:
         DeviceUnavailableError: If it is not installed.
     """
-    try:
+    with needs_extra("drake", "engine 'drake' needs Drake, which", DeviceUnavailableError):
         modules = {name: importlib.import_module(module) for name, module in MODULES.items()}
-    except ImportError as error:
-        raise DeviceUnavailableError(
-            f"engine 'drake' needs Drake, which cannot be imported ({error}): {install_command('drake')}."
-        ) from None
     logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of what half-spaces do to soft bodies
     return modules

@@ -16,9 +16,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from pixel2catch.errors import DeviceUnavailableError, InvalidValueError
-from pixel2catch.installation import install_command
+from pixel2catch.installation import needs_extra
 from pixel2catch.sim.engine import EngineCopy, Inputs
-from pixel2catch.sim.rigid_world import Body, Geom, Joint, Pose, RigidWorld, quat_of, turned_onto
+from pixel2catch.sim.rigid_world import Body, Geom, Joint, Pose, RigidWorld, quat_of, rotation_of, turned_onto
 
 MOST_EXCLUDED = 32  #: Pairs that do not collide; SAPIEN has that many bits.
 COLLISION_ID = 1  #: Pairs are left out among shapes of the same number.
@@ -28,6 +28,9 @@ Component = Any
 
 ALONG_Z = turned_onto(np.array((0.0, 0.0, 1.0)))
 """MuJoCo's capsules, cylinders and planes have their axis along z, PhysX's along x."""
+
+UNTURNED = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_MESH)
+"""Shapes that are alike in both."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,18 +54,19 @@ class PhysxCopy(EngineCopy):
 
         Raises:
             DeviceUnavailableError: If SAPIEN is not installed.
-            InvalidValueError: If too many pairs of bodies are excluded from collision, or a shape is none of
-                PhysX's.
+            InvalidValueError: If too many pairs of bodies are excluded from collision.
         """
         if len(world.excluded) > MOST_EXCLUDED:
             raise InvalidValueError(
                 f"{len(world.excluded)} pairs of bodies do not collide; PhysX has room for {MOST_EXCLUDED}"
             )
-        sapien = load_sapien()
-        self._system = _system(world, cfg)
+        sapien, physx = load_sapien(), load_sapien().physx
+        physx.set_scene_config(gravity=world.gravity, bounce_threshold=cfg.bounce_speed)
+        self._system = physx.PhysxCpuSystem()
+        self._system.timestep = world.timestep
         self._scene = sapien.Scene([self._system])
         shapes = _Shapes(world, cfg.contact_speed * world.timestep)
-        self._add(shapes.attached(sapien.physx.PhysxRigidStaticComponent(), world.fixed[0]))
+        self._add(shapes.attached(physx.PhysxRigidStaticComponent(), world.fixed[0]))
         self._components = _components(world, shapes)
         for component in self._components.values():
             self._add(component)
@@ -83,7 +87,7 @@ class PhysxCopy(EngineCopy):
             tree.articulation.set_qvel(qvel[tree.dofs])
         for body, component in self._free:
             pos, quat = qpos[body.qpos : body.qpos + 3], qpos[body.qpos + 3 : body.qpos + 7]
-            rotation = _rotation(quat)
+            rotation = rotation_of(quat)
             angular = rotation @ qvel[body.dof + 3 : body.dof + 6]
             arm = rotation @ body.inertial_pose[:3, 3]
             component.entity.set_pose(load_sapien().Pose(pos, quat))
@@ -114,7 +118,7 @@ class PhysxCopy(EngineCopy):
         for body, component in self._free:
             pose = component.entity.pose
             qpos[body.qpos : body.qpos + 3], qpos[body.qpos + 3 : body.qpos + 7] = pose.p, pose.q
-            rotation = _rotation(qpos[body.qpos + 3 : body.qpos + 7])
+            rotation = rotation_of(qpos[body.qpos + 3 : body.qpos + 7])
             angular = np.array(component.angular_velocity, dtype=float)
             arm = rotation @ body.inertial_pose[:3, 3]
             qvel[body.dof : body.dof + 3] = component.linear_velocity - _cross(angular, arm)
@@ -207,46 +211,28 @@ class _Shapes:
     def attached(self, component: Component, geoms: tuple[Geom, ...], number: int = 0) -> Component:
         """The component with these shapes; the number of its body says with which it does not collide."""
         for geom in geoms:
-            shape, frame = self._shape(geom)
-            shape.set_local_pose(_pose(geom.pose @ frame))
+            shape = self._shape(geom)
             left_out = sum(1 << i for i, pair in enumerate(self._excluded) if number in pair)
             shape.set_collision_groups([geom.contype, geom.conaffinity, left_out, COLLISION_ID])
             shape.contact_offset, shape.rest_offset = self._offset, 0.0
             component.attach(shape)
         return component
 
-    def _shape(self, geom: Geom) -> tuple[Any, Pose]:
-        """A shape of PhysX, and its frame in that of the geom.
-
-        Raises:
-            InvalidValueError: If PhysX has no such shape.
-        """
-        physx, kinds = load_sapien().physx, mujoco.mjtGeom
-        match geom.type:
-            case kinds.mjGEOM_BOX:
-                return physx.PhysxCollisionShapeBox(geom.size, self._material), np.eye(4)
-            case kinds.mjGEOM_SPHERE:
-                return physx.PhysxCollisionShapeSphere(geom.size[0], self._material), np.eye(4)
-            case kinds.mjGEOM_CAPSULE:
-                return physx.PhysxCollisionShapeCapsule(*geom.size[:2], self._material), ALONG_Z
-            case kinds.mjGEOM_CYLINDER:
-                return physx.PhysxCollisionShapeCylinder(*geom.size[:2], self._material), ALONG_Z
-            case kinds.mjGEOM_PLANE:
-                return physx.PhysxCollisionShapePlane(self._material), ALONG_Z
-            case kinds.mjGEOM_MESH:
-                return physx.PhysxCollisionShapeConvexMesh(geom.vertices, np.ones(3), self._material), np.eye(
-                    4
-                )
-            case _:
-                raise InvalidValueError(f"PhysX has no shape for a geom of type {geom.type.name}")
-
-
-def _system(world: RigidWorld, cfg: PhysxCfg) -> Any:
-    physx = load_sapien().physx
-    physx.set_scene_config(gravity=world.gravity, bounce_threshold=cfg.bounce_speed)
-    system = physx.PhysxCpuSystem()
-    system.timestep = world.timestep
-    return system
+    def _shape(self, geom: Geom) -> Any:
+        physx, kinds, size, material = load_sapien().physx, mujoco.mjtGeom, geom.size, self._material
+        make = {
+            kinds.mjGEOM_BOX: lambda: physx.PhysxCollisionShapeBox(size, material),
+            kinds.mjGEOM_SPHERE: lambda: physx.PhysxCollisionShapeSphere(size[0], material),
+            kinds.mjGEOM_CAPSULE: lambda: physx.PhysxCollisionShapeCapsule(*size[:2], material),
+            kinds.mjGEOM_CYLINDER: lambda: physx.PhysxCollisionShapeCylinder(*size[:2], material),
+            kinds.mjGEOM_PLANE: lambda: physx.PhysxCollisionShapePlane(material),
+            kinds.mjGEOM_MESH: lambda: physx.PhysxCollisionShapeConvexMesh(
+                geom.vertices, np.ones(3), material
+            ),
+        }
+        shape = make[geom.type]()
+        shape.set_local_pose(_pose(geom.pose if geom.type in UNTURNED else geom.pose @ ALONG_Z))
+        return shape
 
 
 def _pose(matrix: Pose) -> Any:
@@ -260,12 +246,6 @@ def _cross(first: Float[ndarray, "3"], second: Float[ndarray, "3"]) -> Float[nda
     return result
 
 
-def _rotation(quat: Float[ndarray, "4"]) -> Float[ndarray, "3 3"]:
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, quat)
-    return rotation.reshape(3, 3)
-
-
 @cache
 def load_sapien() -> Any:
     """The package, of which a renderer is no part that is needed here.
@@ -273,11 +253,8 @@ def load_sapien() -> Any:
     Raises:
         DeviceUnavailableError: If it is not installed.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that there is no graphics driver
-            return importlib.import_module("sapien")
-    except ImportError as error:
-        raise DeviceUnavailableError(
-            f"engine 'physx' needs SAPIEN, which cannot be imported ({error}): {install_command('physx')}."
-        ) from None
+    with (
+        needs_extra("physx", "engine 'physx' needs SAPIEN, which", DeviceUnavailableError),
+        warnings.catch_warnings(action="ignore"),  # that there is no graphics driver
+    ):
+        return importlib.import_module("sapien")

@@ -122,6 +122,13 @@ def quat_of(pose: Pose) -> Float[ndarray, "4"]:
     return quat
 
 
+def rotation_of(quat: Float[ndarray, "4"]) -> Float[ndarray, "3 3"]:
+    """The rotation matrix of a quaternion (w, x, y, z)."""
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, np.ascontiguousarray(quat))
+    return rotation.reshape(3, 3)
+
+
 def turned_onto(axis: Float[ndarray, "3"]) -> Pose:
     """A frame at the origin whose x axis lies along this axis, of length 1."""
     other = np.eye(3)[np.argmin(np.abs(axis))]
@@ -153,6 +160,8 @@ def _refuse(model: mujoco.MjModel) -> None:
     for name in ("dof_damping", "dof_frictionloss", "jnt_stiffness"):
         if getattr(model, name).any():
             found.append(name)
+    if (model.geom_type > int(mujoco.mjtGeom.mjGEOM_MESH)).any():
+        found.append("signed distance fields")
     if model.qpos0[model.jnt_qposadr[model.jnt_type == hinge]].any():
         found.append("a reference angle other than 0")
     if found:

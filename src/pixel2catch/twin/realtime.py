@@ -17,7 +17,8 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.rendering.camera import Exposure, Image, RoomCamera
 from pixel2catch.rendering.renderer import find_gl_backend
-from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock, make_transport
+from pixel2catch.ros2.factory import make_transport
+from pixel2catch.ros2.transport import LOOPBACK, Clock, RealClock
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.process import set_niceness
 from pixel2catch.twin.config import TwinCfg

@@ -8,8 +8,9 @@ from pixel2catch.robots.workcell import WorkcellSpec
 WORKCELLS = (
     WorkcellSpec(
         name="fr3_allegro",
-        robots=(Placed(robot=FR3.holding(allegro(), pos=(0.0, 0.0, 0.0095)), pos=(-0.15, 0.0, 0.81)),),
+        robots=(Placed(robot=FR3.holding(allegro(), pos=(0.0, 0.0, 0.0095)), pos=(0.1, 0.0, 0.81)),),
     ),
 )
-"""Behind the middle of the table; the hand's frame sits 9.5 mm above the flange, the least that an adapter
-takes (ours)."""
+"""The hand's frame sits 9.5 mm above the flange, the least that an adapter takes. The base stands as far
+forward as the palm needs to be under every throw and look up there (ours).
+"""

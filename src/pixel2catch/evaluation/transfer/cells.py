@@ -4,11 +4,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics, pooled_counts, wilson_interval
 from pixel2catch.evaluation.protocol import ROUND_STEPS, EvaluationCfg, Trials, round_steps
 from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
+from pixel2catch.sim.factory import INELASTIC
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
 RATES = {
@@ -24,11 +26,22 @@ PROBE_STEPS = 3  #: Control steps by which the time of a cell is estimated. Sour
 
 
 def transfer_settings(engines: Sequence[str], restitutions: Sequence[float]) -> tuple[Setting, ...]:
-    """Engines by restitutions; without any of these, they are drawn as the task says."""
-    levels = [(f"{value:g}", {"restitution": (value, value)}) for value in restitutions]
-    levels = levels or [(AS_TRAINED, {})]
+    """Engines by restitutions; without any of these, they are drawn as the task says.
+
+    Engines in which nothing bounces get the restitution 0 alone.
+
+    Raises:
+        InvalidValueError: If that leaves such an engine without any, or home without one of the others'.
+    """
     settings = []
     for engine in engines:
+        values = [value for value in restitutions if value == 0.0 or engine not in INELASTIC]
+        if len(values) < len(restitutions) and (not values or engine == engines[0]):
+            raise InvalidValueError(
+                f"nothing bounces in engine '{engine}': give --restitution 0 too, and another engine first"
+            )
+        levels = [(f"{value:g}", {"restitution": (value, value)}) for value in values]
+        levels = levels or [(AS_TRAINED, {})]
         steps = part("scene", engine=engine)
         axis = Axis(
             name=engine,

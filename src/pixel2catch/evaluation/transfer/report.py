@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from math import comb
+from math import comb, nan
 from pathlib import Path
 
 from pixel2catch import offline_page
@@ -140,9 +140,10 @@ def picture(table: Json) -> bytes:
     found = {(c["policy"], c["restitution"], c["engine"]): c["success_rate"] for c in table["cells"]}
     places = list(dict.fromkeys((policy, label) for policy, label, _ in found))
     places.sort(key=lambda place: [each["policy"] for each in table["cells"]].index(place[0]))
-    marks = [[_signed(found[(*place, engine)].get("difference")) for engine in engines] for place in places]
+    cells = [[found.get((*place, engine), {"rate": nan}) for engine in engines] for place in places]
+    marks = [[_signed(cell.get("difference")) for cell in row] for row in cells]
     return heat_map(
-        [[100.0 * found[(*place, engine)]["rate"] for engine in engines] for place in places],
+        [[100.0 * cell["rate"] for cell in row] for row in cells],
         marks,
         [f"{policy}, restitution {label}" for policy, label in places],
         engines,

@@ -1,5 +1,6 @@
 """The FR3 of Franka Robotics: seven joints, `fr3_flange` at its end."""
 
+from math import radians
 from pathlib import Path
 
 from pixel2catch.robots.spec import JointGroup, JointSpec, RobotSpec
@@ -23,11 +24,11 @@ ARM = JointGroup(
         for number, lower, upper, home, stiffness, armature, loss, effort, speed in (
             (1, -1.2, 1.2, 0.0, 2500.0, 0.195, 1.137, 87.0, 2.62),
             (2, -1.8361, 1.8361, 0.018, 2500.0, 0.195, 1.137, 87.0, 2.62),
-            (3, -0.6, 0.6, 0.0, 2500.0, 0.195, 1.137, 87.0, 2.62),
+            (3, -radians(20), radians(20), 0.0, 2500.0, 0.195, 1.137, 87.0, 2.62),
             (4, -3.0770, -0.1169, -2.357, 2500.0, 0.195, 1.137, 87.0, 2.62),
-            (5, -0.6, 0.6, 0.0, 2000.0, 0.074, 0.763, 12.0, 5.26),
-            (6, 0.4398, 4.6216, 3.737, 2000.0, 0.074, 0.44, 12.0, 4.18),
-            (7, -0.6, 0.6, 0.0, 2000.0, 0.074, 0.248, 12.0, 5.26),
+            (5, -radians(20), radians(20), 0.0, 2000.0, 0.074, 0.763, 12.0, 2.62),
+            (6, 0.4398, 4.6216, 3.737, 2000.0, 0.074, 0.44, 12.0, 2.62),
+            (7, -radians(20), radians(20), 0.0, 2000.0, 0.074, 0.248, 12.0, 2.62),
         )
     ),
     command="relative",
@@ -37,11 +38,13 @@ ARM = JointGroup(
 )
 """From base to flange.
 
-Source: limits of joints 2, 4 and 6, torques and speeds: the maker's description; armature and friction:
-published identification of the arm (MuJoCo Menagerie's figures). Limits of joints 1, 3, 5 and 7 are narrowed
-to what catching needs, as the release does with the UR5e's pan and wrists (ours); start pose: the palm is
-where the UR5e holds it, looking up (ours); servo: ours, scaled from that of UR's shoulder by torque, and
-damped alike. Command, gains and noise of actions: as the UR5e's.
+Source: limits of joints 2, 4 and 6, torques and speeds of joints 1 to 4: the maker's description; armature
+and friction: published identification of the arm (MuJoCo Menagerie's figures). Limits of joints 1, 3, 5 and 7
+are narrowed to what catching needs, as the release does with the UR5e's pan and wrists, and joints 5 to 7 are
+no faster than the others, as the UR5e's wrists are (ours; the maker: 5.26, 4.18 and 5.26 rad/s): the palm
+reaches the catch as well and as fast, and exploring turns it less. Start pose: the palm waits 0.6 m before
+the base, looking up (ours); servo: ours, scaled from that of UR's shoulder by torque, and damped alike.
+Command, gains and noise of actions: as the UR5e's.
 """
 
 FR3 = RobotSpec(
