@@ -146,6 +146,20 @@ def test_a_bias_shifts_every_box_of_an_episode_and_the_tracked_position():
         assert (step.measurement.object_pos - true.measurement.object_pos).norm(dim=-1).min() > 0.01
 
 
+def test_each_episode_has_its_own_share_of_the_training_noise():
+    noisy, exact = (replace(EXACT, corner_noise=noise, noise_scale=(0.0, 1.0)) for noise in (5.0, 0.0))
+    env, other = make(num_envs=40, sensing=noisy), make(num_envs=40, sensing=exact)
+    steps = zip(rollout(env, 12), rollout(other, 12), strict=True)
+    errors = torch.stack([(step.measurement.box - true.measurement.box).abs() for step, true in steps])
+    assert env.episode.camera_errors is not None
+    share = env.episode.camera_errors.noise_scale
+    largest = errors.amax(dim=(0, 2))
+    assert (largest <= 5.0 * share + 1e-3).all()
+    assert (largest >= 4.0 * share).float().mean() > 0.9
+    assert share.min() < 0.2
+    assert share.max() > 0.8
+
+
 def test_the_training_noise_does_not_reach_the_tracker_but_extra_noise_does():
     """10 px on both edges of a side shift the centre by 10 px at the most: 5 cm at 3 m."""
     for sensing, is_exact in (

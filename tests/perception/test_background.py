@@ -112,6 +112,20 @@ def test_a_ball_that_is_held_for_long_is_not_lost():
             assert np.abs(painted.box_of(found.mask) - painted.box_of(ball.mask(step))).max() <= 2.0
 
 
+def test_a_twin_that_passes_is_not_taken_for_a_held_ball():
+    """The ball was there before the room was known, and only its twin has the size of the prompt."""
+    ball = Disc(path=np.repeat(BALL.path[NUM_EMPTY : NUM_EMPTY + 1], NUM_STEPS, axis=0), radius=9.0)
+    steps = np.arange(NUM_STEPS)[:, None] - NUM_EMPTY
+    twin = Disc(path=ball.path + (30.0, -60.0) + steps * (7.0, 0.0), radius=11.0)
+    segmenter, (xmin, ymin, xmax, ymax) = BackgroundSubtraction(), held_box().box
+    prompt = BoxPrompt(box=(xmin - 3.0, ymin - 3.0, xmax + 3.0, ymax + 3.0))
+    for step, image in enumerate(painted.images((twin, ball), NUM_STEPS)):
+        found = segmenter.start(image, prompt) if step == NUM_EMPTY else segmenter.track(image)
+        if step >= NUM_EMPTY:
+            assert found.mask is not None
+            assert np.abs(painted.box_of(found.mask) - painted.box_of(ball.mask(step))).max() <= 2.0
+
+
 def test_while_the_ball_is_hidden_its_twin_is_not_taken_for_it():
     first, count = NUM_EMPTY + NUM_STILL + 8, 4
     hidden = BALL.path.copy()

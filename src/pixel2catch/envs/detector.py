@@ -56,7 +56,8 @@ class ProjectedDetector(Detector):
         """Noise, and the camera errors of the episode."""
         cfg, wrong, box = self._cfg, episode.camera_errors, detection.box
         noise = 2.0 * torch.rand(box.shape, generator=self._generator, device=box.device) - 1.0
-        error = (cfg.corner_noise + cfg.edge_noise) * noise
+        scale = 1.0 if wrong is None else wrong.noise_scale[:, None]
+        error = (scale * cfg.corner_noise + cfg.edge_noise) * noise
         shift = 0.5 * cfg.edge_noise * (noise[:, :2] + noise[:, 2:])
         is_seen, age_error = detection.is_seen, detection.age_error
         if wrong is not None:

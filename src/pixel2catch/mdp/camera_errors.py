@@ -22,6 +22,7 @@ class CameraErrors:
 
     camera: Projection  #: The true camera; a tracker assumes the one that it was drawn about.
     box_bias: Float[Tensor, "num_envs 2"]  #: Shift of every box, along u and v [px].
+    noise_scale: Float[Tensor, " num_envs"]  #: Factor on the noise of every edge.
     drop_rate: Float[Tensor, " num_envs"]  #: Share of the images in which the object is not found.
     blackout_start: Int[Tensor, " num_envs"]  #: Control step of the episode at which the images fail.
     blackout_steps: Int[Tensor, " num_envs"]  #: Control steps for which they do.
@@ -55,7 +56,7 @@ def is_camera_exact(cfg: SensingCfg) -> bool:
         *(cfg.camera_offset, cfg.camera_turn, cfg.focal_error, cfg.box_bias, cfg.drop_rate),
         *(cfg.blackout_steps, cfg.clock_error, cfg.stamp_jitter, cfg.unstamped),
     )
-    if cfg.image_period != 1.0:
+    if (cfg.image_period, cfg.noise_scale) != (1.0, 1.0):
         return False
     return not any((*errors, *cfg.camera.pos_std, *cfg.camera.turn_std, cfg.camera.focal_std))
 
@@ -89,6 +90,7 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
         stamp_jitter=amount(cfg.stamp_jitter) / CONTROL_DT,
         is_stamped=chance[:, 4] >= cfg.unstamped,
         image_period=amount(cfg.image_period),
+        noise_scale=amount(cfg.noise_scale),
     )
 
 

@@ -48,6 +48,7 @@ class SensingCfg:
     camera_turn: Amount = 0.0  #: Angle between the two, about a random axis [rad].
     focal_error: Amount = 0.0  #: Relative error of the focal length, of random sign.
     box_bias: Amount = 0.0  #: Shift of every box of an episode in a random direction [px].
+    noise_scale: Amount = 1.0  #: Factor on `corner_noise` in all images of an episode.
     box_scale: float = 1.0  #: Factor on the size of every box about its centre.
     edge_noise: float = 0.0  #: Largest error of each edge on top of `corner_noise` [px].
     drop_rate: Amount = 0.0  #: Share of the images in which the object is not found.

@@ -125,7 +125,8 @@ class BackgroundSubtraction(Segmenter):
         """The region of the object's colours, else of less, else whatever moves.
 
         A whole thing that moves, its part with the object's and new colours, or with the object's alone:
-        that is taken which continues the size, so that no hand is added and no blurred rim cut off.
+        that is taken which continues the size, so that no hand is added and no blurred rim cut off; one that
+        is far off, where another thing of this size may move, only if none is near.
 
         Args:
             image: The image.
@@ -144,7 +145,7 @@ class BackgroundSubtraction(Segmenter):
                 blob = self._first(track, blobs, motion, is_alike=mask is not motion.moving)
                 found += [(blobs, blob)] if blob else []
             if found:
-                return min(found, key=lambda each: self._change(each[1]))
+                return min(found, key=lambda each: (track.is_far(each[1]), self._change(each[1])))
         blobs = regions(alike if within is None else within)
         return blobs, None if within is None else next(iter(blobs), None)
 

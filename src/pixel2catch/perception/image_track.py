@@ -172,6 +172,10 @@ class ImageTrack:
         """Whether a region is where the object should be, up to what gravity and approach change."""
         return self.num_seen > 1 and blob.distance(self.expected) <= LARGEST_CHANGE * (self.num_missed + 1)
 
+    def is_far(self, blob: Blob) -> bool:
+        """Whether a region is farther from where the object should be than a release brings it."""
+        return blob.distance(self.expected) > REACH
+
     def _distance(self, point: tuple[float, float]) -> float:
         """From a point to the way between the last and the expected place [px]."""
         (u, v), (end_u, end_v) = self.center, self.expected
