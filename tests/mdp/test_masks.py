@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from snapshots import tensors
 from torch import Tensor
 
-from pixel2catch.mdp.masks import assign, clone, select
+from pixel2catch.mdp.masks import assign, clone, select, write
 
 NUM_ENVS = 4
 MASKS = st.lists(st.booleans(), min_size=NUM_ENVS, max_size=NUM_ENVS).map(torch.tensor)
@@ -47,6 +47,21 @@ def tree(seed: int) -> Tree:
 
 def are_equal(a: Tree, b: Tree) -> bool:
     return all(torch.equal(x, y) for x, y in zip(tensors(a), tensors(b), strict=True))
+
+
+@given(MASKS, SEEDS, SEEDS)
+def test_writing_is_selecting_in_place(mask: Tensor, new_seed: int, old_seed: int):
+    new, target = tree(new_seed), tree(old_seed)
+    expected, memory = select(mask, new, target), [each.data_ptr() for each in tensors(target)]
+    write(mask, new, target)
+    assert are_equal(target, expected)
+    assert [each.data_ptr() for each in tensors(target)] == memory
+
+
+def test_writing_into_columns_of_another_type():
+    whole = torch.zeros(3, 2, dtype=torch.float64)
+    write(torch.tensor([True, False, True]), torch.tensor([1.0, 2.0, 3.0]), whole[:, 1])
+    assert whole.tolist() == [[0.0, 1.0], [0.0, 0.0], [0.0, 3.0]]
 
 
 @given(MASKS, SEEDS)

@@ -26,8 +26,9 @@ class Projection:
     ) -> tuple[Float[Tensor, "num_envs num_points 2"], Float[Tensor, "num_envs num_points"]]:
         """Pixels (u, v) [px] and depths [m] of world points: see `project`."""
         # Products and sums, not a matmul: that may round to TF32 on a GPU, an error of a third of a pixel.
-        rays = (points - self.center.unsqueeze(-2)).unsqueeze(-2)
-        homogeneous = (rays * self.matrix.unsqueeze(-3)).sum(-1)
+        x, y, z = (points - self.center.unsqueeze(-2)).split(1, dim=-1)
+        right, down, forward = self.matrix.unsqueeze(-3).unbind(-1)
+        homogeneous = x * right + y * down + z * forward
         depth = homogeneous[..., 2]
         return homogeneous[..., :2] / depth.unsqueeze(-1), depth
 

@@ -1,6 +1,7 @@
 """`pixel2catch bench`: what physics, the environment and a training cost on this machine."""
 
 import itertools
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,6 +62,7 @@ class Bench:
         from pixel2catch.shipped import policy_folder
 
         folder, devices = policy_folder(self.policy), [*map(prepare, self.device)]
+        load = os.getloadavg()[0]
         with working() as report:
             rows = [
                 measure(
@@ -76,11 +78,13 @@ class Bench:
             ]
         when = circumstances()
         when["command"] = " ".join(("pixel2catch", *when["command"][1:]))
-        result = when | {"policy": folder.name, "results": rows}
+        result = when | {"load_average_before": load, "policy": folder.name, "results": rows}
         if self.json:
             print(json_text(result), end="")
         else:
             results_console().print(_table(rows))
+        if load > 0.5 * len(os.sched_getaffinity(0)):
+            say(f"this machine had other work (load average {load:.1f}): without it, it is faster")
         contents = {self.out: json_text(result).encode(), self.plot: png(_figure(rows)) if self.plot else b""}
         for file, content in contents.items():
             if file:

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.masks import write
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
 from pixel2catch.scene.constants import SPEED_MARGIN
@@ -74,7 +74,7 @@ class JointActuators:
         parameters: EpisodeParameters,
     ) -> None:
         """Begin in the masked environments, with new gains, at joint positions [rad] that are the command."""
-        self._command.copy_(select(mask, joint_pos, self._command))
+        write(mask, joint_pos, self._command)
         if self._path is not None and self._dry_friction is not None:
             self._path.reset(mask, joint_pos)
             self._dry_friction.reset(mask, joint_pos)
@@ -85,7 +85,7 @@ class JointActuators:
             (self._biasprm[..., 1], -stiffness),
             (self._biasprm[..., 2], -self._implicit * damping),
         ):
-            target.copy_(select(mask, value.to(target), target))
+            write(mask, value, target)
 
     def increment(
         self, joint_pos_target: Float[Tensor, "num_envs num_joints"], num_steps: int
@@ -103,10 +103,12 @@ class JointActuators:
             stiffness=self._gainprm[..., 0],
             damping=-self._biasprm[..., 2] / self._implicit,
         )
-        explicit = (1.0 - self._implicit) * state.damping / state.stiffness
-        self._ctrl.copy_(self._servos.limited(aim, state) - explicit * self._qvel)
-        dry = self._dry_friction
-        self._friction.copy_(self._servos.friction(self._qvel) if dry is None else dry.torque(self._qpos))
+        self._ctrl.copy_(self._servos.limited(aim, state))
+        if self._dry_friction is None:
+            self._friction.copy_(self._servos.friction(self._qvel))
+        else:
+            self._ctrl.sub_((1.0 - self._implicit) * state.damping / state.stiffness * self._qvel)
+            self._friction.copy_(self._dry_friction.torque(self._qpos))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +191,7 @@ class DryFriction:
     def reset(self, mask: Bool[Tensor, " num_envs"], joint_pos: Float[Tensor, "num_envs num_joints"]) -> None:
         """Let the masked environments' joints rest at their positions [rad]."""
         self._bend.masked_fill_(mask[:, None], 0.0)
-        self._last.copy_(select(mask, joint_pos, self._last))
+        write(mask, joint_pos, self._last)
 
     def torque(self, joint_pos: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
         """Torque of the next physics step [N·m], of joints that have come to some positions [rad]."""
@@ -220,7 +222,7 @@ class CommandPath:
         """Let the masked environments have had their joints' positions for a command up to now [rad]."""
         self._history.copy_(torch.where(mask[:, None], joint_pos, self._history))
         at_rest = torch.stack((joint_pos, torch.zeros_like(joint_pos)), dim=-1)
-        self._state.copy_(select(mask, at_rest, self._state))
+        write(mask, at_rest, self._state)
 
     def advance(self, command: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
         """What the servos aim at in a physics step [rad], from the commands at its end [rad].

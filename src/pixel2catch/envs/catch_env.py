@@ -16,7 +16,7 @@ from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.actions import ActionMap
 from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.columns import put
-from pixel2catch.mdp.masks import assign, clone, select
+from pixel2catch.mdp.masks import assign, clone, select, write
 from pixel2catch.mdp.observations import privileged_state
 from pixel2catch.mdp.randomization import by_joint
 from pixel2catch.mdp.sensing import DelayLine, Detection
@@ -274,7 +274,8 @@ class CatchEnv:
     def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
         """Begin new episodes where one ended, and release the objects that have hovered long enough."""
         fresh = self._draw_episode()
-        assign(self._episode, select(ended, fresh, replace(self._episode, record=record)))
+        assign(self._episode.record, record)
+        write(ended, fresh, self._episode)
         self.world.reset(ended, fresh.parameters, fresh.throw)
         is_released = self._episode.record.steps == self._episode.throw.hover_steps
         self.world.release(is_released, self._episode.throw)

@@ -14,7 +14,7 @@ from pixel2catch.camera.pinhole import camera_center, is_unoccluded, ray_directi
 from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.episode import StepExtremes
 from pixel2catch.mdp.columns import Columns, merged, take
-from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.masks import write
 from pixel2catch.mdp.randomization import EpisodeParameters
 from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.mdp.terminations import reach_of
@@ -172,14 +172,14 @@ class CatchWorld:
         joint_pos = torch.clamp(self._home + parameters.joint_offset, self._lower, self._upper)
         fields = self._fields
         start = torch.cat((joint_pos, throw.pos.to(joint_pos), throw.quat.to(joint_pos)), dim=-1)
-        fields.qpos.copy_(select(mask, start, fields.qpos))
+        write(mask, start, fields.qpos)
         self._actuators.reset(mask, joint_pos, parameters)
         start = torch.nn.functional.pad(throw.hover_vel, (self._num_joints, 3)).to(joint_pos)
-        fields.qvel.copy_(select(mask, start, fields.qvel))
+        write(mask, start, fields.qvel)
         fields.qacc_warmstart.masked_fill_(mask[:, None], 0.0)
         weight = GRAVITY * self._model["body_mass"][:, self.objects.indices.body]
         lift = fields.xfrc_applied[:, self.objects.indices.body, 2]
-        lift.copy_(torch.where(mask, weight, lift))
+        write(mask, weight, lift)
 
     def release(self, mask: Bool[Tensor, " num_envs"], throw: Throw) -> None:
         """Let the masked objects fly as they are thrown; nothing carries them any longer.
@@ -191,7 +191,7 @@ class CatchWorld:
         velocity = self._fields.qvel[:, self._num_joints :]
         start = torch.cat((throw.lin_vel, throw.ang_vel), dim=-1).to(velocity)
         start[:, 2] += 0.5 * GRAVITY * self._scene.physics_dt
-        velocity.copy_(select(mask, start, velocity))
+        write(mask, start, velocity)
         self._fields.xfrc_applied[:, self.objects.indices.body, 2].masked_fill_(mask, 0.0)
 
     def run(
@@ -276,7 +276,7 @@ class CatchWorld:
 
     def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:
         """Shape, inertia and contact of the object."""
-        self._object_id.copy_(torch.where(mask, parameters.object_id, self._object_id))
+        write(mask, parameters.object_id, self._object_id)
         rows = self.objects.indices.rows
         for name, table in self._table.items():
             value = table[parameters.object_id]
@@ -289,12 +289,12 @@ class CatchWorld:
         solref = torch.stack((stiffness, damping), dim=-1)
         self._write(mask, "geom_solref", rows("geom_solref"), solref[:, None])
         friction = self._model["geom_friction"][:, rows("geom_friction"), 0]
-        friction.copy_(select(mask, parameters.friction.to(friction)[:, None].expand_as(friction), friction))
+        write(mask, parameters.friction[:, None].expand_as(friction), friction)
 
     def _write(self, mask: Tensor, name: str, rows: slice, value: Tensor) -> None:
         """Set rows of a model field in the masked environments."""
         field = self._model[name][:, rows]
-        field.copy_(select(mask, value.to(field.dtype).expand_as(field), field))
+        write(mask, value.to(field.dtype).expand_as(field), field)
 
     def _read_log(self) -> StepExtremes:
         """Contacts and extremes of the present physics step."""

@@ -29,6 +29,18 @@ def assign(target: T, source: T) -> None:
     _map(lambda old, new: old.copy_(new), target, source)
 
 
+def write(mask: Bool[Tensor, " num_envs"], new: T, target: T) -> None:
+    """Copy `new` into `target`, whose memory stays where it is, in the masked environments.
+
+    On the CPU only those, mostly few, are touched; a device or a compiler is not asked which they are.
+    """
+    if mask.device.type == "cpu" and not torch.compiler.is_compiling():
+        rows = mask.nonzero()[:, 0]
+        _map(lambda old, value: old.index_put_((rows,), value[rows].to(old.dtype)), target, new)
+    else:
+        assign(target, select(mask, new, target))
+
+
 def _map(function: Callable[..., Tensor], *values: Any) -> Any:
     """Apply a function to the corresponding tensors of values of one structure."""
     first = values[0]

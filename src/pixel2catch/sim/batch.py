@@ -16,6 +16,12 @@ from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
 
 BYTES_PER_ENV = 250_000  #: Memory of an environment [bytes]. Source: ours; measured with a thousand.
 
+SEEN_FIELDS = (
+    *("geom_type", "geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound"),
+    *("body_pos", "body_quat", "jnt_pos", "jnt_axis"),
+)
+"""Model fields that rays depend on."""
+
 _VELOCITY_STAGE = int(mujoco.mjtStage.mjSTAGE_VEL)
 
 
@@ -32,6 +38,8 @@ class BatchSimulation(Simulation):
         _require_memory(num_envs)
         num_threads = num_threads or len(os.sched_getaffinity(0))
         self._batch = Batch(model, num_envs, min(num_threads, num_envs), persistent=True)
+        # Rays in the batch itself would make its next step compute positions and contacts once more.
+        self._rays = Batch(model, num_envs, min(num_threads, num_envs))
 
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
         return _as_tensor(self._batch.bind(field))
@@ -55,7 +63,11 @@ class BatchSimulation(Simulation):
         groups: tuple[int, ...],
     ) -> Float[Tensor, "num_envs num_rays"]:
         geomgroup = np.isin(np.arange(MAX_GEOM_GROUPS), groups).astype(np.uint8)
-        distance, _ = self._batch.ray(origin.numpy(), directions.numpy(), geomgroup=geomgroup)
+        self._rays.bind("qpos")[:] = self._batch.bind("qpos")
+        for name in SEEN_FIELDS:
+            if (values := self._batch.expanded(name)) is not None:
+                self._rays.expand(name)[:] = values
+        distance, _ = self._rays.ray(origin.numpy(), directions.numpy(), geomgroup=geomgroup)
         return torch.from_numpy(distance)
 
     def record(
