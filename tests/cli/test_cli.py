@@ -134,12 +134,13 @@ def test_shipped_policies_fit_this_code(name: str):
 
 
 def test_shipped_policies_of_every_compared_method():
-    """Three seeds of the paper's method, one of each other, two for outside, their teacher, another hand."""
+    """Three seeds of the paper's method, one of each other, two for outside, their teacher, two other robots."""
     expected = {f"{method}-seed0" for method in METHODS} | {"proposed", "proposed-seed1", "proposed-seed2"}
     assert set(shipped_policies()) == expected | {
         "catch+fit",
         "catch_alone+fit",
         "catch_teacher+age",
+        "fr3_allegro",
         "ur5e_leap",
     }
     assert load_policy(None)[1] == find_method(DEFAULT_POLICY)
