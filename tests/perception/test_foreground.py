@@ -5,7 +5,7 @@ import numpy as np
 import painted
 from painted import NUM_EMPTY, Disc
 
-from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Weakness, closed
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Motion, Weakness, closed
 from pixel2catch.perception.image_track import GAP
 from pixel2catch.perception.segmenter import Mask
 
@@ -144,3 +144,18 @@ def test_a_background_that_was_known_before_a_robot_came_is_known_after_it():
         moving = foreground.step(image, robot.mask(step)).moving
         assert not (moving & robot.mask(step)).any()
     assert np.abs(painted.box_of(moving) - painted.box_of(disc.mask(num_steps - 1))).max() <= 2
+
+
+def test_a_thing_that_a_thin_line_parts_is_sharpened_as_one():
+    """Half of it is brighter than the wall, half darker: along a line it differs in nothing."""
+    difference = np.zeros((40, 40), dtype=np.uint8)
+    difference[10:19, 10:30], difference[21:30, 10:30] = 40, 40
+    moving = difference > 0
+    motion = Motion(
+        image=np.zeros((40, 40, 3), np.uint8),
+        difference=difference,
+        moving=moving,
+        unknown=np.zeros_like(moving),
+    )
+    sharp = motion.sharpened((slice(0, 40), slice(0, 40)))
+    assert sharp[10:30, 15:25].all()

@@ -72,7 +72,7 @@ class Motion:
             inside = blob.mask()
             level = EDGE * float(np.percentile(difference[inside], BRIGHT))
             sharp |= inside & (difference >= level)
-        return sharp
+        return closed(sharp)
 
 
 class Weakness(StrEnum):
