@@ -1,5 +1,6 @@
 """From an image to orders: what the perception sees is what the policy gets."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from pixel2catch.deployment.policy_pipeline import (
     Controller,
     PolicyPipeline,
 )
-from pixel2catch.deployment.sight import LONGEST_GAP, NUM_JUMPS
+from pixel2catch.deployment.sight import LONGEST_GAP, MOTION, NUM_JUMPS, STILL_TIME
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
@@ -205,6 +206,21 @@ def test_seen_again_the_policy_goes_on_as_from_the_pose_that_was_held():
     assert again is not None
     assert again.joint_pos_target == pytest.approx(expected, abs=1e-6)
     assert again.box_stamp == 2.0
+
+
+def test_while_the_object_is_still_for_long_the_targets_stay():
+    """However the joints move, and whoever holds it trembles; the first image of its flight ends that."""
+    pipeline = new_pipeline()
+    pipeline.point(PROMPT)
+    num_asked, targets = round(STILL_TIME / CONTROL_DT), []
+    places = [*((-1) ** step * 0.4 * MOTION for step in range(num_asked + 10)), 2.0 * MOTION, 3.0 * MOTION]
+    for step, place in enumerate(places):
+        now = step * CONTROL_DT
+        policy_command = think(pipeline, frame(now, place), HOME + 0.001 * step, now)
+        assert policy_command is not None
+        targets.append(policy_command.joint_pos_target)
+    has_changed = [not np.array_equal(*pair) for pair in pairwise(targets)]
+    assert has_changed == (num_asked - 1) * [True] + 10 * [False] + [True, True]
 
 
 def test_the_words_for_what_is_known_of_the_object():

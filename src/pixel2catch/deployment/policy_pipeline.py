@@ -243,7 +243,8 @@ class PolicyPipeline:
 
         The newest joint positions are in joint order [rad], and NaN where unknown. Nothing is decided before
         the object is seen, nor without joint positions. When it was not seen for `LONGEST_GAP`, the policy is
-        not asked: the arm comes to rest and stays, and the hand holds, until it is seen again.
+        not asked: the arm comes to rest and stays, and the hand holds, until it is seen again. While the
+        object has been still for `STILL_TIME` it is not asked, either: the targets stay.
 
         Raises:
             NonFiniteError: A joint position is infinite.
@@ -258,7 +259,7 @@ class PolicyPipeline:
             )
         if self._target is not None and self.sight.at(now) is not Sight.SEEN:
             self._target = self._resting(joint_pos, self._target)
-        else:
+        elif self._target is None or not self.sight.is_still:
             boxes = self._measured(now) if self.knows_age else self._box_at(now - BOX_AGE)
             target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), boxes)
             self._target = target[0].double().numpy()

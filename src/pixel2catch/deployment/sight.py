@@ -1,11 +1,15 @@
-"""What is known of the object from look to look: since when it is not seen, and how often it jumped."""
+"""What is known of the object from look to look: how long it is unseen or still, and how often it jumped."""
 
 from collections import deque
 from enum import StrEnum
 from math import inf
 
+import numpy as np
+
+from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.limits import LOSS_TIME
 
 LONGEST_GAP = 0.7
@@ -13,6 +17,15 @@ LONGEST_GAP = 0.7
 
 Source: ours, from rehearsals: with gaps of 13 control steps in the middle of the flight about half of the
 throws are caught, and none where it is not asked from 0.4 s on.
+"""
+
+MOTION = 6.0  #: How far the middle of a box is from where it was if the object has moved [px]. Source: ours.
+
+STILL_TIME = (ThrowCfg().hover_steps[1] + 1) * CONTROL_DT
+"""Time after which an object that is still is held, or caught, and the policy is not asked [s].
+
+Source: ours, the longest wait in training: a policy that waits longer drifts away (experiments/LOG.md). The
+first image of a flight, 15 px on, ends it.
 """
 
 NUM_JUMPS, NUM_LOOKS = 5, 30  #: So many jumps in so many looks, a second, are no object's. Source: ours.
@@ -34,13 +47,22 @@ class SightTrack:
         """Begin before the throw."""
         #: When the newest image was taken in which the object was seen [s]; minus infinity before.
         self.box_stamp = -inf
+        self._place, self._moved = np.full(2, inf), -inf
         self._jumps: deque[bool] = deque(maxlen=NUM_LOOKS)
 
     def note(self, stamp: float, seen: Extraction) -> None:
         """Take note of a look at an image of this time [s]."""
         self._jumps.append(seen.verdict is Verdict.JUMP)
         if seen.verdict is Verdict.SEEN:
+            place = seen.box[0].view(2, 2).mean(0).numpy()
+            if np.abs(place - self._place).max() > MOTION or stamp - self.box_stamp > LONGEST_GAP:
+                self._place, self._moved = place, stamp
             self.box_stamp = stamp
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the object has been at one place for `STILL_TIME`."""
+        return self.box_stamp - self._moved >= STILL_TIME
 
     @property
     def problem(self) -> str:

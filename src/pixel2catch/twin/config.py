@@ -53,6 +53,7 @@ class RehearsalCfg:
     )
     #: With --lockstep: how much older images are by their stamps than they are; negative: younger.
     clock_error_ms: float = 0.0
+    held_seconds: NotNegative = 0.0  #: How long an object is held before a throw, the policy in its run.
     #: With --lockstep: images that show nothing but the object's box; they need no OpenGL.
     plain: bool = False
     #: New folder for a rosbag2 (MCAP) of all that `deploy` saw, decided and commanded.

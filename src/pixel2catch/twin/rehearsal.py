@@ -104,11 +104,12 @@ class Outcome:
     problem: str  #: Why it could not be thrown; empty if it could.
 
 
-def run_trial(operator: RehearsalOperator, seed: int) -> Outcome:
-    """One throw, from an empty room to the stop after it."""
+def run_trial(operator: RehearsalOperator, seed: int, held: float = 0.0) -> Outcome:
+    """One throw, from an empty room to the stop after it, of what is held for some time before [s]."""
     num_stops, problem, thrown = len(operator.stops), "", operator.truth.get("throw", 0)
     try:
         _prepare(operator, seed)
+        operator.rest(held)
         operator.ask_twin(do="throw")
         operator.until(lambda: operator.truth["throw"] > thrown, STEP_TIME, "the throw")
         operator.until(lambda: operator.phase == "over", STEP_TIME, "the end of the throw")
@@ -202,7 +203,7 @@ def rehearse(
         _wait_for_both(operator, (twin, deploy), cfg.clock, logs)
         outcomes = []
         for seed in range(cfg.seed, cfg.seed + cfg.throws):
-            outcomes.append(run_trial(operator, seed))
+            outcomes.append(run_trial(operator, seed, cfg.held_seconds))
             report(outcomes[-1])
             _require_alive((twin, deploy), logs)
         truth = operator.truth

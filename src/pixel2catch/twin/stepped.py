@@ -146,7 +146,7 @@ def rehearse_stepped(
     outcomes: list[Outcome] = []
     with in_step(cfg, task, policy, limits) as rehearsal:
         for seed in range(cfg.seed, cfg.seed + cfg.throws):
-            outcomes.append(run_trial(rehearsal.operator, seed))
+            outcomes.append(run_trial(rehearsal.operator, seed, cfg.held_seconds))
             report(outcomes[-1])
         return {
             **rates(outcomes),
