@@ -291,7 +291,7 @@ def test_presets() -> None:
     [
         ({"num_envs": 0}, "num_envs is 0"),
         ({"discount": 1.5}, "discount is 1.5"),
-        ({"num_envs": 3, "rollout_steps": 3}, "9 transitions cannot be split into 4"),
+        ({"num_envs": 3, "rollout_steps": 3}, "9 transitions cannot be split into 8"),
     ],
 )
 def test_impossible_configurations(values: dict[str, float], message: str) -> None:
