@@ -247,7 +247,7 @@ class PolicyPipeline:
         object has been still for `STILL_TIME` it is not asked, either: the targets stay.
 
         Raises:
-            NonFiniteError: A joint position is infinite.
+            NonFiniteError: The policy is asked, and a joint position is infinite.
             DeploymentError: No image was looked at for long, by a perception that is not waited for.
         """
         if not self._boxes or np.isnan(joint_pos).any():

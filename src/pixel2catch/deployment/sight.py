@@ -24,8 +24,9 @@ MOTION = 6.0  #: How far the middle of a box is from where it was if the object 
 STILL_TIME = (ThrowCfg().hover_steps[1] + 1) * CONTROL_DT
 """Time after which an object that is still is held, or caught, and the policy is not asked [s].
 
-Source: ours, the longest wait in training: a policy that waits longer drifts away (experiments/LOG.md). The
-first image of a flight, 15 px on, ends it.
+Source: ours, the longest wait in the paper's task, which the shipped policies were trained with: where boxes
+are noisy they drift away in a longer one (experiments/LOG.md). The first image of a flight, 15 px on, ends
+it.
 """
 
 NUM_JUMPS, NUM_LOOKS = 5, 30  #: So many jumps in so many looks, a second, are no object's. Source: ours.

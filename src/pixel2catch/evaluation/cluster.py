@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pixel2catch.errors import StudyError
-from pixel2catch.installation import install_command
+from pixel2catch.installation import needs_extra
 
 if TYPE_CHECKING:
     from submitit import AutoExecutor
@@ -53,12 +53,8 @@ class Cluster:
             if self.slurm:
                 raise StudyError("--slurm is for jobs of a cluster; give --launcher slurm, or leave it out.")
             return None
-        try:
+        with needs_extra("slurm", "--launcher slurm needs submitit", StudyError):
             from submitit import AutoExecutor
-        except ImportError as error:
-            raise StudyError(
-                f"--launcher slurm needs submitit ({error}): {install_command('slurm')}."
-            ) from None
         asked = {name: value for name, _, value in (each.partition("=") for each in self.slurm)}
         try:
             executor = AutoExecutor(folder.absolute() / "jobs", cluster=CLUSTER)

@@ -13,7 +13,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import read_json_object, write_atomically
-from pixel2catch.installation import install_command
+from pixel2catch.installation import needs_extra
 from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
 from pixel2catch.progress import ProgressBar
 
@@ -95,10 +95,8 @@ def wandb_package() -> Any:
     Raises:
         InvalidValueError: If it is not installed.
     """
-    try:
+    with needs_extra("wandb", "--wandb needs wandb", InvalidValueError):
         return importlib.import_module("wandb")
-    except ImportError as error:
-        raise InvalidValueError(f"--wandb needs wandb ({error}): {install_command('wandb')}.") from None
 
 
 class WandbRun:
