@@ -115,7 +115,7 @@ def test_an_object_held_for_twenty_steps_is_a_success_at_exactly_that_step():
 
 
 def test_a_success_does_not_end_an_evaluation():
-    env = make(1, throws=HOVERING, objects=("cube_s",), episode=EpisodeCfg(ends_on_success=False))
+    env = make(1, throws=HOVERING, objects=("cube_s",), episode=EpisodeCfg(rest_steps=100))
     step = None
     for _ in range(25):
         truth = env.world.privileged(env.world.quiet_log())

@@ -173,6 +173,7 @@ def step_of(before: Privileged, now: Privileged, held: int, number: int) -> Tran
         action=torch.zeros(1, 19),
         joint_pos_target=torch.zeros(1, 19),
         held_steps=torch.tensor([held]),
+        was_success=yes(0),
         episode_steps=torch.tensor([number]),
         geometry=WorkcellGeometry(UR5E_ALLEGRO),
     )

@@ -135,7 +135,7 @@ def quiet_throws(policy_name: str | None) -> dict[str, Any]:
     quiet = replace(
         task,
         objects=SEEN,
-        episode=EpisodeCfg(max_steps=NUM_STEPS + 1, ends_on_success=False),
+        episode=EpisodeCfg(max_steps=NUM_STEPS + 1, rest_steps=NUM_STEPS),
         randomization=replace(task.randomization, action_noise=0.0, action_bias=0.0),
         sensing=replace(task.sensing, corner_noise=0.0, joint_noise=0.0, joint_bias=0.0),
     )

@@ -78,15 +78,34 @@ def test_elapsed_time_is_one_per_step():
     assert rewards.elapsed_time(transition(now=now), ANY).tolist() == [1.0, 1.0, 1.0]
 
 
-def test_success_is_paid_once_per_hold():
-    now = privileged(object_pos=torch.ones(4, 3))
-    step = transition(now=now, held_steps=(0, 19, 20, 21))
-    assert rewards.success(step, ANY).tolist() == [0.0, 0.0, 1.0, 0.0]
+def test_success_is_paid_for_the_first_hold():
+    now = privileged(object_pos=torch.ones(5, 3))
+    step = transition(now=now, held_steps=(0, 19, 20, 21, 20), was_success=(False,) * 3 + (True,) * 2)
+    assert rewards.success(step, ANY).tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
 
 
 def test_nearness_is_paid_within_eight_centimetres():
     now = privileged(object_pos=at((0.0, 0.0, 0.079), (0.0, 0.0, 0.081)))
     assert rewards.nearness(transition(now=now), ANY).tolist() == [1.0, 0.0]
+
+
+def test_of_a_large_object_every_palm_is_called_and_paid_its_share():
+    """A ball of 15 cm, and one of 13: only the first needs the right palm, which comes from 2 to 1.5 m."""
+    reach = torch.tensor([0.11, 0.1])
+    before, now = (
+        privileged(
+            object_pos=torch.zeros(2, 3),
+            object_reach=reach,
+            palm_pos=torch.tensor([[[left, 0.0, 0.0], [right, 0.0, 0.0]]] * 2),
+            fingertip_pos=torch.zeros(2, 8, 3),
+        )
+        for left, right in ((0.5, 2.0), (0.05, 1.5))
+    )
+    step = transition(before, now)
+    palms = [replace(ANY, palms=slice(i, i + 1), fingertips=slice(4 * i, 4 * i + 4)) for i in (0, 1)]
+    assert rewards.palm_approach(step, palms[0]).tolist() == pytest.approx([0.45, 0.45])
+    assert rewards.palm_approach(step, palms[1]).tolist() == [0.5, 0.0]
+    assert rewards.nearness(step, ANY).tolist() == [0.5, 1.0]
 
 
 def test_drop_by_height_and_by_passing_the_robot():

@@ -94,8 +94,10 @@ def test_an_episode_ends_when_robots_hit_each_other_where_that_is_asked_for(ends
     assert is_ended(step, EpisodeCfg(ends_on_robot_contact=ends)).tolist() == [False, ends]
 
 
-def test_evaluation_goes_on_after_a_success():
-    assert is_ended(steps(), EpisodeCfg(ends_on_success=False)).tolist() == [False, True, True, False]
+def test_a_hold_goes_on_after_a_success_for_as_long_as_is_asked_for():
+    assert is_ended(steps(), EpisodeCfg(rest_steps=30)).tolist() == [False, True, True, False]
+    held = transition(now=privileged(object_pos=torch.ones(2, 3)), held_steps=(49, 50))
+    assert is_ended(held, EpisodeCfg(rest_steps=30)).tolist() == [False, True]
 
 
 def test_the_length_of_an_episode_can_be_chosen():

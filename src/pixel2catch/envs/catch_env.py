@@ -263,6 +263,7 @@ class CatchEnv:
             action=command.action,
             joint_pos_target=command.joint_pos_target,
             held_steps=torch.where(is_near(now), record.held_steps + 1, 0),
+            was_success=record.is_success,
             episode_steps=record.steps + 1,
             geometry=self.world.geometry,
         )

@@ -69,7 +69,7 @@ class EvaluationCfg:
 
     def make_env(self, method: Method) -> CatchEnv:
         """The environments: episodes end by the loss of the object or by robots that hit each other alone."""
-        endings = EpisodeCfg(max_steps=ROUND_STEPS + 1, ends_on_success=False, ends_on_robot_contact=True)
+        endings = EpisodeCfg(max_steps=ROUND_STEPS + 1, rest_steps=ROUND_STEPS, ends_on_robot_contact=True)
         task = replace(self.task, objects=self.objects, episode=endings)
         return CatchEnv(task, method, num_envs=self.num_envs, device=self.device, seed=self.seed)
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.mdp.snapshot import Privileged, Transition
-from pixel2catch.mdp.terminations import is_dropped, is_near, is_success, palm_distance
+from pixel2catch.mdp.terminations import is_dropped, is_near, is_success, near_palms, needs_all, palm_distance
 
 SETTLE_STEPS = 6
 """Control steps that a held object may take to come to rest, with the robot. Source: ours; release: 5."""
@@ -57,25 +57,29 @@ def elapsed_time(transition: Transition, part: BodyPart) -> Float[Tensor, " num_
 
 
 def palm_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
-    """Sum over the palms of d(t-1) - d(t) to the object [m], for the nearest robot. Source: paper, Eq. 2."""
+    """Sum over the palms of d(t-1) - d(t) to the object [m], if its robot is called. Source: paper, Eq. 2."""
     closer = palm_distance(transition.before) - palm_distance(transition.now)
-    return torch.where(_is_nearest(transition, part), closer[:, part.palms].sum(dim=-1), 0.0)
+    return torch.where(_is_called(transition, part), closer[:, part.palms].sum(dim=-1), 0.0)
 
 
 def fingertips_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
     """Sum over the fingertips of d(t-1) - d(t) to the object [m], likewise. Source: paper, Eq. 2 and 4."""
     closer = _fingertip_distance(transition.before) - _fingertip_distance(transition.now)
-    return torch.where(_is_nearest(transition, part), closer[:, part.fingertips].sum(dim=-1), 0.0)
+    return torch.where(_is_called(transition, part), closer[:, part.fingertips].sum(dim=-1), 0.0)
 
 
 def success(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
-    """One at the step that completes a hold. Source: paper, succ."""
-    return is_success(transition).float()
+    """One at the step that completes the first hold of an episode. Source: paper, succ."""
+    return (is_success(transition) & ~transition.was_success).float()
 
 
 def nearness(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
-    """One while the object is in the palm's reach. Source: paper, app."""
-    return is_near(transition.now).float()
+    """One while the object is in a palm's reach. Source: paper, app.
+
+    Ours: of what is too large for one of several robots, the share of the palms that have reached it.
+    """
+    share = near_palms(transition.now).float().mean(dim=-1)
+    return torch.where(needs_all(transition.now), share, is_near(transition.now).float())
 
 
 def drop(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
@@ -126,13 +130,14 @@ def self_contact(transition: Transition, part: BodyPart) -> Float[Tensor, " num_
     return transition.now.is_self_contact.float()
 
 
-def _is_nearest(transition: Transition, part: BodyPart) -> Bool[Tensor, " num_envs"]:
-    """Whether the palm nearest to the object before the step is of the part's robot.
+def _is_called(transition: Transition, part: BodyPart) -> Bool[Tensor, " num_envs"]:
+    """Whether the part's robot has the palm nearest to the object before the step, or all are needed.
 
     Source: ours, so that several robots are not all drawn to one place; the paper's only robot always is.
     """
     distance = palm_distance(transition.before)
-    return distance[:, part.palms].amin(dim=-1) <= distance.amin(dim=-1)
+    is_nearest = distance[:, part.palms].amin(dim=-1) <= distance.amin(dim=-1)
+    return is_nearest | needs_all(transition.before)
 
 
 def _fingertip_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_fingers"]:

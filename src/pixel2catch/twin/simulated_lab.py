@@ -70,6 +70,7 @@ class ThrowScorer:
             action=torch.zeros(1, 0),
             joint_pos_target=torch.zeros(1, 0),
             held_steps=torch.where(is_near(now), self.record.held_steps + 1, 0),
+            was_success=self.record.is_success,
             episode_steps=self.record.steps + 1,
             geometry=self._world.geometry,
         )
