@@ -95,6 +95,11 @@ class Mappo:
             for agent, batch in self.rollout.items()
         }
         self._num_steps = 0
+        is_alone_on_cuda = cfg.device.startswith("cuda") and self.workers.size == 1
+        #: On which each agent is updated: side by side, but in one order where processes exchange gradients.
+        self._streams = {
+            agent: torch.cuda.Stream(cfg.device) if is_alone_on_cuda else None for agent in self.agents
+        }
         self._draw = {agent: self._recorded(networks.act) for agent, networks in self.networks.items()}
 
     def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -174,11 +179,26 @@ class Mappo:
                 rate = cfg.learning_rate + (cfg.final_learning_rate - cfg.learning_rate) * min(progress, 1.0)
                 step.learning_rate.fill_(rate * (begun - 1.0 if 1.0 <= begun < 2.0 else 1.0))
         with _tensor_cores():
-            metrics = {agent: self._update_agent(agent) for agent in self.agents}
+            metrics = self._update_agents().tolist()
         self.discard_rollout()
-        return {f"{name}/{agent}": metrics[agent][name] for agent in self.agents for name in METRICS}
+        named = zip(self.agents, metrics, strict=True)
+        return {
+            f"{name}/{agent}": value for agent, row in named for name, value in zip(METRICS, row, strict=True)
+        }
 
-    def _update_agent(self, agent: str) -> dict[str, float]:
+    def _update_agents(self) -> Tensor:
+        """Update every agent; return its `METRICS`, a row each."""
+        rows = []
+        for agent, stream in self._streams.items():
+            if stream:
+                stream.wait_stream(torch.cuda.current_stream(stream.device))
+            with torch.cuda.stream(stream):
+                rows.append(self._update_agent(agent))
+        for stream in filter(None, self._streams.values()):
+            torch.cuda.current_stream(stream.device).wait_stream(stream)
+        return torch.stack(rows)
+
+    def _update_agent(self, agent: str) -> Tensor:
         cfg, step, networks = self.cfg, self.steps[agent], self.networks[agent]
         self._estimate_advantages(agent)
         epochs = []
@@ -194,8 +214,7 @@ class Mappo:
             if cfg.schedule == "kl":
                 step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), epochs[-1][2].item()))
         std = networks.log_std.detach().exp().mean()
-        results = torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
-        return dict(zip(METRICS, results.tolist(), strict=True))
+        return torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
 
     @torch.no_grad()
     def _estimate_advantages(self, agent: str) -> None:
