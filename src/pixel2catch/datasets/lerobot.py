@@ -20,7 +20,7 @@ from jaxtyping import UInt8
 
 from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import require_free_folder
+from pixel2catch.files import json_text, require_free_folder
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT
@@ -175,8 +175,7 @@ class DatasetWriter(AbstractContextManager["DatasetWriter"]):
             path.parent.mkdir(parents=True, exist_ok=True)
             parquet.write_table(table, path)
         for name, content in (("info", self._info(columns, len(tasks))), ("stats", statistics)):
-            text = json.dumps(content, indent=2, allow_nan=False)
-            (self._folder / "meta" / f"{name}.json").write_text(f"{text}\n")
+            (self._folder / "meta" / f"{name}.json").write_text(json_text(content))
 
     def _rows(self) -> list[dict[str, Any]]:
         """What the format says of every episode."""

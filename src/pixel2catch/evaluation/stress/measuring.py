@@ -23,9 +23,9 @@ from pixel2catch.evaluation.cluster import in_jobs
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
-from pixel2catch.evaluation.report import differences
+from pixel2catch.evaluation.report import differences, write_files
 from pixel2catch.evaluation.stress.suite import Setting
-from pixel2catch.files import as_json, json_text, read_json_object, write_atomically
+from pixel2catch.files import as_json, json_text, read_json_object
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.own_files import import_files
@@ -149,8 +149,7 @@ def measure(
         on_share(done / len(missing))
         number = missing[index]
         each, content = results[number], origins[number] | {"metrics": found}
-        each.file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically({each.file: json_text(content).encode()})
+        write_files(each.file.parent, {each.file.name: json_text(content)})
         contents[number] = content
         on_result(number + 1, each, found)
     return tuple(content for content in contents if content is not None)
@@ -278,13 +277,11 @@ def _begin() -> None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in THREADS}
+    before = {name: os.environ[name] for name in THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in THREADS:
+            del os.environ[name]
+        os.environ.update(before)
