@@ -18,16 +18,7 @@ from pixel2catch.files import read_bytes
 MOST_NUMBERS = 2**24
 """Numbers in all arrays of a file: 20 minutes of an arm at 500 Hz, 128 MiB. Source: ours."""
 
-UNREADABLE = (
-    BadZipFile,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    SyntaxError,
-    TokenError,
-    ValueError,
-    zlib.error,
-)
+UNREADABLE = (BadZipFile, EOFError, RuntimeError, SyntaxError, TokenError, ValueError, zlib.error)
 """What zipfile and numpy raise where a file is damaged."""
 
 MOST_CHARACTERS = 2**16  #: Of arrays of text, together; names of joints have some hundred.
@@ -98,7 +89,6 @@ def _array(data: bytes) -> np.ndarray:
     if math.prod(shape) * dtype.itemsize != len(data) - start:
         raise InvalidValueError(f"it has an array of shape {shape}, and {len(data) - start:,} bytes of it")
     if dtype.kind == "U":
-        data[start:].decode(
-            "utf-32-le" if dtype.isnative else "utf-32-be"
-        )  # numpy would make no text of others
+        # numpy would make no text of others
+        data[start:].decode("utf-32-le" if dtype.isnative else "utf-32-be")
     return np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if is_fortran else "C")

@@ -48,14 +48,9 @@ def _version(package: str) -> str | None:
 
 def _git_revision() -> str | None:
     """Return the revision that this package's source is at, with "+" if it was changed since."""
-    git = ["git", "-C", str(Path(__file__).parent)]
+    describe = ("describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+")
+    command = ["git", "-C", str(Path(__file__).parent), *describe]
     try:
-        revision = subprocess.run(
-            [*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True
-        ).stdout
-        changes = subprocess.run(
-            [*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True
-        ).stdout
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
-    return revision.strip() + ("+" if changes.strip() else "")

@@ -10,18 +10,7 @@ from torch import Tensor
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_of, sharing, together
 from pixel2catch.camera.box_history import NUM_BOXES
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.mdp.observations import (
-    JOURNAL_TERMS,
-    PROPRIOCEPTION,
-    ObservationTerm,
-    box_age,
-    box_fit,
-    box_track,
-    initial_object_position,
-    object_position,
-    observe,
-    pixel_columns,
-)
+from pixel2catch.mdp import observations
 from pixel2catch.mdp.snapshot import History
 from pixel2catch.own_files import catalogue
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -60,9 +49,11 @@ class Method:
 
     def observe(self, history: History) -> dict[str, Float[Tensor, "num_envs _"]]:
         """What each agent sees, by name."""
-        columns = pixel_columns(self.pixel_features)
+        columns = observations.pixel_columns(self.pixel_features)
         return {
-            agent.name: observe(agent.observation, agent.memory, agent.joints, agent.palms, columns, history)
+            agent.name: observations.observe(
+                agent.observation, agent.memory, agent.joints, agent.palms, columns, history
+            )
             for agent in self.agents
         }
 
@@ -72,13 +63,13 @@ class Memory:
     """What agents remember of the images besides the paper's two frames."""
 
     num_boxes: int  #: Measured boxes.
-    terms: tuple[ObservationTerm, ...]  #: What is observed of them.
+    terms: tuple[observations.ObservationTerm, ...]  #: What is observed of them.
 
 
 MEMORIES: dict[str, Memory] = {
-    "age": Memory(num_boxes=1, terms=(box_age,)),
-    "boxes": Memory(num_boxes=8, terms=(box_track,)),
-    "fit": Memory(num_boxes=NUM_BOXES, terms=(box_fit,)),
+    "age": Memory(num_boxes=1, terms=(observations.box_age,)),
+    "boxes": Memory(num_boxes=8, terms=(observations.box_track,)),
+    "fit": Memory(num_boxes=NUM_BOXES, terms=(observations.box_fit,)),
 }
 """Memories by name. Source: ours: a policy that knows how old its boxes are can be told of any latency, and
 what the images have shown of a flight is in more than two of them."""
@@ -108,7 +99,9 @@ def remembering(method: Method, memory: str) -> Method:
 ALL_FEATURES = ("cx", "cy", "dcx", "dcy", "dw", "dh")  #: Source: paper, Eq. 1.
 
 
-def _seeing(agents: tuple[AgentSpec, ...], *observation: ObservationTerm) -> tuple[AgentSpec, ...]:
+def _seeing(
+    agents: tuple[AgentSpec, ...], *observation: observations.ObservationTerm
+) -> tuple[AgentSpec, ...]:
     """Agents with other observations."""
     return tuple(replace(agent, observation=observation) for agent in agents)
 
@@ -124,13 +117,13 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)
-    oracle = (object_position, *PROPRIOCEPTION)
+    oracle = (observations.object_position, *observations.PROPRIOCEPTION)
     proposed = Method(name="proposed", agents=agents, pixel_features=ALL_FEATURES)
     methods = (
         proposed,
         Method(
             name="without_pf",
-            agents=_seeing(agents, initial_object_position, *PROPRIOCEPTION),
+            agents=_seeing(agents, observations.initial_object_position, *observations.PROPRIOCEPTION),
             pixel_features=(),
         ),
         replace(proposed, name="only_wh", pixel_features=("w", "h", "dw", "dh")),
@@ -138,7 +131,7 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
         replace(proposed, name="single_agent", agents=(together(agents),)),
         Method(name="object_position", agents=_seeing(agents, *oracle), pixel_features=()),
         replace(proposed, name="shared_reward", agents=sharing(agents)),
-        replace(proposed, name="journal", agents=_seeing(agents, *JOURNAL_TERMS)),
+        replace(proposed, name="journal", agents=_seeing(agents, *observations.JOURNAL_TERMS)),
         replace(proposed, name="catch", agents=sharing(resting)),
         replace(proposed, name="catch_alone", agents=(alone,)),
         Method(name="catch_teacher", agents=_seeing((alone,), *oracle), pixel_features=()),

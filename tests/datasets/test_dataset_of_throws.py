@@ -12,8 +12,17 @@ from pyarrow import parquet
 
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.cli.main import main
-from pixel2catch.datasets.features import ACTION, AGE, DONE, IMAGES, REWARD, SEEN, STATE, SUCCESS
-from pixel2catch.datasets.lerobot import DatasetWriter
+from pixel2catch.datasets.lerobot import (
+    ACTION,
+    AGE,
+    DONE,
+    IMAGES,
+    REWARD,
+    SEEN,
+    STATE,
+    SUCCESS,
+    DatasetWriter,
+)
 from pixel2catch.datasets.throws import write_throws
 from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.loading import load_policy, task_of

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from pixel2catch.datasets.features import ACTION, IMAGES, STATE
-from pixel2catch.datasets.lerobot import DatasetWriter
+from pixel2catch.datasets.lerobot import ACTION, IMAGES, STATE, DatasetWriter
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

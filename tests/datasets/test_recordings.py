@@ -10,7 +10,7 @@ import pytest
 from pyarrow import parquet
 
 from pixel2catch.cli.main import main
-from pixel2catch.datasets.features import ACTION, DONE, IMAGES, SEEN, STATE
+from pixel2catch.datasets.lerobot import ACTION, DONE, IMAGES, SEEN, STATE
 from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile

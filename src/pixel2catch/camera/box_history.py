@@ -75,7 +75,10 @@ def box_fit(
     )
     logarithm = torch.log(size / TYPICAL_SIZE)[..., None]
     fits = [_fit_features(direction, logarithm, age, memory, camera) for memory in TIME_CONSTANTS]
-    return torch.cat((*fits, _scaled(fits[-1]), age[:, :1] * (10.0 / STEPS_PER_SECOND)), dim=-1)
+    long = fits[-1]
+    far = torch.exp(-long[:, 6:7]).clamp(max=MOST_FAR)  # in sizes of the object instead of angles
+    scaled = torch.cat((far, far * long[:, :4], far * long[:, 7:8]), dim=-1).clamp(-BOUND, BOUND)
+    return torch.cat((*fits, scaled, age[:, :1] * (10.0 / STEPS_PER_SECOND)), dim=-1)
 
 
 def _fit_features(
@@ -109,12 +112,6 @@ def _fit_features(
     rate = STEPS_PER_SECOND / memory
     at_now = torch.cat((now, rate * speed, rate * rate * bend, size_now, rate * growth), dim=-1)[:, 0]
     return torch.cat((at_now, residual * (camera.fx / PIXEL_NOISE)), dim=-1).clamp(-BOUND, BOUND)
-
-
-def _scaled(fit: Float[Tensor, "num_envs 9"]) -> Float[Tensor, "num_envs 6"]:
-    """`SCALED_FEATURES`: positions and speeds in sizes of the object instead of angles."""
-    far = torch.exp(-fit[:, 6:7]).clamp(max=MOST_FAR)
-    return torch.cat((far, far * fit[:, :4], far * fit[:, 7:8]), dim=-1).clamp(-BOUND, BOUND)
 
 
 def _slope(

@@ -1,6 +1,5 @@
 """The camera file: what a calibration writes, and training, evaluation and perception can take."""
 
-import json
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from math import sqrt
@@ -14,7 +13,7 @@ from torch import Tensor
 from pixel2catch.camera.pinhole import Projection, nominal_projection
 from pixel2catch.device_constants import constant
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import decoded, read_json_object, reading, write_atomically
+from pixel2catch.files import decoded, json_text, read_json_object, reading, write_atomically
 from pixel2catch.scene.constants import CameraSpec, Vec3
 
 FORMAT_VERSION = 1  #: Version of the files. Raised when an older one can no longer be read.
@@ -84,7 +83,7 @@ class CameraFile:
     def save(self, path: Path) -> None:
         """Write the file, all of it or nothing. Its folder must exist."""
         content = {"format_version": FORMAT_VERSION, **asdict(self)}
-        write_atomically({path: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()})
+        write_atomically({path: json_text(content).encode()})
 
     @classmethod
     def load(cls, path: Path) -> "CameraFile":

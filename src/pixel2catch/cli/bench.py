@@ -56,8 +56,8 @@ class Bench:
         from pixel2catch.cli.bench_costs import measure
         from pixel2catch.cli.console import results_console, say, working
         from pixel2catch.cli.device import prepare
-        from pixel2catch.evaluation.report import png
-        from pixel2catch.files import json_text, write_atomically
+        from pixel2catch.evaluation.report import png, write_files
+        from pixel2catch.files import json_text
         from pixel2catch.policy import Policy
         from pixel2catch.shipped import policy_folder
 
@@ -85,11 +85,10 @@ class Bench:
             results_console().print(_table(rows))
         if load > 0.5 * len(os.sched_getaffinity(0)):
             say(f"this machine had other work (load average {load:.1f}): without it, it is faster")
-        contents = {self.out: json_text(result).encode(), self.plot: png(_figure(rows)) if self.plot else b""}
+        contents = {self.out: json_text(result), self.plot: png(_figure(rows)) if self.plot else b""}
         for file, content in contents.items():
             if file:
-                file.parent.mkdir(parents=True, exist_ok=True)
-                write_atomically({file: content})
+                write_files(file.parent, {file.name: content})
                 say(f"wrote {file}")
 
 

@@ -24,7 +24,7 @@ class Catch:
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
-        from pixel2catch.evaluation.report import quality_table, results_table
+        from pixel2catch.evaluation.report import result_tables
         from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.renderer import find_gl_backend
         from pixel2catch.scene.objects import OBJECT_GROUPS
@@ -42,12 +42,10 @@ class Catch:
         say(f"throwing {self.throws:,} seen and {self.throws:,} unseen objects, on the CPU ...")
         results = {}
         for name in ("seen", "unseen"):
-            with evaluating(name) as progress:
-                throws = replace(cfg, objects=OBJECT_GROUPS[name])
-                results[name] = assess(policy, method, throws, progress.round, progress.share)
-        console = results_console()
-        console.print(results_table(results, method.name))
-        console.print(quality_table(results))
+            with evaluating(name) as watch:
+                results[name] = assess(policy, method, replace(cfg, objects=OBJECT_GROUPS[name]), *watch)
+        for table in result_tables(results, method.name):
+            results_console().print(table)
         try:
             find_gl_backend()
         except DeviceUnavailableError as error:

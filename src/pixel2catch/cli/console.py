@@ -28,35 +28,31 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+def progress_bar(name: str) -> ProgressBar:
+    """A bar on standard error for work whose total is 1."""
+    return ProgressBar(name, 1.0, console=Console(stderr=True, highlight=False))
+
+
 def say_on_terminal(text: str) -> None:
     """Print a line for somebody who looks at it; nothing into files and pipes."""
     if sys.stderr.isatty():
         say(text)
 
 
-class EvaluationProgress:
-    """How far an evaluation of something is: the steps of its rounds, and the success rate so far."""
-
-    def __init__(self, bar: ProgressBar) -> None:
-        """Show it in a bar whose total is 1."""
-        self._bar = bar
-        self._successes: list[float] = []
-
-    def round(self, trials: "Trials") -> None:
-        """Add the trials of a round."""
-        self._successes.append(float(trials.record.is_success.float().mean()))
-
-    def share(self, share: float) -> None:
-        """Show a share of all rounds as done."""
-        mean = 100 * sum(self._successes) / max(len(self._successes), 1)
-        self._bar.show(share, f"success rate so far {mean:.1f} %" if self._successes else "")
-
-
 @contextmanager
-def evaluating(name: str) -> Iterator[EvaluationProgress]:
-    """Show on standard error how far the evaluation of something is."""
-    with ProgressBar(name, 1.0, console=Console(stderr=True, highlight=False)) as bar:
-        yield EvaluationProgress(bar)
+def evaluating(name: str) -> Iterator[tuple[Callable[["Trials"], None], Callable[[float], None]]]:
+    """Show on standard error how far the evaluation of something is, and its success rate so far.
+
+    It yields what `assess` calls: of the trials of every round, and of the share of all rounds that is done.
+    """
+    successes = list[float]()
+
+    def show(share: float) -> None:
+        text = f"success rate so far {100 * sum(successes) / len(successes):.1f} %" if successes else ""
+        bar.show(share, text)
+
+    with progress_bar(name) as bar:
+        yield lambda trials: successes.append(float(trials.record.is_success.float().mean())), show
 
 
 @contextmanager

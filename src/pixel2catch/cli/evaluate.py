@@ -57,9 +57,9 @@ class Evaluate:
         from pixel2catch.evaluation.loading import camera_remark, fingerprint, load_policy, sha256, task_of
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
-        from pixel2catch.evaluation.report import objects_table, quality_table, results_table
+        from pixel2catch.evaluation.report import result_tables, write_files
         from pixel2catch.evaluation.throw_collection import ThrowCollection
-        from pixel2catch.files import json_text, write_atomically
+        from pixel2catch.files import json_text
         from pixel2catch.scene.objects import select_objects
 
         device = prepare(self.device)
@@ -84,21 +84,17 @@ class Evaluate:
             say(remark)
         collection = ThrowCollection()
         on_throws = collection.add if self.html else None
-        with evaluating(" ".join(self.objects)) as progress:
-            result = source | assess(policy, method, cfg, progress.round, progress.share, on_throws)
+        with evaluating(" ".join(self.objects)) as watch:
+            result = source | assess(policy, method, cfg, *watch, on_throws)
         if self.json:
             print(json_text(result), end="", flush=True)
         else:
-            console, named = results_console(), {" ".join(self.objects): result}
-            console.print(results_table(named, method.name))
-            console.print(objects_table(result))
-            console.print(quality_table(named))
+            for table in result_tables({" ".join(self.objects): result}, method.name):
+                results_console().print(table)
         if self.out:
-            self.out.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically({self.out: json_text(result).encode()})
+            write_files(self.out.parent, {self.out.name: json_text(result)})
         if self.html:
             from pixel2catch.evaluation.page import write_page
 
-            self.html.parent.mkdir(parents=True, exist_ok=True)
             write_page(self.html, " ".join(self.objects), result, cfg, collection)
             say(f"wrote {self.html}")

@@ -87,11 +87,13 @@ class Export:
     def _write_data(self, out: Path) -> None:
         from pixel2catch.cli.device import prepare
         from pixel2catch.installation import needs_extra
+        from pixel2catch.ros2.bags import is_bag
 
         with needs_extra("lerobot"):
             import pyarrow  # noqa: F401 (what writes the files)
         prepare("cpu")
-        said = self._write_recording(out) if _is_recording(self.source) else self._write_throws(out)
+        is_recording = self.source is not None and is_bag(self.source)
+        said = self._write_recording(out) if is_recording else self._write_throws(out)
         print(f"wrote {out}: {said}")
 
     def _write_recording(self, out: Path) -> str:
@@ -130,9 +132,3 @@ class Export:
             say(f"throwing {self.throws} times ...")
             num_caught = write_throws(cfg, policy, method, writer, self.images)
         return f"{writer.num_episodes} throws, {num_caught} caught; {writer.num_steps} control steps"
-
-
-def _is_recording(source: Path | None) -> bool:
-    from pixel2catch.ros2.bags import is_bag
-
-    return source is not None and is_bag(source)

@@ -11,6 +11,7 @@ from pixel2catch.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
+    from pixel2catch.evaluation.stress.suite import Setting
 
 FieldOptions = Annotated[
     tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]], tyro.conf.arg(metavar="FIELD VALUE ...")
@@ -62,3 +63,14 @@ class EvaluatedTask:
             scene = dataclasses.replace(changed.scene, robot_model=tuple(map(str, self.robot_model)))
             changed = dataclasses.replace(changed, scene=scene)
         return self.then(changed) if self.then else changed
+
+
+def with_changes(
+    setting: "Setting", command: str, options: FieldOptions, robot_model: tuple[Path, ...] = ()
+) -> "Setting":
+    """A setting of which the task is changed first, if it is: see `EvaluatedTask`."""
+    if not options and not robot_model:
+        return setting
+    then = setting.level.change
+    change = EvaluatedTask(options=options, command=command, robot_model=robot_model, then=then)
+    return dataclasses.replace(setting, level=dataclasses.replace(setting.level, change=change))

@@ -17,28 +17,10 @@ from pixel2catch.interruption import Terminated, raise_on_termination
 from pixel2catch.own_files import import_files, take_option
 
 COMMANDS = (
-    "train",
-    "evaluate",
-    "stress",
-    "transfer",
-    "reproduce",
-    "play",
-    "catch",
-    "excite",
-    "record",
-    "identify",
-    "calibrate",
-    "track",
-    "label",
-    "deploy",
-    "operate",
-    "twin",
-    "rehearse",
-    "replay",
-    "export",
-    "scene",
-    "bench",
-    "doctor",
+    *("train", "evaluate", "stress", "transfer", "reproduce", "play", "catch"),
+    *("excite", "record", "identify", "calibrate", "track", "label"),
+    *("deploy", "operate", "twin", "rehearse", "replay"),
+    *("export", "scene", "bench", "doctor"),
 )
 """Each is a module beside this one, with a class of its name, which is loaded where it is needed."""
 

@@ -86,11 +86,7 @@ class Play:
         print(f"wrote {self.out}: {num_pictures} pictures")
 
     def _serve(self) -> None:
-        """Serve the page until Ctrl-C.
-
-        Raises:
-            InvalidValueError: If a robot model is given, which the page does not take.
-        """
+        """Serve the page until Ctrl-C; it takes no robot model."""
         if self.robot_model:
             raise InvalidValueError("--web has the robot of this package alone; leave out --robot-model.")
         from pixel2catch.cli.device import prepare

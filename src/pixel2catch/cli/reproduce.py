@@ -57,9 +57,8 @@ class Reproduce:
     cluster: Cluster = field(default_factory=Cluster)  #: Where they run.
     num_envs: Count = 100  #: Throws in a round of an evaluation.
     trials: Count = 10  #: Rounds of an evaluation.
-    evaluation_device: tuple[Device, ...] = (
-        "cpu",
-    )  #: Where to evaluate: cpu, or one or several CUDA devices.
+    #: Where to evaluate: cpu, or one or several CUDA devices.
+    evaluation_device: tuple[Device, ...] = ("cpu",)
     evaluation_physics_hz: PhysicsRate = 600.0  #: Physics steps in a second of the evaluations.
     out: ResultsFolder = Path("results")  #: Folder of the study.
     report_only: bool = False  #: Train and evaluate nothing; write the report of what is there.

@@ -13,9 +13,8 @@ from pixel2catch.checks import OutputFile, RobotModelPath
 class Scene:
     """Write the MuJoCo model of robot, table, camera and object to a file."""
 
-    file: Positional[
-        Annotated[Path, OutputFile((".xml", ".mjb"))]
-    ]  #: Where to write: FILE.xml, self-contained, or FILE.mjb, binary.
+    #: Where to write: FILE.xml, self-contained, or FILE.mjb, binary.
+    file: Positional[Annotated[Path, OutputFile((".xml", ".mjb"))]]
     object: str = "cube_s"  #: Name of the object that is in the scene.
     workcell: str = "ur5e_allegro"  #: Name of the work cell, or a Python file that defines `WORKCELLS`.
 

@@ -1,20 +1,19 @@
 """`pixel2catch stress`: every policy under what the real world does and the training does not."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
-from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.cli.fields import FieldOptions, with_changes
 from pixel2catch.evaluation.cluster import Cluster
 from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
     from pixel2catch.evaluation.stress.measuring import Result
-    from pixel2catch.evaluation.stress.suite import Setting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,9 +42,7 @@ class Stress:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from rich.console import Console
-
-        from pixel2catch.cli.console import say
+        from pixel2catch.cli.console import progress_bar, say
         from pixel2catch.cli.device import prepare
         from pixel2catch.envs.cfg import CatchEnvCfg
         from pixel2catch.evaluation.protocol import EvaluationCfg
@@ -53,12 +50,11 @@ class Stress:
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
         from pixel2catch.files import json_text
-        from pixel2catch.progress import ProgressBar
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg
 
         executor = self.cluster.executor(self.out)
-        settings = tuple(map(self._with_fields, select_settings(self.axes)))
+        settings = tuple(with_changes(each, "stress", self.env) for each in select_settings(self.axes))
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
@@ -73,15 +69,9 @@ class Stress:
             name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
             say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
 
-        with ProgressBar("stress", 1.0, console=Console(stderr=True, highlight=False)) as bar:
+        with progress_bar("stress") as bar:
             contents = measure(results, cfg, report, self.jobs, bar.show, executor=executor)
         table = make_table(results, contents)
         print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
         write_report(self.out, table)
         say(f"wrote {self.out}: table.md, table.tex, table.csv, table.json, heatmap.png")
-
-    def _with_fields(self, setting: "Setting") -> "Setting":
-        if not self.env:
-            return setting
-        change = EvaluatedTask(options=self.env, command="stress", then=setting.level.change)
-        return replace(setting, level=replace(setting.level, change=change))

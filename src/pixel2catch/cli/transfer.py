@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, RobotModelPath, Seed, Within
-from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.cli.fields import FieldOptions, with_changes
 from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
     from pixel2catch.evaluation.protocol import EvaluationCfg
     from pixel2catch.evaluation.stress.measuring import Result
-    from pixel2catch.evaluation.stress.suite import Setting
 
 THROWS_AT_ONCE = 20
 """Throws of a round. Source: ours: other engines step them one after the other, so that more gain nothing."""
@@ -49,9 +48,7 @@ class Transfer:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from rich.console import Console
-
-        from pixel2catch.cli.console import say
+        from pixel2catch.cli.console import progress_bar, say
         from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
         from pixel2catch.evaluation.transfer.cells import (
             estimated_seconds,
@@ -62,7 +59,7 @@ class Transfer:
         )
         from pixel2catch.evaluation.transfer.report import as_markdown, make_table, write_report
         from pixel2catch.files import json_text
-        from pixel2catch.progress import ProgressBar, duration
+        from pixel2catch.progress import duration
         from pixel2catch.shipped import policy_folder
         from pixel2catch.sim.factory import require_engine
 
@@ -70,7 +67,8 @@ class Transfer:
             require_engine(engine)
         whole = self._evaluation()
         cfg, num_rounds = replace(whole, trials=1), whole.trials
-        settings = tuple(map(self._with_fields, transfer_settings(self.engines, self.restitution)))
+        settings = transfer_settings(self.engines, self.restitution)
+        settings = tuple(with_changes(each, "transfer", self.env, self.robot_model) for each in settings)
         policies = find_policies(self.policies or (policy_folder(None),))
         cells = plan_results(policies, settings, self.out)
         results = rounds_of(cells, num_rounds)
@@ -83,7 +81,7 @@ class Transfer:
             name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
             say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
 
-        with ProgressBar("transfer", 1.0, console=Console(stderr=True, highlight=False)) as bar:
+        with progress_bar("transfer") as bar:
             contents = measure(results, cfg, report, self.jobs, bar.show, throw_metrics)
         found = [pooled(contents[i : i + num_rounds]) for i in range(0, len(contents), num_rounds)]
         table = make_table(cells, found)
@@ -119,14 +117,3 @@ class Transfer:
             seed=self.seed,
             task=CatchEnvCfg(scene=SceneCfg(physics_hz=self.physics_hz)),
         )
-
-    def _with_fields(self, setting: "Setting") -> "Setting":
-        if not self.env and not self.robot_model:
-            return setting
-        change = EvaluatedTask(
-            options=self.env,
-            command="transfer",
-            robot_model=self.robot_model,
-            then=setting.level.change,
-        )
-        return replace(setting, level=replace(setting.level, change=change))

@@ -18,15 +18,24 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from jaxtyping import UInt8
 
-from pixel2catch.datasets.features import IMAGES, names_of
+from pixel2catch.camera.boxes import PIXEL_FEATURES
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import require_free_folder
+from pixel2catch.files import json_text, require_free_folder
 from pixel2catch.rendering.video import VideoWriter
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT
 
 if TYPE_CHECKING:
     import pyarrow
+
+STATE = "observation.state"  #: Measured joint positions [rad].
+ACTION = "action"  #: Joint targets of the policy [rad].
+SEEN = "observation.environment_state"  #: Newest box of the object [px], and its pixel features.
+AGE = "observation.box_age"  #: Age of that box [control steps]; in simulation only.
+REWARD = "next.reward"  #: Sum of the agents' rewards; in simulation only.
+DONE = "next.done"  #: Whether the episode ends with this step.
+SUCCESS = "next.success"  #: Whether it ends with a catch; in simulation only.
+IMAGES = "observation.images.rgb"  #: What the robot's camera sees.
 
 VERSION = "v3.0"  #: Of the format.
 FPS = round(1.0 / CONTROL_DT)  #: Control steps in a second.
@@ -72,7 +81,9 @@ class DatasetWriter(AbstractContextManager["DatasetWriter"]):
             InvalidValueError: There is something in the folder, or it cannot be made.
         """
         require_free_folder(folder)
-        self._folder, self._robot, self._names = folder, workcell.name, names_of(workcell)
+        self._folder, self._robot, joints = folder, workcell.name, workcell.joint_names
+        seen = ("xmin", "ymin", "xmax", "ymax", *PIXEL_FEATURES)
+        self._names = {STATE: joints, ACTION: joints, SEEN: seen}
         self._episodes = list[_Episode]()
         self._steps = list[dict[str, np.ndarray]]()
         self._pixels = list[np.ndarray]()
@@ -103,7 +114,10 @@ class DatasetWriter(AbstractContextManager["DatasetWriter"]):
         num_steps, order = len(self._steps), np.arange(len(self._steps))[:, None]
         columns = {name: np.stack([step[name] for step in self._steps]) for name in self._steps[0]}
         tasks = list(dict.fromkeys([*(episode.task for episode in self._episodes), task]))
-        columns = {name: _stored(column) for name, column in columns.items()} | {
+        columns = {
+            name: column if column.dtype == np.bool_ else column.astype(np.float32)
+            for name, column in columns.items()
+        } | {
             "timestamp": (order / FPS).astype(np.float32),
             "frame_index": order,
             "episode_index": np.full_like(order, self.num_episodes),
@@ -161,8 +175,7 @@ class DatasetWriter(AbstractContextManager["DatasetWriter"]):
             path.parent.mkdir(parents=True, exist_ok=True)
             parquet.write_table(table, path)
         for name, content in (("info", self._info(columns, len(tasks))), ("stats", statistics)):
-            text = json.dumps(content, indent=2, allow_nan=False)
-            (self._folder / "meta" / f"{name}.json").write_text(f"{text}\n")
+            (self._folder / "meta" / f"{name}.json").write_text(json_text(content))
 
     def _rows(self) -> list[dict[str, Any]]:
         """What the format says of every episode."""
@@ -218,11 +231,6 @@ class DatasetWriter(AbstractContextManager["DatasetWriter"]):
         }
 
 
-def _stored(column: np.ndarray) -> np.ndarray:
-    """Numbers as the format stores them."""
-    return column if column.dtype == np.bool_ else column.astype(np.float32)
-
-
 def _arrow(column: np.ndarray) -> "pyarrow.Array":
     """A column as the format stores it: rows of one number are that number."""
     import pyarrow
@@ -232,7 +240,6 @@ def _arrow(column: np.ndarray) -> "pyarrow.Array":
 
 
 def _statistics(column: np.ndarray) -> Statistics:
-    """Statistics of every number of a feature."""
     values = column.astype(np.float64)
     found = {"min": values.min(axis=0), "max": values.max(axis=0)}
     found |= {"mean": values.mean(axis=0), "std": values.std(axis=0), "count": np.array([len(values)])}

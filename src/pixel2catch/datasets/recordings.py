@@ -9,8 +9,7 @@ import numpy as np
 import torch
 
 from pixel2catch.camera.boxes import pixel_features
-from pixel2catch.datasets.features import ACTION, DONE, SEEN, STATE
-from pixel2catch.datasets.lerobot import DatasetWriter, Image
+from pixel2catch.datasets.lerobot import ACTION, DONE, SEEN, STATE, DatasetWriter, Image
 from pixel2catch.deployment.recorder import ORDERS, SERVO
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from pixel2catch.camera.boxes import pixel_features
-from pixel2catch.datasets.features import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS
-from pixel2catch.datasets.lerobot import DatasetWriter, Image
+from pixel2catch.datasets.lerobot import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS, DatasetWriter, Image
 from pixel2catch.envs.catch_env import CatchEnv, Step
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, run_round
 from pixel2catch.mdp.masks import clone

@@ -192,9 +192,9 @@ class CatchEnv:
 
     def _control_step(self, action: Float[Tensor, "num_envs num_joints"]) -> Step:
         """One control step on memory that stays where it is, so that a device can record and replay it."""
-        target = self._action_map.joint_pos_target(
-            self._disturbed(action), self._senses.history.now.joint_pos
-        )
+        noise = torch.randn(action.shape, generator=self._generator, device=self.device)
+        disturbed = action + self._episode.parameters.action_bias + self._action_noise * noise
+        target = self._action_map.joint_pos_target(disturbed, self._senses.history.now.joint_pos)
         commands = self._commands.pushed(target)
         late = commands.interpolated(self._episode.command_delay)
         log = self.world.run(late, self._base_acceleration(), self._episode.drag)
@@ -234,13 +234,6 @@ class CatchEnv:
             now=now,
         )
         return clone(senses)
-
-    def _disturbed(
-        self, action: Float[Tensor, "num_envs num_joints"]
-    ) -> Float[Tensor, "num_envs num_joints"]:
-        """Actions with the episode's bias and fresh noise."""
-        noise = torch.randn(action.shape, generator=self._generator, device=self.device)
-        return action + self._episode.parameters.action_bias + self._action_noise * noise
 
     def _waiting_commands(self) -> DelayLine[Tensor]:
         """The line of targets at the beginning of an episode: to stay where the joints are."""

@@ -9,7 +9,7 @@ from typing import Any
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.dynamics_file import DynamicsFile
-from pixel2catch.mdp.randomization import GainRanges, RandomizationCfg
+from pixel2catch.mdp.randomization import RandomizationCfg
 from pixel2catch.mdp.sensing import SensingCfg
 from pixel2catch.mdp.shaking import ShakeCfg
 from pixel2catch.mdp.terminations import EpisodeCfg
@@ -90,7 +90,8 @@ class CatchEnvCfg:
 
     def with_dynamics(self, file: DynamicsFile) -> "CatchEnvCfg":
         """The task with the joint dynamics of a file, and its ranges for their gains."""
-        return replace(self._with_gains(lambda _: file.gains), dynamics=file.dynamics)
+        task = self._with("randomization", lambda each: replace(each, gains=file.gains))
+        return replace(task, dynamics=file.dynamics)
 
     def for_workcell(self, workcell: WorkcellSpec) -> "CatchEnvCfg":
         """The task with a range of gains for each joint of a work cell.
@@ -98,14 +99,12 @@ class CatchEnvCfg:
         Raises:
             InvalidValueError: If it has ranges for another number of joints.
         """
-        return self._with_gains(lambda gains: gains.of(workcell))
+        return self._with("randomization", lambda each: replace(each, gains=each.gains.of(workcell)))
 
-    def _with_gains(self, change: Callable[[GainRanges], GainRanges]) -> "CatchEnvCfg":
-        def changed(randomization: RandomizationCfg) -> RandomizationCfg:
-            return replace(randomization, gains=change(randomization.gains))
-
-        variants = tuple(replace(each, randomization=changed(each.randomization)) for each in self.variants)
-        return replace(self, randomization=changed(self.randomization), variants=variants)
+    def _with(self, part: str, change: Callable[[Any], Any]) -> "CatchEnvCfg":
+        """The task with another `randomization` or `sensing` in all episodes."""
+        variants = tuple(replace(each, **{part: change(getattr(each, part))}) for each in self.variants)
+        return replace(self, **{part: change(getattr(self, part))}, variants=variants)
 
     def with_workcell(self, workcell: WorkcellSpec) -> "CatchEnvCfg":
         """The task of other robots."""
@@ -121,10 +120,7 @@ class CatchEnvCfg:
 
     def with_sensing(self, **changes: Any) -> "CatchEnvCfg":
         """The task with other sensors in all episodes: fields of `SensingCfg`."""
-        variants = tuple(
-            replace(variant, sensing=replace(variant.sensing, **changes)) for variant in self.variants
-        )
-        return replace(self, sensing=replace(self.sensing, **changes), variants=variants)
+        return self._with("sensing", lambda each: replace(each, **changes))
 
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
         """The task with the robot of a dynamics file and the camera of a camera file, where they are given.

@@ -108,38 +108,39 @@ class EpisodeRecord:
 
         `arms` are columns of their joints, `palms` those of the palms among what may touch the object.
         """
-        touched = log.is_touching.any(dim=-1)
+        touched, now = log.is_touching.any(dim=-1), transition.now
         first = touched & ~self.is_hand_contact
+        speed = take(now.joint_vel, arms).abs().mean(dim=-1)
+        change = now.object_lin_vel - transition.before.object_lin_vel
+        deceleration = torch.linalg.vector_norm(change, dim=-1) / CONTROL_DT
         return replace(
             self,
             object_id=self.object_id.clone(),
             aim=self.aim.clone(),
             steps=transition.episode_steps,
             held_steps=transition.held_steps,
-            is_tracked=self.is_tracked | is_near(transition.now),
+            is_tracked=self.is_tracked | is_near(now),
             is_success=self.is_success | is_success(transition),
             is_palm_contact=self.is_palm_contact | take(log.is_touching, palms).any(dim=-1),
             is_hand_contact=self.is_hand_contact | touched,
-            is_dropped=self.is_dropped | is_dropped(transition.now),
+            is_dropped=self.is_dropped | is_dropped(now),
             is_table_contact=self.is_table_contact | log.is_robot_on_table,
             is_self_contact=self.is_self_contact | log.is_self_contact,
             is_robot_contact=self.is_robot_contact | log.is_robot_contact,
             self_contact_steps=self.self_contact_steps + log.is_self_contact.long(),
-            contact_height=torch.where(first, transition.now.object_pos[:, 2], self.contact_height),
+            contact_height=torch.where(first, now.object_pos[:, 2], self.contact_height),
             contact_steps=self.contact_steps + touched.long(),
             penetration_sum=self.penetration_sum + torch.where(touched, log.penetration, 0.0),
             max_penetration=torch.maximum(self.max_penetration, log.penetration),
             max_table_penetration=torch.maximum(self.max_table_penetration, log.table_penetration),
             max_joint_speed=torch.maximum(self.max_joint_speed, log.joint_speed),
             max_torque_share=torch.maximum(self.max_torque_share, log.torque_share),
-            hold_speed=self._at_rest(self.hold_speed, _speed(transition, arms), transition),
+            hold_speed=self._at_rest(self.hold_speed, speed, transition),
             hold_torque_share=self._at_rest(self.hold_torque_share, log.hand_torque_share, transition),
-            hold_palms=self._at_rest(
-                self.hold_palms, near_palms(transition.now).sum(dim=-1).float(), transition
-            ),
+            hold_palms=self._at_rest(self.hold_palms, near_palms(now).sum(dim=-1).float(), transition),
             peak_deceleration=torch.where(
                 (self.is_hand_contact | touched) & ~self.is_success,
-                torch.maximum(self.peak_deceleration, _deceleration(transition)),
+                torch.maximum(self.peak_deceleration, deceleration),
                 self.peak_deceleration,
             ),
         )
@@ -154,17 +155,6 @@ class EpisodeRecord:
         is_resting = transition.held_steps > HOLD_STEPS - REST_STEPS
         longer = torch.where(is_resting, mean + value / REST_STEPS, 0.0)
         return torch.where(self.is_success, mean, longer)
-
-
-def _speed(transition: Transition, joints: Columns) -> Float[Tensor, " num_envs"]:
-    """Mean speed of joints [rad/s]."""
-    return take(transition.now.joint_vel, joints).abs().mean(dim=-1)
-
-
-def _deceleration(transition: Transition) -> Float[Tensor, " num_envs"]:
-    """Mean acceleration of the object in the control step, gravity included [m/s²]."""
-    change = transition.now.object_lin_vel - transition.before.object_lin_vel
-    return torch.linalg.vector_norm(change, dim=-1) / CONTROL_DT
 
 
 FAILURES = ("never_reached", "bounced_off", "dropped", "not_held")
@@ -204,53 +194,42 @@ def draw_episode(
     """Draw an episode for every environment, on the generator's device.
 
     Each is of one of the task's variants, or of none, by their shares. `action_bias` is the standard
-    deviation of the error of each action that lasts an episode, `object_ids` is what may be thrown.
+    deviation of the error of each action that lasts an episode, `object_ids` is what may be thrown. What not
+    every task disturbs is drawn last, so that a seed throws the same with and without it.
     """
-    episode = _draw(cfg, cfg, action_bias, object_ids, num_envs, generator)
+    has_air = any(each.randomization.air_density for each in cfg.all_variants)
+    is_exact = all(is_camera_exact(each.sensing) for each in cfg.all_variants)
+
+    def draw(task: CatchEnvCfg) -> Episode:
+        ranges, drag = task.randomization, None
+        parameters = sample_parameters(ranges, task.sensing, action_bias, object_ids, num_envs, generator)
+        if has_air:
+            density = drawn(ranges.air_density, num_envs, generator)
+            by_object = _drag_by_object(task.scene.object_scale, tuple(OBJECTS.values()))
+            by_object = constant(by_object, generator.device)[parameters.object_id]
+            drag = density * by_object / parameters.mass_scale
+        throw = sample_throws(task.throws, num_envs, generator, drag)
+        camera_errors = None if is_exact else sample_camera_errors(task.sensing, throw, generator)
+        shake = sample_shake(task.shake, num_envs, generator)
+        return Episode(
+            parameters=parameters,
+            throw=throw if shake is None else shake.seen_from_base(throw),
+            camera_errors=camera_errors,
+            shake=shake,
+            command_delay=_command_delay(ranges, num_envs, generator),
+            drag=drag,
+            record=EpisodeRecord.start(parameters.object_id, throw.aim),
+        )
+
+    episode = draw(cfg)
     if not cfg.variants:
         return episode
     chance = torch.rand(num_envs, generator=generator, device=generator.device)
     for variant in cfg.variants:
-        other = _draw(variant.of(cfg), cfg, action_bias, object_ids, num_envs, generator)
-        episode = select((chance >= 0.0) & (chance < variant.share), other, episode)
+        is_of = (chance >= 0.0) & (chance < variant.share)
+        episode = select(is_of, draw(variant.of(cfg)), episode)
         chance = chance - variant.share
     return episode
-
-
-def _draw(
-    cfg: CatchEnvCfg,
-    task: CatchEnvCfg,
-    action_bias: Float[Tensor, " num_joints"],
-    object_ids: Int[Tensor, " num_objects"],
-    num_envs: int,
-    generator: torch.Generator,
-) -> Episode:
-    """Draw from one set of ranges; the variants of the whole task decide what an episode holds.
-
-    What not every task disturbs is drawn last, so that a seed throws the same with and without it.
-    """
-    randomization = cfg.randomization
-    parameters = sample_parameters(randomization, cfg.sensing, action_bias, object_ids, num_envs, generator)
-    drag = None
-    if any(each.randomization.air_density for each in task.all_variants):
-        density = drawn(randomization.air_density, num_envs, generator)
-        by_object = constant(
-            _drag_by_object(cfg.scene.object_scale, tuple(OBJECTS.values())), generator.device
-        )
-        drag = density * by_object[parameters.object_id] / parameters.mass_scale
-    throw = sample_throws(cfg.throws, num_envs, generator, drag)
-    is_exact = all(is_camera_exact(each.sensing) for each in task.all_variants)
-    camera_errors = None if is_exact else sample_camera_errors(cfg.sensing, throw, generator)
-    shake = sample_shake(cfg.shake, num_envs, generator)
-    return Episode(
-        parameters=parameters,
-        throw=throw if shake is None else shake.seen_from_base(throw),
-        camera_errors=camera_errors,
-        shake=shake,
-        command_delay=_command_delay(randomization, num_envs, generator),
-        drag=drag,
-        record=EpisodeRecord.start(parameters.object_id, throw.aim),
-    )
 
 
 def _command_delay(

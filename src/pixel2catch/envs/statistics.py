@@ -9,23 +9,13 @@ from torch import Tensor
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.mdp.throws import Range
 
-SHARES = (
-    "is_tracked",
-    "is_success",
-    "is_palm_contact",
-    "is_hand_contact",
-    "is_dropped",
-    "is_table_contact",
-    "is_self_contact",
-    "is_robot_contact",
-)
+RATES = ("success", "palm_contact", "table_contact", "self_contact", "robot_contact")
+"""Shares that are told as rates of the same names, besides the one of `is_tracked`."""
+
+SHARES = ("is_tracked", "is_hand_contact", "is_dropped", *(f"is_{name}" for name in RATES))
 SUMS = ("steps", "contact_height", "contact_steps", "penetration_sum", "self_contact_steps")
-SUCCESS_SUMS = (
-    "hold_speed",
-    "hold_torque_share",
-    "hold_palms",
-    "peak_deceleration",
-)  #: What only a success has.
+SUCCESS_SUMS = ("hold_speed", "hold_torque_share", "hold_palms", "peak_deceleration")
+"""What only a success has."""
 
 MAXIMA = ("max_penetration", "max_table_penetration", "max_joint_speed", "max_torque_share")
 LANDING_BINS = (2, 4)  #: Bins of the throws' aim along x and y.
@@ -123,16 +113,12 @@ class EpisodeStatistics:
 def _means(row: Row) -> dict[str, float]:
     """Rates and means of one row of sums."""
     episodes = row[0]
-    values = dict(zip((*SHARES, *SUMS, *SUCCESS_SUMS), row[1:], strict=False))
+    values: dict[str, float] = dict(zip((*SHARES, *SUMS, *SUCCESS_SUMS), row[1:], strict=False))
     failures = dict(zip(FAILURES, row[-len(FAILURES) :], strict=True))
     return {
         "episodes": episodes,
         "tracking_rate": _ratio(values["is_tracked"], episodes),
-        "success_rate": _ratio(values["is_success"], episodes),
-        "palm_contact_rate": _ratio(values["is_palm_contact"], episodes),
-        "table_contact_rate": _ratio(values["is_table_contact"], episodes),
-        "self_contact_rate": _ratio(values["is_self_contact"], episodes),
-        "robot_contact_rate": _ratio(values["is_robot_contact"], episodes),
+        **{f"{name}_rate": _ratio(values[f"is_{name}"], episodes) for name in RATES},
         "contact_height": _ratio(values["contact_height"], values["is_hand_contact"]),
         "mean_penetration": _ratio(values["penetration_sum"], values["contact_steps"]),
         "self_contact_steps": _ratio(values["self_contact_steps"], episodes),

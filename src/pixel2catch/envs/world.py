@@ -36,12 +36,8 @@ NUM_SURFACE_POINTS = 64
 """Points on the object that the camera looks for. Source: ours, see `benchmarks/box_error.py`."""
 
 MASS_POWER = {
-    "body_mass": 1,
-    "body_subtreemass": 1,
-    "body_inertia": 1,
-    "dof_M0": 1,
-    "body_invweight0": -1,
-    "dof_invweight0": -1,
+    **dict.fromkeys(("body_mass", "body_subtreemass", "body_inertia", "dof_M0"), 1),
+    **dict.fromkeys(("body_invweight0", "dof_invweight0"), -1),
 }
 """How the object's model fields grow with its mass. All must follow, or flights and contacts go wrong."""
 

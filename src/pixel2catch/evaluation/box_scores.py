@@ -53,9 +53,8 @@ def score_box(truth: Truth, box: Box, *, is_seen: bool = True) -> Score:
     if truth.box is None:
         return Score(phase=truth.phase, is_visible=False, is_seen=is_seen, error=float("nan"), is_apart=True)
     error = max(abs(edge - true) for edge, true in zip(box, truth.box, strict=True))
-    return Score(
-        phase=truth.phase, is_visible=True, is_seen=is_seen, error=error, is_apart=_are_apart(box, truth.box)
-    )
+    is_apart = any(min(box[i + 2], truth.box[i + 2]) <= max(box[i], truth.box[i]) for i in range(2))
+    return Score(phase=truth.phase, is_visible=True, is_seen=is_seen, error=error, is_apart=is_apart)
 
 
 def scored(
@@ -77,11 +76,6 @@ def scored(
             truth = Truth(phase=label.phase, box=label.box and fit.box(label.box))
             scores.append(score(truth, sighting.extraction))
         yield sighting
-
-
-def _are_apart(box: Box, other: Box) -> bool:
-    """Whether the intersection of two boxes is empty."""
-    return any(min(box[i + 2], other[i + 2]) <= max(box[i], other[i]) for i in range(2))
 
 
 def summary(scores: Iterable[Score]) -> dict[str, dict[str, Any]]:

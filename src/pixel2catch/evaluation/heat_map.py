@@ -6,7 +6,6 @@ from math import isnan
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pixel2catch.evaluation.report import png
@@ -15,12 +14,10 @@ PALETTE = "viridis"  #: For any kind of colour vision. Source: Smith and van der
 DARK = 60.0  #: Rate [%] under which a cell is dark enough for white letters.
 ROW_HEIGHT, COLUMN_WIDTH = 0.235, 0.95  #: Size of a cell [inch].
 
-Texts = Sequence[Sequence[str]]
-
 
 def heat_map(
     rates: Sequence[Sequence[float]],
-    marks: Texts,
+    marks: Sequence[Sequence[str]],
     rows: Sequence[str],
     columns: Sequence[str],
     groups: Sequence[str],
@@ -37,42 +34,22 @@ def heat_map(
     with matplotlib.rc_context({"font.size": 9}):
         axes = figure.subplots()
         image = axes.pcolormesh(np.array(rates), cmap=PALETTE, vmin=0.0, vmax=100.0)
-        _label(axes, rows, columns)
-        _write_numbers(axes, rates, marks, digits)
-        _separate(axes, groups, len(columns))
+        axes.set_yticks(np.arange(len(rows)) + 0.5, rows)
+        axes.set_xticks(np.arange(len(columns)) + 0.5, columns)
+        axes.set_ylim(len(rows), 0)
+        axes.tick_params(length=0, top=False, labeltop=True, labelbottom=False)
+        axes.spines[:].set_visible(False)
+        for i, row in enumerate(rates):
+            for j, rate in enumerate(row):
+                color = "white" if rate < DARK else "black"
+                text = "" if isnan(rate) else f"{rate:.{digits}f}"
+                axes.text(j + 0.5, i + 0.53, text, ha="center", va="center", color=color)
+                axes.text(j + 0.72, i + 0.56, marks[i][j], ha="left", va="center", color=color)
+        for i, (above, below) in enumerate(pairwise(groups), start=1):
+            axes.axhline(i, color="white", linewidth=0.6 if above == below else 4.0)
+        for j in range(1, len(columns)):
+            axes.axvline(j, color="white", linewidth=1.2)
         bar = figure.colorbar(image, ax=axes, location="bottom", shrink=0.7, aspect=30, pad=0.01)
         bar.set_label(label)
         bar.outline.set_visible(False)  # type: ignore[operator]
     return png(figure)
-
-
-def _label(axes: Axes, titles: Sequence[str], names: Sequence[str]) -> None:
-    axes.set_yticks(np.arange(len(titles)) + 0.5, titles)
-    axes.set_xticks(np.arange(len(names)) + 0.5, names)
-    axes.set_ylim(len(titles), 0)
-    axes.tick_params(length=0, top=False, labeltop=True, labelbottom=False)
-    for side in axes.spines.values():
-        side.set_visible(False)
-
-
-def _write_numbers(axes: Axes, rates: Sequence[Sequence[float]], marks: Texts, digits: int) -> None:
-    for i, row in enumerate(rates):
-        for j, rate in enumerate(row):
-            color = "white" if rate < DARK else "black"
-            axes.text(
-                j + 0.5,
-                i + 0.53,
-                "" if isnan(rate) else f"{rate:.{digits}f}",
-                ha="center",
-                va="center",
-                color=color,
-            )
-            axes.text(j + 0.72, i + 0.56, marks[i][j], ha="left", va="center", color=color)
-
-
-def _separate(axes: Axes, groups: Sequence[str], num_columns: int) -> None:
-    """White lines: thin between cells, thick between axes of the suite."""
-    for i, (above, below) in enumerate(pairwise(groups), start=1):
-        axes.axhline(i, color="white", linewidth=0.6 if above == below else 4.0)
-    for j in range(1, num_columns):
-        axes.axvline(j, color="white", linewidth=1.2)

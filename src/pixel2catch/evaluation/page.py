@@ -18,9 +18,17 @@ from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.comparison.figures import STYLE, objects_figure
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.report import Cells, objects_rows, percent, png, quality_rows, results_rows
+from pixel2catch.evaluation.report import (
+    Cells,
+    objects_rows,
+    percent,
+    png,
+    quality_rows,
+    results_rows,
+    write_files,
+)
 from pixel2catch.evaluation.throw_collection import ThrowCollection
-from pixel2catch.files import json_text, write_atomically
+from pixel2catch.files import json_text
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.offline_page import (
     Cell,
@@ -65,7 +73,7 @@ def write_page(path: Path, name: str, result: Metrics, cfg: EvaluationCfg, throw
     except DeviceUnavailableError:
         films = {}
     text = evaluation_page(name, result, cfg, throws, films, circumstances())
-    write_atomically({path: text.encode()})
+    write_files(path.parent, {path.name: text})
 
 
 def evaluation_page(

@@ -11,7 +11,7 @@ Source: paper, Sec. V: 100 environments and 10 trials in each, deterministic pol
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from math import pi
 from typing import Protocol, runtime_checkable
 
@@ -25,7 +25,7 @@ from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.mdp.actions import JointCommand
 from pixel2catch.mdp.columns import put, take
-from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.masks import mapped, select
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method
 from pixel2catch.rendering.storyboard import CAUGHT, LOST, RecordedThrow
@@ -97,10 +97,7 @@ class Trials:
     @classmethod
     def concatenate(cls, several: "list[Trials]") -> "Trials":
         """All of several rounds, on the host."""
-        names = [field.name for field in fields(EpisodeRecord)]
-        columns = {name: torch.cat([getattr(each.record, name) for each in several]).cpu() for name in names}
-        is_verified = torch.cat([each.is_verified for each in several]).cpu()
-        return cls(record=EpisodeRecord(**columns), is_verified=is_verified)
+        return mapped(lambda *rounds: torch.cat(rounds).cpu(), *several)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,47 +154,33 @@ def evaluate(
     on_round: Callable[[Trials], None] = lambda _: None,
     on_share: Callable[[float], None] = lambda _: None,
     on_throws: Callable[[list[RecordedThrow]], None] | None = None,
+    *,
+    env: CatchEnv | None = None,
+    is_seeded: bool = False,
 ) -> Trials:
-    """Evaluate a policy of a method.
+    """Evaluate a policy of a method, in environments of its own or in those of `cfg.make_env`; close them.
 
     After every round `on_round` is called with its trials, and `on_throws`, if given, with its throws, which
     are only recorded for it; after every control step `on_share` with the share of all rounds that is done.
+    If it is seeded, each round has the seed after that of the one before: then all policies get the same
+    throws. Else rounds end when every hold is decided, and the throws of the second depend on the policy.
     """
-    env = cfg.make_env(method)
-    return play_rounds(env, actor, cfg.trials, on_round, on_share, on_throws=on_throws)
-
-
-def play_rounds(
-    env: CatchEnv,
-    actor: Actor,
-    num_rounds: int,
-    on_round: Callable[[Trials], None] = lambda _: None,
-    on_share: Callable[[float], None] = lambda _: None,
-    seed: int | None = None,
-    on_throws: Callable[[list[RecordedThrow]], None] | None = None,
-) -> Trials:
-    """Play rounds in environments of `EvaluationCfg.make_env`, and close them.
-
-    The seed is of the first round, and the next round has the next one: then all policies get the same
-    throws. Without it, rounds end when every hold is decided, and the throws of the second depend on the
-    policy.
-    """
-    rounds = []
+    env, rounds = env or cfg.make_env(method), []
     try:
-        for number in range(num_rounds):
-            if seed is not None:
-                env.seed(seed + number)
+        for number in range(cfg.trials):
+            if is_seeded:
+                env.seed(cfg.seed + number)
             recorder = ThrowRecorder(env) if on_throws else None
             done = itertools.count(number * ROUND_STEPS + 1)
 
             def watch(step: Step, state: RoundState, recorder=recorder, done=done) -> None:
-                on_share(next(done) / (num_rounds * ROUND_STEPS))
+                on_share(next(done) / (cfg.trials * ROUND_STEPS))
                 if recorder:
                     recorder.watch(step, state)
 
             rounds.append(run_round(env, actor, watch))
             on_round(rounds[-1])
-            on_share((number + 1) / num_rounds)
+            on_share((number + 1) / cfg.trials)
             if recorder and on_throws:
                 on_throws(recorder.throws(rounds[-1]))
     finally:

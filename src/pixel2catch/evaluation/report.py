@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,26 +40,17 @@ DPI = 160  #: Pixels of an inch of a picture.
 Cells = Mapping[str, str]  #: A row of a table, by column.
 
 
-def results_table(results: Mapping[str, Metrics], method: str) -> Table:
-    """Rates of one or several sets of objects by name, each beside the paper's where it has them."""
-    return _table(
-        f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds",
-        results_rows(results, method),
-    )
-
-
-def objects_table(result: Metrics) -> Table:
-    """Rates object by object."""
-    return _table("by object", objects_rows(result))
-
-
-def quality_table(results: Mapping[str, Metrics]) -> Table:
-    """Failure modes, quality of contacts and holds, one column per set of objects."""
-    return _table("failures and contact", quality_rows(results))
+def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table]:
+    """Tables of one or several sets of objects by name; with the rates of every object where it is one."""
+    title = f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds"
+    yield _table(title, results_rows(results, method))
+    if len(results) == 1:
+        yield _table("by object", objects_rows(*results.values()))
+    yield _table("failures and contact", quality_rows(results))
 
 
 def results_rows(results: Mapping[str, Metrics], method: str) -> list[Cells]:
-    """Rows of `results_table`."""
+    """Rates of sets of objects, each beside the paper's where it has them."""
     rows = []
     for name, result in results.items():
         rows.append({"objects": name, **_cells(result)})
@@ -70,12 +61,12 @@ def results_rows(results: Mapping[str, Metrics], method: str) -> list[Cells]:
 
 
 def objects_rows(result: Metrics) -> list[Cells]:
-    """Rows of `objects_table`."""
+    """Rates object by object."""
     return [{"object": name, **_cells(each)} for name, each in result["objects"].items()]
 
 
 def quality_rows(results: Mapping[str, Metrics]) -> list[Cells]:
-    """Rows of `quality_table`."""
+    """Failure modes, quality of contacts and holds, one column per set of objects."""
     columns = {name: _quality(result) for name, result in results.items()}
     return [
         {"": row, **{name: column[row] for name, column in columns.items()}}

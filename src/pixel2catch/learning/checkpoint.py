@@ -15,20 +15,10 @@ from zipfile import BadZipFile
 
 import torch
 
+from pixel2catch import files
 from pixel2catch.archives import open_archive
 from pixel2catch.circumstances import circumstances
 from pixel2catch.errors import CheckpointError, InvalidValueError
-from pixel2catch.files import (
-    MOST_WEIGHTS,
-    decoded,
-    json_object,
-    json_text,
-    parse_json,
-    read_bytes,
-    read_text,
-    reading,
-    write_atomically,
-)
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.policy import PolicyContract
 
@@ -61,7 +51,7 @@ def save_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract, progress
     }
     buffer = io.BytesIO()
     torch.save(state, buffer)
-    write_atomically({path: buffer.getvalue()})
+    files.write_atomically({path: buffer.getvalue()})
 
 
 def load_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract) -> Progress:
@@ -72,17 +62,17 @@ def load_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract) -> Progr
         PolicyMismatchError: It was trained under another contract; the message names the fields.
     """
     fix = "Start without --resume, or with the configuration that it was begun with."
-    with reading("checkpoint", path, fix, CheckpointError):
+    with files.reading("checkpoint", path, fix, CheckpointError):
         state = _read(path, mappo.cfg.device)
-        saved = PolicyContract.from_dict(json_object(state["contract"]))
-        progress = decoded(Progress, state["progress"])
+        saved = PolicyContract.from_dict(files.json_object(state["contract"]))
+        progress = files.decoded(Progress, state["progress"])
     saved.require(contract)
     if saved.task != contract.task:
         raise CheckpointError(
             f"checkpoint '{path}' is of a training for the task '{saved.task}'; train with --task "
             f"{saved.task}, or name another folder."
         )
-    with reading("checkpoint", path, fix, CheckpointError):
+    with files.reading("checkpoint", path, fix, CheckpointError):
         try:
             mappo.load_state_dict(state["mappo"])
             torch.set_rng_state(state["random"]["cpu"].cpu())
@@ -94,9 +84,9 @@ def load_checkpoint(path: Path, mappo: Mappo, contract: PolicyContract) -> Progr
 
 
 def _read(path: Path, device: str) -> dict[str, Any]:
-    data = read_bytes(path, MOST_WEIGHTS)
+    data = files.read_bytes(path, files.MOST_WEIGHTS)
     try:
-        open_archive(data, MOST_WEIGHTS).close()
+        open_archive(data, files.MOST_WEIGHTS).close()
         state = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
     except (RuntimeError, EOFError, pickle.UnpicklingError, BadZipFile) as error:
         raise InvalidValueError(f"it is damaged ({error})") from error
@@ -175,14 +165,14 @@ class RunFolder:
     def describe(self, config: Mapping[str, Any], num_processes: int) -> None:
         """Write the resolved configuration, copy the inputs, append this session's circumstances."""
         self.write_json("config.json", config)
-        write_atomically(
+        files.write_atomically(
             {self.copy_of(name): file.read_bytes() for name, file in self.inputs.items() if file}
         )
         sessions_file = self.path / "sessions.json"
-        sessions = parse_json(read_text(sessions_file)) if sessions_file.exists() else []
+        sessions = files.parse_json(files.read_text(sessions_file)) if sessions_file.exists() else []
         session = {**circumstances(), "processes": num_processes}
         self.write_json("sessions.json", [*sessions, {**session, "config": config}])
 
     def write_json(self, name: str, content: Any) -> None:
         """Write a JSON file, all or nothing."""
-        write_atomically({self.path / name: json_text(content).encode()})
+        files.write_atomically({self.path / name: files.json_text(content).encode()})

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from torch import Tensor
 
@@ -11,7 +11,6 @@ from pixel2catch.learning.config import TrainCfg
 from pixel2catch.policy import PolicyContract
 
 
-@runtime_checkable
 class Observation(Protocol):
     """Inputs of the networks, float32 on the environment's device."""
 
@@ -31,7 +30,6 @@ class Observation(Protocol):
         ...
 
 
-@runtime_checkable
 class Step(Protocol):
     """Result of a control step. Where an episode ended, `observation` is that of the next one."""
 
@@ -56,7 +54,6 @@ class Step(Protocol):
         ...
 
 
-@runtime_checkable
 class Statistics(Protocol):
     """Episode statistics, accumulated on the device."""
 
@@ -69,7 +66,6 @@ class Statistics(Protocol):
         ...
 
 
-@runtime_checkable
 class Environment(Protocol):
     """Many copies of a task, stepped together. `step` never waits for the device."""
 

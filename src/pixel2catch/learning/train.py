@@ -94,11 +94,7 @@ def train(
 
 
 def _require_teacher(cfg: TrainCfg, folder: RunFolder) -> None:
-    """See that a run with a teacher goes on with one.
-
-    Raises:
-        CheckpointError: It had one, and none is named.
-    """
+    """See that a run with a teacher goes on with one."""
     file = folder.path / CONFIG_FILE
     before = None
     if file.exists():

@@ -1,7 +1,6 @@
 """The dynamics file: what an identification writes, and training, evaluation and videos take."""
 
 import dataclasses
-import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.files import read_json_object, reading, write_atomically
+from pixel2catch.files import json_text, read_json_object, reading, write_atomically
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.mdp.throws import Range
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -41,7 +40,7 @@ class DynamicsFile:
         content = {"format_version": FORMAT_VERSION, **dynamics.to_dict(), "gain_ranges": ranges}
         if self.worse_than_command:
             content["worse_than_command"] = list(self.worse_than_command)
-        write_atomically({path: (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()})
+        write_atomically({path: json_text(content).encode()})
 
     @classmethod
     def load(cls, path: Path | None, workcell: WorkcellSpec = UR5E_ALLEGRO) -> "DynamicsFile":
@@ -81,11 +80,7 @@ def _rows(dynamics: JointDynamics, workcell: WorkcellSpec) -> list[int]:
 
 
 def _gains(content: Mapping[str, Any], rows: Sequence[int], workcell: WorkcellSpec) -> GainRanges:
-    """The ranges of the joint groups, with those of the file for its joints.
-
-    Raises:
-        InvalidValueError: An entry is unknown, of another length, or no range.
-    """
+    """The ranges of the joint groups, with those of the file for its joints."""
     columns = {name: list(values) for name, values in dataclasses.asdict(GainRanges().of(workcell)).items()}
     for name, values in content.items():
         if name not in columns:

@@ -16,17 +16,17 @@ def select(mask: Bool[Tensor, " num_envs"], new: T, old: T) -> T:
 
     Both are tensors, or dataclasses, dictionaries or tuples of them; a part that is `None` stays so.
     """
-    return _map(lambda a, b: torch.where(mask.view(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
+    return mapped(lambda a, b: torch.where(mask.view(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
 
 
 def clone(value: T) -> T:
     """The same values in memory of their own."""
-    return _map(torch.clone, value)
+    return mapped(torch.clone, value)
 
 
 def assign(target: T, source: T) -> None:
     """Copy every tensor of `source` into that of `target`, whose memory stays where it is."""
-    _map(lambda old, new: old.copy_(new), target, source)
+    mapped(lambda old, new: old.copy_(new), target, source)
 
 
 def write(mask: Bool[Tensor, " num_envs"], new: T, target: T) -> None:
@@ -36,12 +36,12 @@ def write(mask: Bool[Tensor, " num_envs"], new: T, target: T) -> None:
     """
     if mask.device.type == "cpu" and not torch.compiler.is_compiling():
         rows = mask.nonzero()[:, 0]
-        _map(lambda old, value: old.index_put_((rows,), value[rows].to(old.dtype)), target, new)
+        mapped(lambda old, value: old.index_put_((rows,), value[rows].to(old.dtype)), target, new)
     else:
         assign(target, select(mask, new, target))
 
 
-def _map(function: Callable[..., Tensor], *values: Any) -> Any:
+def mapped(function: Callable[..., Tensor], *values: Any) -> Any:
     """Apply a function to the corresponding tensors of values of one structure."""
     first = values[0]
     if first is None:
@@ -50,8 +50,8 @@ def _map(function: Callable[..., Tensor], *values: Any) -> Any:
         return function(*values)
     if is_dataclass(first):
         names = [field.name for field in fields(first)]
-        return type(first)(**{name: _map(function, *(getattr(v, name) for v in values)) for name in names})
+        return type(first)(**{name: mapped(function, *(getattr(v, name) for v in values)) for name in names})
     if isinstance(first, dict):
-        return {name: _map(function, *(value[name] for value in values)) for name in first}
-    items = [_map(function, *several) for several in zip(*values, strict=True)]
+        return {name: mapped(function, *(value[name] for value in values)) for name in first}
+    items = [mapped(function, *several) for several in zip(*values, strict=True)]
     return type(first)(*items) if hasattr(first, "_fields") else tuple(items)

@@ -6,6 +6,7 @@ not fit fails with the name of the field instead of moving a robot in a wrong wa
 that define a method, and a method from it, own ones too.
 """
 
+import contextlib
 import dataclasses
 import json
 from collections.abc import Iterator, Mapping
@@ -32,10 +33,7 @@ FORMAT_VERSION = 2
 """Version of the files that `Policy.save` writes. Raised when an older file can no longer be read."""
 
 MOST_NAMED = 100  #: Fields of a policy that does not fit that a message names.
-MOST_AGENTS, MOST_INPUTS = (
-    16,
-    8192,
-)  #: Of the policies that are read. Source: ours; the largest have 4, and 200.
+MOST_AGENTS, MOST_INPUTS = 16, 8192  #: Of policies that are read. Source: ours; the largest have 4, and 200.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -196,7 +194,9 @@ def method_of(contract: PolicyContract) -> Method:
     workcell = known_workcell(contract.workcell)
     if base in METHODS:
         return find_method(contract.method, workcell)
-    memory = _memory(suffix if contract.pixel_features else suffix and "age")
+    memory: Memory | None = None
+    with contextlib.suppress(UnknownNameError):
+        memory = find_memory(suffix if contract.pixel_features else suffix and "age")
     agents = tuple(_agent(name, agent, contract.method, workcell) for name, agent in contract.agents.items())
     if any(agent.memory != (memory.terms if memory else ()) for agent in agents):
         raise _undefined(contract.method, "remembers images in a way of its own")
@@ -206,13 +206,6 @@ def method_of(contract: PolicyContract) -> Method:
         pixel_features=contract.pixel_features,
         num_boxes=memory.num_boxes if memory else 1,
     )
-
-
-def _memory(name: str) -> Memory | None:
-    try:
-        return find_memory(name)
-    except UnknownNameError:
-        return None
 
 
 def _agent(name: str, contract: AgentContract, method: str, workcell: WorkcellSpec) -> AgentSpec:

@@ -113,7 +113,11 @@ def to_onnx(policy: Policy) -> bytes:
     for agent, contract in policy.contract.agents.items():
         _add_agent(graph, policy.network(agent), agent, len(contract.joints))
     data = graph.model({METADATA: policy.description})
-    _require_same(policy, OnnxPolicy(data))
+    if not (difference := largest_difference(policy, OnnxPolicy(data))) <= TOLERANCE:
+        raise NonFiniteError(
+            f"the exported policy's actions differ by {difference:g} from the original's, {TOLERANCE:g} is "
+            "allowed: look for weights or input statistics that are no finite numbers, and train again."
+        )
     return data
 
 
@@ -196,7 +200,7 @@ def _add_agent(graph: _Graph, network: AgentNetwork, agent: str, num_joints: int
     graph.add("Clip", value, *torch.tensor((-1.0, 1.0)), to=graph.output(f"action.{agent}", num_joints))
 
 
-def largest_difference(policy: Policy, other: LoadedPolicy, num_inputs: int = NUM_TRIED) -> float:
+def largest_difference(policy: Policy, other: LoadedPolicy) -> float:
     """How far actions of two policies of one contract differ at most, for random observations.
 
     They are normal, with three times the deviation of the policy's statistics; hidden states go on.
@@ -208,21 +212,13 @@ def largest_difference(policy: Policy, other: LoadedPolicy, num_inputs: int = NU
         observations = dict[str, Tensor]()
         for agent in policy.contract.agents:
             mean, std = policy.network(agent).input_mean, policy.network(agent).input_std
-            noise = torch.randn(num_inputs // NUM_STEPS, len(mean), generator=generator)
+            noise = torch.randn(NUM_TRIED // NUM_STEPS, len(mean), generator=generator)
             observations[agent] = mean + 3.0 * std * noise
         actions, others = policy.act(observations), other.act(observations)
         differences += [(actions[agent] - others[agent]).abs().max() for agent in actions]
     policy.reset()
     other.reset()
     return float(torch.stack(differences).max())
-
-
-def _require_same(policy: Policy, exported: OnnxPolicy) -> None:
-    if not (difference := largest_difference(policy, exported)) <= TOLERANCE:
-        raise NonFiniteError(
-            f"the exported policy's actions differ by {difference:g} from the original's, {TOLERANCE:g} is "
-            "allowed: look for weights or input statistics that are no finite numbers, and train again."
-        )
 
 
 def _needs_libraries() -> AbstractContextManager[None]:
@@ -248,11 +244,7 @@ def _session(model: bytes | Path, name: str) -> "InferenceSession":
 
 
 def _require_ours(model: "onnx.ModelProto") -> None:
-    """Refuse a graph with anything but what a policy is made of: others may compute without end.
-
-    Raises:
-        InvalidValueError: It has another operation, or weights that are not in the file or not finite.
-    """
+    """Refuse a graph with anything but what a policy is made of: others may compute without end."""
     from onnx import numpy_helper
 
     other = {node.op_type for node in model.graph.node} - OPERATIONS

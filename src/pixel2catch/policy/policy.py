@@ -11,18 +11,8 @@ from jaxtyping import Bool, Float
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
+from pixel2catch import files
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError
-from pixel2catch.files import (
-    MOST_JSON,
-    MOST_WEIGHTS,
-    decoded,
-    json_object,
-    read_bytes,
-    read_text,
-    reading,
-    shown,
-    write_atomically,
-)
 from pixel2catch.policy.contract import PolicyContract
 from pixel2catch.policy.networks import HIDDEN, AgentNetwork
 
@@ -103,7 +93,7 @@ class Policy(nn.Module):
         text = self.description
         tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in self.state_dict().items()}
         weights = safetensors.torch.save(tensors, metadata={"policy": text})
-        write_atomically({folder / WEIGHTS_FILE: weights, folder / CONTRACT_FILE: text.encode()})
+        files.write_atomically({folder / WEIGHTS_FILE: weights, folder / CONTRACT_FILE: text.encode()})
 
     @classmethod
     def load(cls, folder: Path, device: str = "cpu") -> "Policy":
@@ -113,7 +103,7 @@ class Policy(nn.Module):
             PolicyMismatchError: A file is missing or damaged, or a field does not fit this code.
         """
         fix = f"It needs {WEIGHTS_FILE} and {CONTRACT_FILE}, both of one save; train again, or restore both."
-        with reading("policy", folder, fix, PolicyMismatchError):
+        with files.reading("policy", folder, fix, PolicyMismatchError):
             description, tensors = _read(folder)
             contract, hidden, recurrent = described(description)
             with torch.device("meta"):  # the sizes are the file's: no memory before they are known to be true
@@ -133,12 +123,12 @@ def described(content: dict[str, Any]) -> tuple[PolicyContract, tuple[int, ...],
     if "hidden" not in content:
         raise InvalidValueError("field 'hidden' is missing")
     contract = {name: value for name, value in content.items() if name not in ("hidden", "recurrent")}
-    hidden = decoded(tuple[int, ...], content["hidden"], "hidden")
-    recurrent = decoded(int, content.get("recurrent", 0), "recurrent")
+    hidden = files.decoded(tuple[int, ...], content["hidden"], "hidden")
+    recurrent = files.decoded(int, content.get("recurrent", 0), "recurrent")
     if len(hidden) > MOST_LAYERS or not all(1 <= size <= LARGEST_LAYER for size in (*hidden, recurrent or 1)):
         raise InvalidValueError(
-            f"hidden layers are of sizes {shown(hidden)}, the GRU of {recurrent}; they must be from 1 to "
-            f"{LARGEST_LAYER}, in {MOST_LAYERS} layers at most"
+            f"hidden layers are of sizes {files.shown(hidden)}, the GRU of {recurrent}; they must be from 1 "
+            f"to {LARGEST_LAYER}, in {MOST_LAYERS} layers at most"
         )
     return PolicyContract.from_dict(contract), hidden, recurrent
 
@@ -157,16 +147,16 @@ def _require_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ..
 
 
 def _read(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    text = read_text(folder / CONTRACT_FILE)
-    description, data = json_object(text), read_bytes(folder / WEIGHTS_FILE, MOST_WEIGHTS)
+    text = files.read_text(folder / CONTRACT_FILE)
+    description, data = files.json_object(text), files.read_bytes(folder / WEIGHTS_FILE, files.MOST_WEIGHTS)
     size = int.from_bytes(data[:8], "little")
-    if size > MOST_JSON:
+    if size > files.MOST_JSON:
         raise InvalidValueError(f"{WEIGHTS_FILE} is none, or damaged")
-    header = json_object(data[8 : 8 + size].decode())
+    header = files.json_object(data[8 : 8 + size].decode())
     try:
         tensors = safetensors.torch.load(data)
     except SafetensorError as error:
         raise InvalidValueError(f"{WEIGHTS_FILE} is damaged: {error}") from error
-    if decoded(dict[str, str], header.get("__metadata__", {}), "__metadata__").get("policy") != text:
+    if files.decoded(dict[str, str], header.get("__metadata__", {}), "__metadata__").get("policy") != text:
         raise InvalidValueError(f"{CONTRACT_FILE} and {WEIGHTS_FILE} are not of the same save")
     return description, tensors

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.robots.chain import pose_matrix
+from pixel2catch.robots.chain import pose_matrix, quaternion
 from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.spec import MeshSource, RobotSpec
 from pixel2catch.robots.workcell import VISUAL_GROUP, WorkcellSpec, parts_of, robot_mjcf
@@ -74,7 +74,7 @@ def _dress(spec: mujoco.MjSpec, prefix: str, part: RobotSpec, source: MeshSource
     )
     for number, mesh in enumerate(meshes):
         body = bodies[mesh.body]
-        pos, quat = _pos_quat(np.linalg.inv(ours[body]) @ to_root @ theirs[mesh.body] @ mesh.pose)
+        pose = np.linalg.inv(ours[body]) @ to_root @ theirs[mesh.body] @ mesh.pose
         name = f"{prefix}{part.name}_mesh_{number}"
         spec.add_mesh(
             name=name, file=str(mesh.file.resolve()), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
@@ -82,8 +82,8 @@ def _dress(spec: mujoco.MjSpec, prefix: str, part: RobotSpec, source: MeshSource
         spec.body(prefix + body).add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
-            pos=pos,
-            quat=quat,
+            pos=pose[:3, 3],
+            quat=quaternion(pose[:3, :3]),
             rgba=mesh.rgba,
             mass=0.0,
             group=VISUAL_GROUP,
@@ -120,9 +120,3 @@ def _body_poses(spec: mujoco.MjSpec) -> dict[str, Pose]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return {model.body(i).name: pose_matrix(data.xpos[i], data.xquat[i]) for i in range(model.nbody)}
-
-
-def _pos_quat(pose: Pose) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, pose[:3, :3].ravel())
-    return pose[:3, 3], quat

@@ -106,15 +106,11 @@ def positions_between(
     """Positions of the simulation at a control step with fractions."""
     first = min(int(step), len(throw.qpos) - 1)
     second, change = min(first + 1, len(throw.qpos) - 1), np.zeros(model.nv)
-    before, after = (_filled(model, throw.qpos[i]) for i in (first, second))
+    others = model.qpos0[throw.qpos.shape[1] :]  # joints behind those of the simulation
+    before, after = (np.concatenate((throw.qpos[i], others)) for i in (first, second))
     mujoco.mj_differentiatePos(model, change, 1.0, before, after)
     mujoco.mj_integratePos(model, before, change, step - first)
     return before[: throw.qpos.shape[1]]
-
-
-def _filled(model: mujoco.MjModel, qpos: ndarray) -> ndarray:
-    """Positions of a model with more joints behind those of the simulation."""
-    return np.concatenate((qpos, model.qpos0[len(qpos) :]))
 
 
 def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "3"]]:

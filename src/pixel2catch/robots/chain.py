@@ -132,6 +132,13 @@ def pose_matrix(pos: Sequence[float] | np.ndarray, quat: Sequence[float] | np.nd
     return matrix
 
 
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Orientation (w, x, y, z) of a rotation matrix (3, 3)."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, rotation.ravel())
+    return quat
+
+
 def _product_maps() -> np.ndarray:
     """Tensor (4, 4, 16): the products 4 q_i q_j as linear maps of the entries of the homogeneous matrix."""
     table = np.zeros((4, 4, 4, 4))

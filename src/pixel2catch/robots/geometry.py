@@ -47,9 +47,8 @@ class ArmShape:
     #: Lower and upper corners of boxes about the hand alone and the last link, likewise [m]; none if the
     #: hand need not keep away from its arm.
     boxes: Float[np.ndarray, "2 3 boxes"]
-    reached: Int[
-        np.ndarray, " some"
-    ]  #: Capsules that hand and last link can reach: three joints away or more.
+    #: Capsules that hand and last link can reach: three joints away or more.
+    reached: Int[np.ndarray, " some"]
 
 
 def chain_of(

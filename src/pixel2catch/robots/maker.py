@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.robots.chain import quaternion
 from pixel2catch.robots.mjcf import read_mjcf
 from pixel2catch.robots.spec import RobotSpec
 from pixel2catch.robots.workcell import COLLISION_GROUP, WorkcellSpec, add_robots, parts_of, robot_mjcf
@@ -293,7 +294,9 @@ def _geom(model: mujoco.MjModel, geom: int, body: str, frame: Pose) -> MakerGeom
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]
-        vertices = _outermost(model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float))
+        vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
+        outermost = (vertices @ directions(HULL_POINTS).T).argmax(axis=0)  # the farthest in each direction
+        vertices = vertices[np.unique(outermost)]
     turn, pose, paint = np.empty(9), np.eye(4), model.geom_matid[geom]
     mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
     pose[:3, :3], pose[:3, 3] = turn.reshape(3, 3), model.geom_pos[geom]
@@ -314,11 +317,6 @@ def directions(count: int) -> Float[ndarray, "count 3"]:
     return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), z))
 
 
-def _outermost(vertices: Float[ndarray, "some 3"]) -> Float[ndarray, "fewer 3"]:
-    """The points of a mesh that are farthest in some direction."""
-    return vertices[np.unique((vertices @ directions(HULL_POINTS).T).argmax(axis=0))]
-
-
 def _exchange(spec: mujoco.MjSpec, parts: dict[tuple[str, str], MakerPart]) -> None:
     for (prefix, part_name), part in parts.items():
         for name, (point, direction) in part.axes.items():
@@ -332,7 +330,7 @@ def _exchange(spec: mujoco.MjSpec, parts: dict[tuple[str, str], MakerPart]) -> N
             moments, axes = np.linalg.eigh(inertia)
             axes[:, 2] *= np.sign(np.linalg.det(axes))
             body.explicitinertial, body.mass, body.ipos, body.inertia = True, mass, center, moments
-            body.iquat = _quat(axes)
+            body.iquat = quaternion(axes)
         for number, geom in enumerate(part.geoms):
             name, extra = f"{prefix}{part_name}_maker_{number}", {}
             if len(geom.vertices):
@@ -343,18 +341,12 @@ def _exchange(spec: mujoco.MjSpec, parts: dict[tuple[str, str], MakerPart]) -> N
                 type=geom.type,
                 size=geom.size,
                 pos=geom.pose[:3, 3],
-                quat=_quat(geom.pose[:3, :3]),
+                quat=quaternion(geom.pose[:3, :3]),
                 mass=0.0,
                 group=COLLISION_GROUP,
                 rgba=geom.rgba,
                 **extra,
             )
-
-
-def _quat(rotation: Float[ndarray, "3 3"]) -> Float[ndarray, "4"]:
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, rotation.ravel())
-    return quat
 
 
 @cache

@@ -25,7 +25,9 @@ def differences(workcell: WorkcellSpec, files: tuple[str, ...], surface: Surface
         }
         for (_, name), p in parts.items()
     ]
-    worst = np.max([_at(ours, theirs, pos) for pos in _positions(workcell)], axis=0)
+    low, high = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
+    positions = np.random.default_rng(0).uniform(low, high, (NUM_POSES, len(low)))
+    worst = np.max([_at(ours, theirs, pos) for pos in positions], axis=0)
     names = ("places of tips and palms", "their directions", "gravity torques", "inertias of joints")
     units, scales = ("mm", "mrad", "N·m", "%"), (1e3, 1e3, 1.0, 100.0)
     whole += [
@@ -46,11 +48,6 @@ def _robots(
     model = spec.compile()
     model.body_gravcomp[:] = 0.0
     return model
-
-
-def _positions(workcell: WorkcellSpec) -> Float[ndarray, "num_poses num_joints"]:
-    low, high = np.array([(joint.lower, joint.upper) for joint in workcell.joints]).T
-    return np.random.default_rng(0).uniform(low, high, (NUM_POSES, len(low)))
 
 
 def _at(

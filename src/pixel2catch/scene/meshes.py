@@ -68,11 +68,7 @@ def mesh_object(
 
 
 def _read(file: Path) -> Any:
-    """A mesh of trimesh, its faces counter-clockwise seen from outside.
-
-    Raises:
-        InvalidValueError: If it cannot be read, or is flat.
-    """
+    """A mesh of trimesh that is not flat, its faces counter-clockwise seen from outside."""
     trimesh = _package("trimesh")
     if trimesh is None:
         raise InvalidValueError(f"meshes are read by trimesh: {install_command('meshes')}.")
@@ -123,16 +119,12 @@ def _decomposed(mesh: Any, max_parts: int) -> list[Float[ndarray, "_ 3"]]:
 def _simplified(parts: list[Float[ndarray, "_ 3"]]) -> list[ConvexPart]:
     """The parts with fewer vertices, so few that the camera finds those of their common hull."""
     tries = ([_corners(part, most) for part in parts] for most in PART_POINTS)
-    found = next((each for each in tries if _num_corners(each) <= OUTLINE_POINTS), None)
+    found = next((p for p in tries if len(ConvexHull(np.concatenate(p)).vertices) <= OUTLINE_POINTS), None)
     if found is None:
         raise InvalidValueError(
             f"{len(parts)} convex parts have a hull of more than {OUTLINE_POINTS} corners; lower max_parts."
         )
     return [ConvexPart(vertices=part) for part in found]
-
-
-def _num_corners(parts: list[Float[ndarray, "_ 3"]]) -> int:
-    return len(ConvexHull(np.concatenate(parts)).vertices)
 
 
 def _corners(vertices: Float[ndarray, "n 3"], most: int) -> Float[ndarray, "m 3"]:

@@ -1,7 +1,6 @@
 """The CPU back end: `mujoco.batch`, all cores, float64."""
 
 import os
-from collections.abc import Callable
 from typing import final
 
 import mujoco
@@ -12,7 +11,7 @@ from mujoco.batch import MODEL_FIELDS, Batch
 from torch import Tensor
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
+from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Simulation
 
 BYTES_PER_ENV = 250_000  #: Memory of an environment [bytes]. Source: ours; measured with a thousand.
 
@@ -70,25 +69,9 @@ class BatchSimulation(Simulation):
         distance, _ = self._rays.ray(origin.numpy(), directions.numpy(), geomgroup=geomgroup)
         return torch.from_numpy(distance)
 
-    def record(
-        self, function: Callable[[Tensor], Result], generator: torch.Generator
-    ) -> Callable[[Tensor], Result]:
-        """The function itself: there is nothing to save."""
-        return function
-
-    def check(self) -> None:
-        """Nothing to do: `Batch` raises as soon as MuJoCo does, and its arrays grow as needed."""
-
-    def close(self) -> None:
-        """Nothing to do: the threads end with the object."""
-
 
 def _require_memory(num_envs: int) -> None:
-    """Refuse what this machine cannot hold, before the system ends the process without a word.
-
-    Raises:
-        InvalidValueError: With what fits.
-    """
+    """Refuse what this machine cannot hold, before the system ends the process without a word."""
     fits = int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / BYTES_PER_ENV)
     if num_envs > fits:
         raise InvalidValueError(f"num_envs is {num_envs:,}; the memory of this machine holds {fits:,}.")

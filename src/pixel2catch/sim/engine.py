@@ -21,7 +21,7 @@ from torch import Tensor
 from pixel2catch.errors import InvalidValueError, NonFiniteError, UnknownNameError
 from pixel2catch.sim.batch import BatchSimulation
 from pixel2catch.sim.rigid_world import RigidWorld, rigid_world
-from pixel2catch.sim.simulation import Result, Simulation
+from pixel2catch.sim.simulation import Simulation
 
 MOST_ENVS = 64
 """Environments that make sense at once. Source: ours; they step one after the other in one thread."""
@@ -143,12 +143,6 @@ class EngineSimulation(Simulation):
         groups: tuple[int, ...],
     ) -> Float[Tensor, "num_envs num_rays"]:
         return self._described.ray(origin, directions, groups)
-
-    def record(
-        self, function: Callable[[Tensor], Result], generator: torch.Generator
-    ) -> Callable[[Tensor], Result]:
-        """The function itself: there is nothing to save."""
-        return function
 
     def check(self) -> None:
         """Raise if the engine diverged.

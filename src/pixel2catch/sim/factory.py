@@ -30,7 +30,13 @@ def make_simulation(
         raise UnknownNameError("device", device, ("cpu", "cuda", "cuda:0", "cuda:1"))
     require_engine(engine)
     if engine != ENGINES[0]:
-        return _make_engine(model, num_envs, kind, engine)
+        if kind != "cpu":
+            raise InvalidValueError(f"engine '{engine}' was asked for on a CUDA device; give --device cpu")
+        from pixel2catch.sim.drake import DrakeCopy
+        from pixel2catch.sim.engine import EngineSimulation
+        from pixel2catch.sim.physx import PhysxCopy
+
+        return EngineSimulation(model, num_envs, {"physx": PhysxCopy, "drake": DrakeCopy}[engine])
     if kind == "cpu":
         from pixel2catch.sim.batch import BatchSimulation
 
@@ -58,16 +64,6 @@ def require_engine(engine: str) -> None:
         from pixel2catch.sim.drake import load_drake
 
         load_drake()
-
-
-def _make_engine(model: mujoco.MjModel, num_envs: int, kind: str, engine: str) -> Simulation:
-    if kind != "cpu":
-        raise InvalidValueError(f"engine '{engine}' was asked for on a CUDA device; give --device cpu")
-    from pixel2catch.sim.drake import DrakeCopy
-    from pixel2catch.sim.engine import EngineSimulation
-    from pixel2catch.sim.physx import PhysxCopy
-
-    return EngineSimulation(model, num_envs, {"physx": PhysxCopy, "drake": DrakeCopy}[engine])
 
 
 def require_cuda(device: str) -> None:

@@ -1,7 +1,6 @@
 """What can be made harder on the page, as data: fields of the task, each with a slider."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import radians
 
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -15,13 +14,13 @@ class Disturbance:
     """A field of the task and its slider."""
 
     label: str  #: What people read, with the unit.
-    hint: str  #: What it means, in a sentence.
     part: str  #: Part of the task, such as `sensing`.
     name: str  #: Field of that part: a number or a range.
     largest: float  #: Largest value, in the unit of the label; the least is 0.
     step: float  #: Step of the slider, in that unit.
-    scale: float = 1.0  #: The field's unit over the label's.
-    others: Mapping[str, float] = field(default_factory=dict)  #: Fields that go with it, where it is changed.
+    scale: float  #: The field's unit over the label's.
+    #: Field with the distance of the values that are drawn, which is then the step; none if empty.
+    grid: str
 
     def of(self, task: CatchEnvCfg) -> Setting:
         """What a task has, in the unit of the label."""
@@ -37,79 +36,35 @@ class Disturbance:
             if isinstance(setting, tuple)
             else setting * self.scale
         )
-        return part(self.part, **{self.name: value, **self.others})(task)
+        grid = {self.grid: self.step} if self.grid else {}
+        return part(self.part, **{self.name: value}, **grid)(task)
 
 
-DISTURBANCES = (
-    Disturbance(
-        label="latency [steps]",
-        hint="Control steps of 33 ms between an image and its box; every throw draws its own.",
-        part="sensing",
-        name="latency_steps",
-        largest=5.0,
-        step=0.5,
-        others={"latency_grid": 0.5},
-    ),
-    Disturbance(
-        label="box noise [px]",
-        hint="Largest error of each edge of the box.",
-        part="sensing",
-        name="corner_noise",
-        largest=20.0,
-        step=1.0,
-    ),
-    Disturbance(
-        label="missing boxes [%]",
-        hint="Share of the images in which the object is not found.",
-        part="sensing",
-        name="drop_rate",
-        largest=60.0,
-        step=5.0,
-        scale=1e-2,
-    ),
-    Disturbance(
-        label="camera turned [°]",
-        hint="Angle between the camera and what the policy takes it for.",
-        part="sensing",
-        name="camera_turn",
-        largest=4.0,
-        step=0.25,
-        scale=radians(1.0),
-    ),
-    Disturbance(
-        label="camera moved [cm]",
-        hint="Distance between the camera and what the policy takes it for.",
-        part="sensing",
-        name="camera_offset",
-        largest=8.0,
-        step=0.5,
-        scale=1e-2,
-    ),
-    Disturbance(
-        label="command delay [steps]",
-        hint="Control steps between a command and its effect; every throw draws its own.",
-        part="randomization",
-        name="command_delay",
-        largest=3.0,
-        step=0.5,
-        others={"command_delay_grid": 0.5},
-    ),
-    Disturbance(
-        label="restitution",
-        hint="Speed after an impact over the speed before; every throw draws its own.",
-        part="randomization",
-        name="restitution",
-        largest=0.8,
-        step=0.05,
-    ),
-    Disturbance(
-        label="drag: air [kg/m³]",
-        hint="Density of the air that slows the object; real air has 1.2. The thrower makes up for it.",
-        part="randomization",
-        name="air_density",
-        largest=3.6,
-        step=0.1,
-    ),
+HINTS = {
+    "latency [steps]": "Control steps of 33 ms between an image and its box; every throw draws its own.",
+    "box noise [px]": "Largest error of each edge of the box.",
+    "missing boxes [%]": "Share of the images in which the object is not found.",
+    "camera turned [°]": "Angle between the camera and what the policy takes it for.",
+    "camera moved [cm]": "Distance between the camera and what the policy takes it for.",
+    "command delay [steps]": "Control steps between a command and its effect; every throw draws its own.",
+    "restitution": "Speed after an impact over the speed before; every throw draws its own.",
+    "drag: air [kg/m³]": "Density of the air that slows the object; real air has 1.2. "
+    "The thrower makes up for it.",
+}
+"""What each disturbance means, in a sentence."""
+
+DISTURBANCES = tuple(
+    Disturbance(label=label, part=part, name=name, largest=largest, step=step, scale=scale, grid=grid)
+    for label, part, name, largest, step, scale, grid in (
+        ("latency [steps]", "sensing", "latency_steps", 5.0, 0.5, 1.0, "latency_grid"),
+        ("box noise [px]", "sensing", "corner_noise", 20.0, 1.0, 1.0, ""),
+        ("missing boxes [%]", "sensing", "drop_rate", 60.0, 5.0, 1e-2, ""),
+        ("camera turned [°]", "sensing", "camera_turn", 4.0, 0.25, radians(1.0), ""),
+        ("camera moved [cm]", "sensing", "camera_offset", 8.0, 0.5, 1e-2, ""),
+        ("command delay [steps]", "randomization", "command_delay", 3.0, 0.5, 1.0, "command_delay_grid"),
+        ("restitution", "randomization", "restitution", 0.8, 0.05, 1.0, ""),
+        ("drag: air [kg/m³]", "randomization", "air_density", 3.6, 0.1, 1.0, ""),
+    )
 )
 
 

@@ -66,17 +66,14 @@ class CameraImages:
         self._thread = Thread(target=self._run, name="camera images", daemon=True)
         self._thread.start()
 
-    def show(self, frame: Frame) -> None:
-        """Draw this frame next, instead of any that waits."""
-        self._put(frame)
-
     def close(self) -> None:
         """End the thread."""
         while self._thread.is_alive():
-            self._put(None)
+            self.show(None)
             self._thread.join(timeout=0.05)
 
-    def _put(self, frame: Frame | None) -> None:
+    def show(self, frame: Frame | None) -> None:
+        """Draw this frame next, instead of any that waits; none ends the thread."""
         with contextlib.suppress(Empty):
             self._frames.get_nowait()
         with contextlib.suppress(Full):

@@ -75,11 +75,7 @@ class LabelPage:
         self._visitors.tell(state, self._images[number].jpeg)
 
     def _heed(self, visitor: Visitor, asked: dict[str, Any]) -> None:
-        """Do what a browser asks for.
-
-        Raises:
-            InvalidValueError: That cannot be done.
-        """
+        """Do what a browser asks for, or raise InvalidValueError."""
         match asked:
             case {"do": "show", "image": int(number)}:
                 self._shown = min(max(number, min(self._images)), max(self._images))

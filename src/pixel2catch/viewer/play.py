@@ -13,7 +13,7 @@ from pixel2catch.scene.objects import OBJECT_GROUPS, OBJECTS, select_objects
 from pixel2catch.scene.scene import OBJECT_START
 from pixel2catch.shipped import DEFAULT_POLICY, shipped_policies
 from pixel2catch.viewer.config import PlayCfg
-from pixel2catch.viewer.disturbances import DISTURBANCES, Setting
+from pixel2catch.viewer.disturbances import DISTURBANCES, HINTS, Setting
 from pixel2catch.viewer.process import PlayingPage
 from pixel2catch.viewer.server import PageServer, open_server
 from pixel2catch.viewer.stage import Stage
@@ -177,7 +177,7 @@ class PlayPage(PlayingPage):
             max=disturbance.largest,
             step=disturbance.step,
             initial_value=setting,
-            hint=disturbance.hint,
+            hint=HINTS[disturbance.label],
         )
 
     def _reset_sliders(self) -> None:

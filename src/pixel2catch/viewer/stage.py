@@ -40,8 +40,7 @@ class Stage:
         self._frames: list[Frame] = []
         self._path: FlightPath = np.zeros((1, 3))
         self._flight_time = 0.0
-        self._plotted, self._counted, self._num_pictures = 0.0, time.monotonic(), 0
-        self.rate = 0.0  #: Pictures in a second, of late.
+        self._plotted, self._counted = 0.0, (time.monotonic(), 0)
         self.is_playing = False  #: Whether a throw is being shown.
         self.num_pictures = 0  #: Pictures so far.
         self._open(scene)
@@ -112,14 +111,12 @@ class Stage:
         self._plotted = time.monotonic()
 
     def _count(self) -> None:
-        """Count a picture."""
         self.num_pictures += 1
-        self._num_pictures += 1
-        now = time.monotonic()
-        if now > self._counted + RATE_PERIOD:
-            self.rate = self._num_pictures / (now - self._counted)
-            self._counted, self._num_pictures = now, 0
-            self.rate_text.content = f"{self.rate:.0f} pictures/s"
+        (before, num_before), now = self._counted, time.monotonic()
+        if now > before + RATE_PERIOD:
+            rate = (self.num_pictures - num_before) / (now - before)
+            self.rate_text.content = f"{rate:.0f} pictures/s"
+            self._counted = now, self.num_pictures
 
 
 def add_time_controls(gui: viser.GuiApi, playback: Playback) -> viser.GuiDropdownHandle[str]:

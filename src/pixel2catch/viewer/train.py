@@ -12,7 +12,7 @@ from pixel2catch.learning.log import METRICS_FILE, read_rows
 from pixel2catch.viewer.config import PageCfg, PlayCfg
 from pixel2catch.viewer.play import PlayPage
 from pixel2catch.viewer.plots import add_plot
-from pixel2catch.viewer.server import PageServer, open_server
+from pixel2catch.viewer.server import open_server
 
 PERIOD = 2.0  #: Time between two looks at the run [s]. Source: ours, less than an update takes.
 RATES = ("tracking_rate", "success_rate")  #: Metrics of the first plot, of those that a run has.
@@ -74,10 +74,6 @@ def serve_training(cfg: PageCfg, run: Path, transitions: int) -> None:
     while not policy.exists():
         curves.update()
         time.sleep(PERIOD)
-    _serve_throws(cfg, run, server, curves)
-
-
-def _serve_throws(cfg: PageCfg, run: Path, server: PageServer, curves: TrainingCurves) -> None:
     page = PlayPage(PlayCfg(page=cfg, policy=run), server)
     page.throw()
     with ThreadPoolExecutor(1) as pool:

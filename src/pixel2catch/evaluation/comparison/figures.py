@@ -45,12 +45,17 @@ def shown(name: str) -> str:
 
 def curves_figure(curves: Curves) -> Figure:
     """T.R. and S.R. in training against transitions: mean over seeds, shaded one standard deviation."""
+    millions = curves.transitions / 1e6
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.0, 4.1), layout="constrained")
         panels: Sequence[Axes] = figure.subplots(1, len(MAIN_RATES), sharey=True)
         for axes, (title, name) in zip(panels, MAIN_RATES.items(), strict=True):
             for method in curves.rates:
-                _draw_curve(axes, curves, method, name)
+                mean, deviation = (100.0 * values for values in curves.mean_and_deviation(method, name))
+                color, between = look(method)["color"], (mean - deviation, mean + deviation)
+                axes.fill_between(millions, *between, color=color, alpha=0.2, linewidth=0)
+                alone = {"marker": "o", "markersize": 3} if np.isfinite(mean).sum() == 1 else {}
+                axes.plot(millions, mean, color=color, linewidth=1.8, label=shown(method), **alone)
             axes.set(title=f"{title} in training", xlabel="transitions [millions]")
             axes.set(xlim=(0.0, curves.edges[-1] / 1e6), ylim=(0.0, 100.0))
             axes.grid()
@@ -76,14 +81,6 @@ def objects_figure(rows: Sequence[Row]) -> Figure:
         panels[-1].set(xlabel="S.R. [% of throws], 95 % interval", xlim=(-1.0, 101.0))
         _legend(figure, panels[0])
         return figure
-
-
-def _draw_curve(axes: Axes, curves: Curves, method: str, name: str) -> None:
-    mean, deviation = (100.0 * values for values in curves.mean_and_deviation(method, name))
-    millions, color = curves.transitions / 1e6, look(method)["color"]
-    axes.fill_between(millions, mean - deviation, mean + deviation, color=color, alpha=0.2, linewidth=0)
-    alone = {"marker": "o", "markersize": 3} if np.isfinite(mean).sum() == 1 else {}
-    axes.plot(millions, mean, color=color, linewidth=1.8, label=shown(method), **alone)
 
 
 def _draw_objects(axes: Axes, rows: Sequence[Row], methods: Sequence[str]) -> None:

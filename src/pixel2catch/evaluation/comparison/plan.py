@@ -9,8 +9,8 @@ from typing import Any
 from pixel2catch.errors import StudyError
 from pixel2catch.evaluation.loading import fingerprint
 from pixel2catch.evaluation.metrics import Metrics
-from pixel2catch.evaluation.report import differences
-from pixel2catch.files import as_json, decoded, json_text, read_json_object, reading, write_atomically
+from pixel2catch.evaluation.report import differences, write_files
+from pixel2catch.files import as_json, decoded, json_text, read_json_object, reading
 
 GROUPS = ("seen", "unseen")  #: Sets of objects that every policy is evaluated on. Source: paper, Sec. V.
 
@@ -130,8 +130,7 @@ class ComparisonFolder:
             plan = self._extended(plan)
         asked = {"methods": plan.methods, "seeds": plan.seeds, "configuration": plan.configuration}
         content = {"plan": asked, "sessions": [*self.sessions(), *sessions]}
-        self.path.mkdir(parents=True, exist_ok=True)
-        write_atomically({self.path / FILE: json_text(content).encode()})
+        write_files(self.path, {FILE: json_text(content)})
 
     def _content(self) -> Json | None:
         file = self.path / FILE

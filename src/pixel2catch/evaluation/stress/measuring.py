@@ -22,10 +22,10 @@ from pixel2catch.errors import InvalidValueError, StudyError
 from pixel2catch.evaluation.cluster import in_jobs
 from pixel2catch.evaluation.loading import fingerprint, load_policy, task_of
 from pixel2catch.evaluation.metrics import Metrics, metrics
-from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, play_rounds
-from pixel2catch.evaluation.report import differences
+from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
+from pixel2catch.evaluation.report import differences, write_files
 from pixel2catch.evaluation.stress.suite import Setting
-from pixel2catch.files import as_json, json_text, read_json_object, write_atomically
+from pixel2catch.files import as_json, json_text, read_json_object
 from pixel2catch.interruption import end_with_parent
 from pixel2catch.methods import METHODS, Method
 from pixel2catch.own_files import import_files
@@ -135,16 +135,21 @@ def measure(
     missing = [number for number, content in enumerate(contents) if content is None]
     jobs = min(jobs, len(missing))
     calls = [(results[number], cfg, summarize) for number in missing]
+
+    def alone(index: int) -> Metrics:
+        return _measure(*calls[index], True, lambda share: on_share((index + share) / len(calls)))
+
     if executor:
         measured = in_jobs(executor, _begin, _measure, calls)
+    elif jobs > 1:
+        measured = in_processes(jobs, _measure, calls)
     else:
-        measured = in_processes(jobs, _measure, calls) if jobs > 1 else _one_by_one(calls, on_share)
+        measured = ((index, alone(index)) for index in range(len(calls)))
     for done, (index, found) in enumerate(measured, start=1):
         on_share(done / len(missing))
         number = missing[index]
         each, content = results[number], origins[number] | {"metrics": found}
-        each.file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically({each.file: json_text(content).encode()})
+        write_files(each.file.parent, {each.file.name: json_text(content)})
         contents[number] = content
         on_result(number + 1, each, found)
     return tuple(content for content in contents if content is not None)
@@ -165,24 +170,18 @@ def throw_rounds(
     """
     with nullcontext() if is_alone else _one_processor():
         env = cfg.make_env(method)
-    return play_rounds(env, actor, cfg.trials, on_share=on_share, seed=cfg.seed)
+    return evaluate(actor, method, cfg, on_share=on_share, env=env, is_seeded=True)
 
 
-def _measure(result: Result, cfg: EvaluationCfg, summarize: Callable[[Trials], Metrics]) -> Metrics:
-    return summarize(throw_rounds(*_evaluation(result, cfg, cfg.device), is_alone=False))
-
-
-def _one_by_one(
-    calls: Sequence[tuple[Result, EvaluationCfg, Callable[[Trials], Metrics]]],
-    on_share: Callable[[float], None],
-) -> Iterator[tuple[int, Metrics]]:
-    """Yield number and metrics of each, measured in this process."""
-    for number, (result, cfg, summarize) in enumerate(calls):
-
-        def tell(share: float, begun: int = number) -> None:
-            on_share((begun + share) / len(calls))
-
-        yield number, summarize(throw_rounds(*_evaluation(result, cfg, cfg.device), on_share=tell))
+def _measure(
+    result: Result,
+    cfg: EvaluationCfg,
+    summarize: Callable[[Trials], Metrics],
+    is_alone: bool = False,
+    on_share: Callable[[float], None] = lambda _: None,
+) -> Metrics:
+    evaluation = _evaluation(result, cfg, cfg.device)
+    return summarize(throw_rounds(*evaluation, is_alone=is_alone, on_share=on_share))
 
 
 @contextmanager
@@ -278,13 +277,11 @@ def _begin() -> None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in THREADS}
+    before = {name: os.environ[name] for name in THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in THREADS:
+            del os.environ[name]
+        os.environ.update(before)

@@ -60,10 +60,11 @@ def make_table(results: Sequence[Result], contents: Sequence[Json]) -> Json:
 
 def write_report(out: Path, table: Json) -> None:
     """Write the files of the report, all or none."""
+    sources = "".join(f"- {row['title']}: {row['source']}\n" for row in table["settings"].values())
     files = {
         "table.json": json_text(table),
         "table.csv": as_csv(table),
-        "table.md": as_markdown(table) + _sources(table),
+        "table.md": f"{as_markdown(table)}\n## Where the numbers come from\n\n{sources}",
         "table.tex": latex(_rows(table), num_text_columns=1),
         "heatmap.png": heatmap(table),
     }
@@ -105,11 +106,6 @@ def _rows(table: Json) -> list[Cells]:
     ]
     means = {name: f"{100 * mean:.1f}" for name, mean in table["mean"].items()}
     return [*rows, {"setting": "**mean over settings**", **means}]
-
-
-def _sources(table: Json) -> str:
-    lines = [f"- {row['title']}: {row['source']}\n" for row in table["settings"].values()]
-    return "\n## Where the numbers come from\n\n" + "".join(lines)
 
 
 def _percent(rates: Json) -> str:
@@ -172,6 +168,7 @@ def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str,
     if len(methods) < 2:
         return None
     simulated = {method: fmean(rates[method]) for method in methods}
+    bounds = [intervals[method] for method in methods]
     result = kendalltau(list(simulated.values()), [REAL_ROBOT[method] for method in methods])
     tau = float(result.statistic)  # pyright: ignore[reportAttributeAccessIssue] (made at run time)
     return Order(
@@ -179,7 +176,7 @@ def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str,
         real=tuple(methods),
         tau=0.0 if isnan(tau) else tau,
         rank_violation=fmean(_largest_violation(each, simulated) for each in methods),
-        num_settled=sum(_is_apart(intervals[a], intervals[b]) for a, b in combinations(methods, 2)),
+        num_settled=sum(a[1] < b[0] or b[1] < a[0] for a, b in combinations(bounds, 2)),
     )
 
 
@@ -187,10 +184,6 @@ def _largest_violation(method: str, simulated: Mapping[str, float]) -> float:
     """Largest difference on the real robot from a method of which simulation says the opposite [points]."""
     real = {other: REAL_ROBOT[method] - REAL_ROBOT[other] for other in simulated}
     return max(abs(real[o]) * ((real[o] < 0.0) != (simulated[method] < simulated[o])) for o in simulated)
-
-
-def _is_apart(first: Interval, second: Interval) -> bool:
-    return first[1] < second[0] or second[1] < first[0]
 
 
 def heatmap(table: Json) -> bytes:

@@ -221,11 +221,7 @@ _ALL = (
     _axis("box_scale", "", _sensing(SCALE_SOURCE, "box_scale", (0.8, 1.2))),
     _axis("edge_noise", "px", _level("10", part("sensing", edge_noise=5.0), EDGE_SOURCE)),
     _axis("drops", "%", _sensing(DROPS_SOURCE, "drop_rate", (5, 15, 30), 1e-2)),
-    _axis(
-        "blackout",
-        "steps",
-        *(_level(f"{n}", part("sensing", blackout_steps=n), BLACKOUT_SOURCE) for n in (3, 6)),
-    ),
+    _axis("blackout", "steps", _sensing(BLACKOUT_SOURCE, "blackout_steps", (3, 6))),
     _axis("latency", "steps", _levels((0, 1, 1.5, 2, 2.5, 3, 3.5, 4, 5), _latency, LATENCY_SOURCE)),
     _axis(
         "clock_error",

@@ -84,22 +84,14 @@ def write_web_demo(policy_folder: Path | None, out: Path) -> tuple[str, ...]:
 
 
 def _require_own_folder(out: Path, page: Iterable[str]) -> None:
-    """Refuse a folder with anything but an earlier page and what npm writes.
-
-    Raises:
-        InvalidValueError: With the option to choose another.
-    """
+    """Refuse a folder with anything but an earlier page and what npm writes."""
     known = {*page, "task.json", "scenes", "policy", LIBRARY_FOLDER, NPM_FOLDER, "package-lock.json"}
     if not (out.is_dir() and known.issuperset(path.name for path in out.iterdir())):
         require_free_folder(out, "--web-demo")
 
 
 def _require_runnable(policy: Policy, workcell: WorkcellSpec) -> None:
-    """Refuse what the page's code has no counterpart of.
-
-    Raises:
-        PolicyMismatchError: With what it has.
-    """
+    """Refuse what the page's code has no counterpart of."""
     contract = policy.contract
     if policy.recurrent:
         raise PolicyMismatchError(

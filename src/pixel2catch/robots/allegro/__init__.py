@@ -17,7 +17,7 @@ reduction of about 1:369, and it keeps a finger struck by the object from being 
 """
 
 
-_joint = partial(
+finger_joint = partial(
     JointSpec,
     home=0.0,
     stiffness=3.0,
@@ -27,21 +27,21 @@ _joint = partial(
     effort_limit=0.5,
     velocity_limit=7.0,
 )
-
+"""A joint of a finger, but for its name and limits."""
 
 HAND = JointGroup(
     name="hand",
     role="hand",
     joints=(
         *(
-            _joint(name=f"{finger}_joint_{i}", lower=lower, upper=upper)
+            finger_joint(name=f"{finger}_joint_{i}", lower=lower, upper=upper)
             for finger in ("index", "middle", "ring")
             for i, lower, upper in ((1, -0.196, 1.610), (2, -0.174, 1.709), (3, -0.227, 1.618))
         ),
-        _joint(name="thumb_joint_0", lower=0.263, upper=1.396, home=0.263),
-        _joint(name="thumb_joint_1", lower=-0.105, upper=1.163),
-        _joint(name="thumb_joint_2", lower=-0.189, upper=1.644),
-        _joint(name="thumb_joint_3", lower=-0.162, upper=1.719),
+        finger_joint(name="thumb_joint_0", lower=0.263, upper=1.396, home=0.263),
+        finger_joint(name="thumb_joint_1", lower=-0.105, upper=1.163),
+        finger_joint(name="thumb_joint_2", lower=-0.189, upper=1.644),
+        finger_joint(name="thumb_joint_3", lower=-0.162, upper=1.719),
     ),
     command="absolute",
     gain_range=(0.7, 1.3),

@@ -1,13 +1,14 @@
 """The FR3 of Franka Robotics: seven joints, `fr3_flange` at its end."""
 
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 
-from pixel2catch.robots.spec import JointGroup, JointSpec, RobotSpec
+from pixel2catch.robots import ur5e
+from pixel2catch.robots.spec import JointSpec, RobotSpec
 
-ARM = JointGroup(
-    name="arm",
-    role="arm",
+ARM = replace(
+    ur5e.ARM,
     joints=tuple(
         JointSpec(
             name=f"fr3_joint{number}",
@@ -31,10 +32,6 @@ ARM = JointGroup(
             (7, -radians(20), radians(20), 0.0, 2000.0, 0.074, 0.248, 12.0, 2.62),
         )
     ),
-    command="relative",
-    gain_range=(0.8, 1.2),
-    action_noise=0.03,
-    action_bias=0.01,
 )
 """From base to flange.
 

@@ -1,26 +1,18 @@
 """The right LEAP hand (Shaw, Agarwal and Pathak 2023): three fingers and a thumb of four joints each."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from pixel2catch.robots.spec import FingerSpec, JointGroup, JointSpec, PalmSpec, RobotSpec
+from pixel2catch.robots import allegro
+from pixel2catch.robots.spec import FingerSpec, PalmSpec, RobotSpec
 
-_joint = partial(
-    JointSpec,
-    home=0.0,
-    stiffness=3.0,
-    damping=0.1,
-    frictionloss=0.01,
-    armature=1e-3,
-    effort_limit=0.5,
-    velocity_limit=8.0,
-)
+_joint = partial(allegro.finger_joint, effort_limit=0.5, velocity_limit=8.0)
 
 FINGERS = ("index", "middle", "ring")
 
-HAND = JointGroup(
-    name="hand",
-    role="hand",
+HAND = replace(
+    allegro.HAND,
     joints=(
         *(
             _joint(name=f"leap_{finger}_{name}", lower=lower, upper=upper)
@@ -37,10 +29,6 @@ HAND = JointGroup(
         _joint(name="leap_thumb_mcp", lower=-0.47, upper=2.443),
         _joint(name="leap_thumb_ipl", lower=-1.34, upper=1.88),
     ),
-    command="absolute",
-    gain_range=(0.7, 1.3),
-    action_noise=0.02,
-    action_bias=0.005,
 )
 """Four joints of each finger.
 

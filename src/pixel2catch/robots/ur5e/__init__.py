@@ -55,15 +55,8 @@ UR5E = RobotSpec(
         bodies=(
             ("base", "base_link"),
             *(
-                (link, link)
-                for link in (
-                    "shoulder_link",
-                    "upper_arm_link",
-                    "forearm_link",
-                    "wrist_1_link",
-                    "wrist_2_link",
-                    "wrist_3_link",
-                )
+                (f"{part}_link", f"{part}_link")
+                for part in ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
             ),
         ),
     ),
