@@ -1,6 +1,7 @@
 """The loop between camera, servo and operator, in memory."""
 
 import json
+import re
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from itertools import chain, pairwise, repeat
@@ -14,6 +15,7 @@ from loop_lab import (
     HOME,
     PROFILE,
     Surroundings,
+    badly_recorded,
     new_pipeline,
     picture,
     remembering,
@@ -224,6 +226,15 @@ def test_stops_and_refusals_are_told_once_and_counted():
         summary = led.control_loop.statistics.summary()
         assert summary["stops"] == {"image stale, dead man": 1}
         assert summary["refusals"] == {"start pose": 1}
+
+
+def test_a_recording_that_is_not_whole_is_said_whatever_else_there_is_to_say(tmp_path: Path):
+    with badly_recorded(tmp_path) as around:
+        led = LedLoop(around)
+        led.say(Mode.RUN)
+        led.point("{}")
+        message = led.step()["message"]
+        assert re.search(r"a prompt is not .* the recording lacks \d+ messages", message)
 
 
 def test_the_latency_is_from_the_image_to_the_first_command_with_it():

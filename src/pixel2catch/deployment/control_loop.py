@@ -255,9 +255,9 @@ class ControlLoop:
             self.statistics.count_stages(look.frame.stamp, times)
         trouble = self._recording.trouble if self._recording else ""
         of_image = self._images.message or (seen.message if seen else "")
-        message = self._message or self._problem or of_image or complaint or trouble
+        message = self._message or self._problem or of_image or complaint
         sight = self._pipeline.sight
-        message = self._images.take_notice() or message
+        message = " ".join(filter(None, (self._images.take_notice() or message, trouble)))
         status = self.statistics.status(seen, message, sight.at(end), end - sight.box_stamp)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
