@@ -141,6 +141,7 @@ def watcher() -> Iterator[Watcher]:
         ("publisher frozen", {"joints stale"}),
         ("NaN joint", {"joints not finite"}),
         ("joint missing", {"joints stale"}),
+        ("joints repeated", {"tracking error"}),
         ("images late", {"image stale"}),
         ("wrong image size", {"perception unsound"}),
         ("image frozen", {"perception unsound"}),
