@@ -16,7 +16,7 @@ from servo_rows import LIMITS
 from mutation import changed_bytes
 from pixel2catch.deployment.image_subscriber import NUM_EQUAL
 from pixel2catch.deployment.policy_pipeline import FADE_STEPS, Controller, make_pipeline
-from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
+from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.ros2 import messages
@@ -51,9 +51,9 @@ class Watcher(Arming):
             RGB_CAMERA,
             None,
         )
-        nodes = Nodes(servo=self.broker.node(self.clock), loop=self.broker.node(self.clock), clock=self.clock)
-        setup = ServoSetup(profile=PROFILE, limits=LIMITS)
-        self.robot = SteppedDeployment(setup, RGB_CAMERA, nodes, pipeline, perception_times(0.01))
+        nodes = self.broker.node(self.clock), self.broker.node(self.clock)
+        self.servo = SteppedServo(ServoSetup(profile=PROFILE, limits=LIMITS), nodes, self.clock, None)
+        self.loop = SteppedLoop(self.servo, RGB_CAMERA, pipeline, perception_times(0.01))
         self.does_policy_hang = self.is_laboratory_gone = False
 
     def start_laboratory(self) -> None:
@@ -73,9 +73,9 @@ class Watcher(Arming):
             self.clock.time += LIMITS.dt
             if not self.is_laboratory_gone:
                 self._laboratory.step()
-            self.robot.tick()
+            self.servo.tick()
             if not self.does_policy_hang:
-                self.robot.look()
+                self.loop.look()
             self._listen()
 
     def until(self, holds: Callable[[], bool], seconds: float = 3.0) -> None:
@@ -126,7 +126,7 @@ class Watcher(Arming):
 def watcher() -> Iterator[Watcher]:
     """Over all that is commanded, no command passes a limit."""
     watcher = Watcher()
-    with closing(watcher.robot):
+    with closing(watcher.servo):
         yield watcher
     arm, commands = PROFILE.robots[0].ids, np.array([command for _, command in watcher.commands])
     assert len(commands) > 50

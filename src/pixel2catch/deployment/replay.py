@@ -14,7 +14,7 @@ from jaxtyping import Float
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder, DeploymentRecorder
 from pixel2catch.deployment.statistics import RunStatistics
-from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
+from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
@@ -113,27 +113,23 @@ def replay(
         clock.time = player.start
         node = broker.node(clock)
         recorder = stack.enter_context(BagRecorder(out))
-        nodes = Nodes(
-            servo=node,
-            loop=node,
-            clock=clock,
-            recording=DeploymentRecorder(recorder, node, profile, clock, "none"),
-        )
+        recording = DeploymentRecorder(recorder, node, profile, clock, "none")
         limits = ServoLimits.of(find_workcell(profile.workcell))
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=True)
-        robot = SteppedDeployment(setup, camera, nodes, pipeline, perception_times(perception_time))
-        stack.callback(robot.close)
+        servo = SteppedServo(setup, (node, node), clock, recording)
+        stack.callback(servo.close)
+        loop = SteppedLoop(servo, camera, pipeline, perception_times(perception_time))
 
         def run_until(moment: float) -> None:
             while clock.time < moment:
                 clock.time += limits.dt
                 player.play(clock.time)
-                robot.tick()
-                robot.look()
+                servo.tick()
+                loop.look()
 
         while not player.is_over:
             run_until(clock.time + CONTROL_DT)
-        return robot.control_loop.statistics
+        return loop.statistics
 
 
 def played_topics(profile: Profile) -> set[Topic]:
