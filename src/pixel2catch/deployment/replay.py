@@ -113,10 +113,10 @@ def replay(
         clock.time = player.start
         node = broker.node(clock)
         recorder = stack.enter_context(BagRecorder(out))
-        recording = DeploymentRecorder(recorder, node, profile, clock, "none")
+        new = DeploymentRecorder(recorder, node, profile, clock, "none")
         limits = ServoLimits.of(find_workcell(profile.workcell))
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=True)
-        servo = SteppedServo(setup, (node, node), clock, recording)
+        servo = SteppedServo(setup, (node, node), clock, new)
         stack.callback(servo.close)
         loop = SteppedLoop(servo, camera, pipeline, perception_times(perception_time))
 
@@ -135,10 +135,8 @@ def replay(
 def played_topics(profile: Profile) -> set[Topic]:
     """What a deployment listens to: nobody else commands the robot, and its status is said anew."""
     operator, camera = profile.operator, profile.camera
-    topics = {part.state_topic for part in profile.robots} | {*vars(profile.status).values()}
-    topics |= {operator.arm, operator.dead_man, operator.stop, operator.prompt, camera.image, camera.info}
-    topics |= {part.controller.activity for part in profile.robots if part.controller}
-    return {topic for topic in topics if topic}
+    topics = {operator.arm, operator.dead_man, operator.stop, operator.prompt, camera.image, camera.info}
+    return profile.told | {topic for topic in topics if topic}
 
 
 def _require_images(recording: Path, profile: Profile) -> None:

@@ -26,7 +26,7 @@ MOST_BYTES = 2**14
 ARM_PAUSE = 0.5
 """Time without a request to arm after which the next one counts [s]: not one of many. Source: ours."""
 
-POLL_TIME = 0.2  #: Time between two counts of publishers and subscribers [s]. Source: ours.
+POLL_TIME = 0.2  #: Time between two counts of publishers, subscribers or cameras [s]. Source: ours.
 SCALING_DIGITS = 3  #: Digits of a share of the speed: the driver multiplies two fractions. Source: ours.
 
 SCALING_AGE = 0.1

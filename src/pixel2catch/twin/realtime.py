@@ -7,7 +7,7 @@ import gc
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 
@@ -104,7 +104,7 @@ def serve(cfg: TwinCfg, task: CatchEnvCfg, on_cycle: OnCycle) -> ClockStats:
     with (
         drawing_process(scene, cfg.seed) as draw,
         make_transport("dds", "pixel2catch_twin", LOOPBACK, clock) as node,
-        SimulatedLab(task, cfg.seed) as lab,
+        closing(SimulatedLab(task, cfg.seed)) as lab,
     ):
         return run(LabNode(lab, profile, node, Camera(draw)), clock, on_cycle)
 
