@@ -294,6 +294,15 @@ def test_the_switch_of_a_browser_falls_whenever_there_is_doubt(desk: Desk, brows
         desk.taken("stop")
         desk.go_on()
         assert desk.taken("stop") == []
+    for width, height in ((320, 240), (900, 300), (400, 700)):
+        browser_page.set_viewport_size({"width": width, "height": height})
+        for end in ("0", "document.documentElement.scrollHeight"):
+            browser_page.evaluate(f"scrollTo(0, {end})")
+            stop_box = browser_page.locator("#stop").bounding_box()
+            assert stop_box["x"] >= 0.0
+            assert stop_box["y"] >= 0.0
+            assert stop_box["x"] + stop_box["width"] <= width
+            assert stop_box["y"] + stop_box["height"] <= height
     for let_go in (
         lambda: browser_page.keyboard.up("h"),
         lambda: browser_page.evaluate("dispatchEvent(new KeyboardEvent('keyup', {code: 'KeyH'}))"),
