@@ -17,7 +17,9 @@ import yaml
 from pixel2catch.deployment.laboratory import checks_of_laboratory
 from pixel2catch.deployment.survey import Survey
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import PROFILES, Profile, RobotPart
+from pixel2catch.ros2.transport import RealClock
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.workcells import find_workcell
 
@@ -163,8 +165,9 @@ def test_the_prompt_of_the_guide_is_one():
 
 
 def test_every_check_of_a_laboratory_is_explained():
-    nothing = Survey(endpoints=(), heard={})
-    checks = checks_of_laboratory(Profile.load("ur5e_allegro_v4"), nothing, RGB_CAMERA, is_loopback=True)
+    profile, clock = Profile.load("ur5e_allegro_v4"), RealClock()
+    nothing = Survey(Broker().node(clock), profile, clock)
+    checks = checks_of_laboratory(profile, nothing, RGB_CAMERA, is_loopback=True)
     rows = re.findall(r"^\| ([^|]+) \|", GUIDE[GUIDE.index("| check |") :], re.MULTILINE)
     assert {name for row in rows for name in row.split(", ")} >= {check.name for check in checks}
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -57,6 +58,7 @@ class CameraLab(WireLab):
             "NaN joint": lambda: setattr(self, "change", with_nan),
             "joint missing": lambda: setattr(self, "change", without_elbow),
             "joints shuffled": lambda: setattr(self, "change", shuffled),
+            "joints repeated": self.repeat,
             "images late": lambda: setattr(self, "age", 0.15),
             "wrong image size": lambda: setattr(self, "pixels", np.zeros((240, 320, 3), dtype=np.uint8)),
             "image frozen": lambda: setattr(self, "pixels", self._picture()),
@@ -74,6 +76,14 @@ class CameraLab(WireLab):
         self.silent, self.change, self.age = set(), lambda reading: reading, AGE
         self.is_object_there, self.pixels, self.jump, self.speed, self.is_held = True, None, 0.0, 100.0, True
         self._say_status()
+
+    def repeat(self) -> None:
+        """All joints are measured where they were, with stamps that go on; the object moves."""
+        stays: dict[tuple[str, ...], np.ndarray] = {}
+        self.change = lambda reading: replace(
+            reading, position=stays.setdefault(reading.names, reading.position.copy())
+        )
+        self.jump = 15.0
 
     def step(self) -> None:
         """See `WireLab.step`."""

@@ -37,6 +37,8 @@ class Laws:
         self.stops_by = {fault: 0 for fault in Fault}
         self.refusals_by = {fault: 0 for fault in Fault}
         self.num_clamps = 0
+        #: Largest speed, acceleration and jerk of a command, as shares of its limit.
+        self.reached = dict.fromkeys(("speed", "acceleration", "jerk"), 0.0)
 
     def check(self, inputs: ServoInputs, output: Output) -> None:
         """Check a tick, and remember it."""
@@ -109,13 +111,15 @@ class Laws:
         if self.command is None or self.change is None or self.bend is None:
             return
         change = np.where(was_silent[:, None], 0.0, command - self.command)
-        largest = np.minimum(joints.speed * limits.dt, joints.step)
-        assert (np.abs(change) <= largest + ROUNDING)[is_sent].all()
-        before = np.where(was_silent[:, None], 0.0, self.change)
-        bend = change - before
-        assert (np.abs(bend) <= joints.acceleration * limits.dt**2 + ROUNDING)[is_sent].all()
-        kink = np.abs(bend - np.where(was_silent[:, None], 0.0, self.bend))
-        assert (kink <= joints.jerk * limits.dt**3 + ROUNDING)[is_sent].all()
+        bend = change - np.where(was_silent[:, None], 0.0, self.change)
+        kink = bend - np.where(was_silent[:, None], 0.0, self.bend)
+        for name, moved, most in (
+            ("speed", change, np.minimum(joints.speed * limits.dt, joints.step)),
+            ("acceleration", bend, joints.acceleration * limits.dt**2),
+            ("jerk", kink, joints.jerk * limits.dt**3),
+        ):
+            assert (np.abs(moved) <= most + ROUNDING)[is_sent].all(), name
+            self.reached[name] = max(self.reached[name], np.abs(moved / most)[is_sent].max(initial=0.0))
         is_over = (output.mode == Mode.STOPPED) & is_sent & (self.stopped_ticks * limits.dt >= STOP_TIME)
         assert not np.abs(change[is_over]).any(), "a stop that still moves"
 

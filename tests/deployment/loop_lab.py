@@ -2,17 +2,19 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from paper_robot import JOINTS
+from pixel2catch.deployment import recorder
 from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline
-from pixel2catch.deployment.recorder import Connection
+from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
@@ -149,6 +151,15 @@ def surroundings() -> Iterator[Surroundings]:
         stack.callback(servo.close)
         connection = Connection(transport=node, servo=end, servo_dt=0.002, clock=clock, recording=None)
         yield Surroundings(connection=connection, servo=servo, lab=lab, clock=clock, broker=broker)
+
+
+@contextmanager
+def badly_recorded(folder: Path) -> Iterator[Surroundings]:
+    """Surroundings with a recording for which there is no room."""
+    with surroundings() as around, BagRecorder(folder / "tape") as bag, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recorder, "MOST_WAITING", 0)
+        recording = DeploymentRecorder(bag, around.connection.transport, PROFILE, around.clock, "raw")
+        yield replace(around, connection=replace(around.connection, recording=recording))
 
 
 def moved(by: float) -> Box:

@@ -1,6 +1,7 @@
 """The loop between camera, servo and operator, in memory."""
 
 import json
+import re
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from itertools import chain, pairwise, repeat
@@ -14,6 +15,7 @@ from loop_lab import (
     HOME,
     PROFILE,
     Surroundings,
+    badly_recorded,
     new_pipeline,
     picture,
     remembering,
@@ -21,11 +23,10 @@ from loop_lab import (
     surroundings,
 )
 
-from pixel2catch.deployment.control_loop import ControlLoop, read_prompt
+from pixel2catch.deployment.control_loop import SILENCE, ControlLoop, read_prompt
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
 from pixel2catch.deployment.perception_thread import CallerExecutor
 from pixel2catch.deployment.policy_pipeline import Controller
-from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
@@ -51,6 +52,7 @@ class LedLoop:
         images = ImageSubscriber(
             around.connection.transport, camera, RGB_CAMERA, around.clock, assumes_age=pipeline.knows_age
         )
+        executor = executor or CallerExecutor(around.clock)
         self.control_loop = ControlLoop(pipeline, images, around.connection, PROFILE.operator, executor)
         self._prompts = around.lab.publisher(PROFILE.operator.prompt)
         self.statuses = around.lab.subscription(PROFILE.operator.status, 100)
@@ -81,7 +83,7 @@ def test_from_the_prompt_on_every_image_gives_orders_and_a_status():
         for _ in range(3):
             taken = around.show(picture(), age=0.02)
             status = led.step()
-            (policy_command,) = around.servo.receive()
+            *_, policy_command = around.servo.receive()
             assert policy_command.image_stamp == pytest.approx(taken, abs=0.01)
             assert status["mode"] == "armed"
             assert status["box"] == list(BOX)
@@ -102,6 +104,21 @@ def test_without_images_the_steps_go_on_and_are_counted():
         assert second.target_stamp > first.target_stamp
         assert second.image_stamp == first.image_stamp
         assert led.control_loop.statistics.num_missed == 1
+
+
+def test_a_camera_that_says_nothing_is_told_of():
+    """Before the first image, and a second after the last."""
+    with surroundings() as around:
+        led = LedLoop(around)
+        led.say(Mode.IDLE)
+        assert led.step()["verdict"] == "no image"
+        around.show(picture())
+        while led.step()["verdict"] != "no prompt":
+            pass
+        begin = around.clock.now()
+        while led.step()["verdict"] != "no image":
+            assert around.clock.now() < begin + SILENCE + CONTROL_DT
+        assert around.clock.now() > begin + SILENCE - CONTROL_DT
 
 
 def test_arming_begins_a_new_throw():
@@ -125,16 +142,15 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
         BoxHistory.begun(torch.tensor([BOX]), torch.tensor([1.8]), 1),
     )
     with surroundings() as around:
-
-        def move(_: float) -> None:
-            around.servo.send(servo_status(Mode.ARMED, time=around.clock.now(), joint_pos=moved))
-
-        led = LedLoop(around, CallerExecutor(StepClock(move), lambda: 0.01))
+        led = LedLoop(around, CallerExecutor(around.clock, lambda: 0.01))
         led.say(Mode.ARMED)
-        around.show(picture())
         led.point(json.dumps({"box": BOX}))
-        led.step()
-        (policy_command,) = around.servo.receive()
+        around.show(picture())
+        led.control_loop.poll()
+        led.say(Mode.ARMED, joint_pos=moved)
+        while not (ordered := around.servo.receive()):
+            led.step()
+        (policy_command,) = ordered
         assert policy_command.joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
 
 
@@ -224,6 +240,15 @@ def test_stops_and_refusals_are_told_once_and_counted():
         summary = led.control_loop.statistics.summary()
         assert summary["stops"] == {"image stale, dead man": 1}
         assert summary["refusals"] == {"start pose": 1}
+
+
+def test_a_recording_that_is_not_whole_is_said_whatever_else_there_is_to_say(tmp_path: Path):
+    with badly_recorded(tmp_path) as around:
+        led = LedLoop(around)
+        led.say(Mode.RUN)
+        led.point("{}")
+        message = led.step()["message"]
+        assert re.search(r"a prompt is not .* the recording lacks \d+ messages", message)
 
 
 def test_the_latency_is_from_the_image_to_the_first_command_with_it():

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,10 @@ from camera_lab import CameraLab
 from loop_lab import PROFILE, EverythingRed
 from servo_rows import LIMITS
 
+from mutation import changed_bytes
 from pixel2catch.deployment.image_subscriber import NUM_EQUAL
 from pixel2catch.deployment.policy_pipeline import FADE_STEPS, Controller, make_pipeline
-from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
+from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.ros2 import messages
@@ -25,6 +27,7 @@ from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 
 ARM = PROFILE.robots[0].command_topic
+NUM_CHANGES = 12  #: Of a message of each topic.
 
 
 class Watcher(Arming):
@@ -48,17 +51,17 @@ class Watcher(Arming):
             RGB_CAMERA,
             None,
         )
-        nodes = Nodes(servo=self.broker.node(self.clock), loop=self.broker.node(self.clock), clock=self.clock)
-        setup = ServoSetup(profile=PROFILE, limits=LIMITS)
-        self.robot = SteppedDeployment(setup, RGB_CAMERA, nodes, pipeline, perception_times(0.01))
+        nodes = self.broker.node(self.clock), self.broker.node(self.clock)
+        self.servo = SteppedServo(ServoSetup(profile=PROFILE, limits=LIMITS), nodes, self.clock, None)
+        self.loop = SteppedLoop(self.servo, RGB_CAMERA, pipeline, perception_times(0.01))
         self.does_policy_hang = self.is_laboratory_gone = False
 
     def start_laboratory(self) -> None:
-        self._node, self.is_laboratory_gone = self.broker.node(self.clock), False
-        self._laboratory = CameraLab(self._node, PROFILE, self.clock)
+        self.lab_node, self.is_laboratory_gone = self.broker.node(self.clock), False
+        self._laboratory = CameraLab(self.lab_node, PROFILE, self.clock)
 
     def kill_laboratory(self) -> None:
-        self._node.close()
+        self.lab_node.close()
         self.is_laboratory_gone = True
 
     def say(self, word: str) -> None:
@@ -70,9 +73,9 @@ class Watcher(Arming):
             self.clock.time += LIMITS.dt
             if not self.is_laboratory_gone:
                 self._laboratory.step()
-            self.robot.tick()
+            self.servo.tick()
             if not self.does_policy_hang:
-                self.robot.look()
+                self.loop.look()
             self._listen()
 
     def until(self, holds: Callable[[], bool], seconds: float = 3.0) -> None:
@@ -123,7 +126,7 @@ class Watcher(Arming):
 def watcher() -> Iterator[Watcher]:
     """Over all that is commanded, no command passes a limit."""
     watcher = Watcher()
-    with closing(watcher.robot):
+    with closing(watcher.servo):
         yield watcher
     arm, commands = PROFILE.robots[0].ids, np.array([command for _, command in watcher.commands])
     assert len(commands) > 50
@@ -138,6 +141,7 @@ def watcher() -> Iterator[Watcher]:
         ("publisher frozen", {"joints stale"}),
         ("NaN joint", {"joints not finite"}),
         ("joint missing", {"joints stale"}),
+        ("joints repeated", {"tracking error"}),
         ("images late", {"image stale"}),
         ("wrong image size", {"perception unsound"}),
         ("image frozen", {"perception unsound"}),
@@ -191,6 +195,24 @@ def test_a_killed_laboratory_stops_everything_and_a_new_one_can_be_armed(watcher
     watcher.until(lambda: watcher.status["mode"] == "stopped")
     assert {"joints stale", "image stale", "no subscriber"} & set(watcher.status["stopped_by"])
     watcher.start_laboratory()
+    watcher.run()
+
+
+def test_no_message_on_any_topic_ends_it(watcher: Watcher):
+    """Each is changed at random, and heard by servo and control loop; mended, the robot is armed again."""
+    others, info = watcher.broker.node(watcher.clock), PROFILE.camera.info
+    assert info is not None
+    others.publisher(info).publish(messages.camera_info(RGB_CAMERA, 0.0))
+    others.publisher(PROFILE.operator.stop).publish(messages.boolean(False))
+    watcher.run()
+    valid = [(each, each.last) for each in (*watcher.lab_node.publishers, *others.publishers) if each.last]
+    assert len({each.topic.type for each, _ in valid}) == 9
+    random = Random(0)
+    for publisher, good in NUM_CHANGES * valid:
+        publisher.publish(changed_bytes(good, random))
+        watcher.wait(LIMITS.dt)
+        publisher.publish(good)
+    watcher.say("none")
     watcher.run()
 
 

@@ -64,14 +64,6 @@ def lying(lab: CameraLab, joint: str, value: float, *, is_offset: bool = False) 
     lab.change = lie
 
 
-def repeated(lab: CameraLab) -> None:
-    """All joints are measured where they were, with stamps that go on, and the robot is sent elsewhere."""
-    stays: dict[tuple[str, ...], np.ndarray] = {}
-    lab.change = lambda reading: replace(
-        reading, position=stays.setdefault(reading.names, reading.position.copy())
-    )
-
-
 def junk(lab: CameraLab) -> None:
     """Bytes that mean nothing, on every topic of the laboratory; then no joint states."""
     random = np.random.default_rng(0)
@@ -151,7 +143,7 @@ FAULTS: dict[str, tuple[Inject, set[str]]] = {
     ),
     "a finger at 100 rad": (told(partial(lying, joint=FINGER, value=100.0)), {"joints implausible"}),
     "a finger at 1e308 rad": (told(partial(lying, joint=FINGER, value=1e308)), {"joints implausible"}),
-    "joints that repeat themselves": (told(repeated), {"joints frozen", "tracking error"}),
+    "joints that repeat themselves": (told(CameraLab.repeat), {"joints frozen", "tracking error"}),
     "junk on every topic": (told(junk), {"joints stale", "safety mode", "stop request"}),
     "speed scaling without end": (told(partial(scaling, percent=np.inf)), {"speed scaling"}),
     "speed scaling falls silent": (

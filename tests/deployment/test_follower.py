@@ -1,9 +1,13 @@
 """A trajectory on its way to the servo: from the moment of arming, once, and not after a stop."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
-from loop_lab import HOME, servo_status, surroundings
+from loop_lab import HOME, badly_recorded, servo_status, surroundings
 
+from pixel2catch.cli.record import in_words
 from pixel2catch.deployment.follower import TrajectoryFollower
 from pixel2catch.errors import DeploymentError
 from pixel2catch.servo.core import Mode
@@ -44,6 +48,14 @@ def test_nothing_is_ordered_before_it_is_armed():
         follower.run(lambda: num_calls > 3, count)
         assert around.servo.receive() == []
         assert not follower.is_done
+
+
+def test_a_recording_that_is_not_whole_is_said_while_it_follows(tmp_path: Path):
+    with badly_recorded(tmp_path) as around:
+        follower, said = TrajectoryFollower(ramp, 0.15, RAMP, around.connection), list[str]()
+        around.servo.send(servo_status(Mode.RUN, time=around.clock.now()))
+        follower.run(lambda: bool(said), lambda status: said.append(in_words(status)))
+    assert re.fullmatch(r"running: .* the recording lacks \d+ messages .*record anew\.", said[0])
 
 
 def test_a_stop_ends_it_with_the_reason():

@@ -15,8 +15,8 @@ from pixel2catch.servo.process import (
     LOOP_PRIORITY,
     RECORDER_PRIORITY,
     SERVO_PRIORITY,
-    as_others,
     give_way,
+    scheduled,
     set_real_time,
 )
 
@@ -49,8 +49,8 @@ def test_the_servo_comes_before_the_policy_and_the_recording_last():
 def test_who_is_no_real_time_thread_stays_none():
     def action() -> tuple[int, int]:
         give_way(RECORDER_PRIORITY)
-        with as_others():
-            pass
+        with scheduled(os.SCHED_OTHER, 0) as is_granted:
+            assert is_granted
         return place()
 
     assert in_thread(action) == USUAL
@@ -60,7 +60,7 @@ def test_who_is_no_real_time_thread_stays_none():
 def test_what_is_started_as_others_is_no_real_time_process():
     def action() -> tuple[str, tuple[int, int]]:
         set_real_time(LOOP_PRIORITY)
-        with as_others():
+        with scheduled(os.SCHED_OTHER, 0):
             asked = [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"]
             said = subprocess.run(asked, check=True, capture_output=True, text=True).stdout
         return said.strip(), place()

@@ -16,7 +16,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder, Images
 from pixel2catch.deployment.replay import RecordedTargets, compare, recorded_targets, replay
-from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
+from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.perception.color import ColorThreshold
@@ -56,10 +56,10 @@ def record(folder: Path, images: Images, pipeline: PolicyPipeline) -> None:
         lab = WireLab(broker.node(clock), nobody, PROFILE, clock)
         lab.silent.add("brain")
         recording = DeploymentRecorder(recorder, node, PROFILE, clock, images)
-        nodes = Nodes(servo=broker.node(clock), loop=node, clock=clock, recording=recording)
         setup = ServoSetup(profile=PROFILE, limits=ServoLimits.of(UR5E_ALLEGRO), is_dry_run=True)
-        robot = SteppedDeployment(setup, RGB_CAMERA, nodes, pipeline, perception_times(0.01))
-        stack.callback(robot.close)
+        servo = SteppedServo(setup, (broker.node(clock), node), clock, recording)
+        stack.callback(servo.close)
+        loop = SteppedLoop(servo, RGB_CAMERA, pipeline, perception_times(0.01))
         tick = 0
 
         def go_on_until(moment: float) -> None:
@@ -71,8 +71,8 @@ def record(folder: Path, images: Images, pipeline: PolicyPipeline) -> None:
                     shown = picture(tuple(np.add(BOX, 0.1 * tick)))
                     camera.publish(messages.image(shown, clock.time - 0.015))
                 lab.step()
-                robot.tick()
-                robot.look()
+                servo.tick()
+                loop.look()
 
         go_on_until(EPOCH + 0.1)
         lab.ask_to_arm()

@@ -1,6 +1,7 @@
 """What goes wrong in a laboratory on the wire, and the one reason that the servo gives for its stop."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,6 +69,20 @@ def overheard(stage: Stage) -> None:
     stage.broker.node(stage.clock).subscription(stage.lab.profile.robots[1].command_topic)
 
 
+def contradicted(stage: Stage) -> None:
+    """Somebody else says how the robot is, too, such as a recording that is played."""
+    topic = stage.lab.profile.status.safety_mode
+    assert topic is not None
+    stage.broker.node(stage.clock).publisher(topic).publish(messages.safety_mode(1))
+
+
+def endless(reading: messages.JointReading) -> messages.JointReading:
+    """The same with more joints than it takes time to read."""
+    others = tuple(f"joint_{i}" for i in range(2000))
+    position = np.concatenate((reading.position, np.zeros(len(others))))
+    return replace(reading, names=(*reading.names, *others), position=position)
+
+
 def left(stage: Stage) -> None:
     """Who latched the status is gone; everything else goes on."""
     node = stage.laboratory
@@ -96,6 +111,7 @@ FAULTS = {
     "joint states frozen": (joints(frozen), "joints stale"),
     "joint states garbled": (garbled, "joints stale"),
     "joint twice": (joints(twice), "joints stale"),
+    "joints without end": (joints(endless), "joints stale"),
     "joint not a number": (joints(with_nan), "joints not finite"),
     "protective stop": (says("safety_mode", messages.safety_mode(3)), "safety mode"),
     "reduced mode": (says("safety_mode", messages.safety_mode(2)), "safety mode"),
@@ -108,6 +124,7 @@ FAULTS = {
     "speed above full": (scaled(101.0), "speed scaling"),
     "speed not told": (silence("/speed_scaling_state_broadcaster/speed_scaling"), "status unknown"),
     "status left": (left, "status unknown"),
+    "status of two": (contradicted, "status unknown"),
     "other controller": (switched, "controller"),
     "nobody listens": (unheard, "no subscriber"),
     "two listen": (overheard, "other subscriber"),
@@ -147,7 +164,10 @@ def test_a_brain_that_lags_stops_the_robot_that_runs(
     assert stopped_by(stage, happens, 10)[-1] == reason
 
 
-AUTHORITY = ("rival", "nobody listens", "two listen", "other controller", "status left", "speed not told")
+AUTHORITY = (
+    *("rival", "nobody listens", "two listen", "other controller"),
+    *("status left", "status of two", "speed not told"),
+)
 
 
 @pytest.mark.parametrize("fault", AUTHORITY)

@@ -33,6 +33,7 @@ def check_that_everything_happened(laws: Laws) -> None:
     assert laws.ticks_in.min() > 100, laws.ticks_in
     assert laws.ticks_in[Mode.RUN] > 0.1 * laws.ticks_in.sum(), laws.ticks_in
     assert laws.num_clamps == sum(Clamp)
+    assert min(laws.reached.values()) > 0.99, laws.reached
     never_stops = {Fault.START_POSE, Fault.WORKSPACE, Fault.STILL_STOPPING, Fault.SWITCH_NOT_PRESSED}
     never_seen = {fault for fault, number in laws.stops_by.items() if number == 0}
     slow = {Fault.JOINTS_FROZEN, Fault.JOINT_SPEED}  # they take long, and others are quicker

@@ -246,6 +246,24 @@ def test_a_second_operator_stops_the_robot_and_keeps_it_from_being_armed(name: s
 
 
 @pytest.mark.parametrize("age", [10.0, 0.3, -10.0])
+def test_a_request_to_arm_that_took_too_long_says_nothing(age: float, stage: Stage):
+    topic = stage.lab.profile.operator.arm
+    (requests,) = [each.queue for each in stage.node.listeners if each.topic == topic]
+
+    def script() -> Iterator[None]:
+        yield from wait(11)
+        requests.put(messages.boolean(True), age=age)
+        yield from wait(20)
+        assert stage.modes == [Mode.IDLE]
+        requests.put(messages.boolean(True))
+        yield from wait(5)
+        assert Mode.ARMED in stage.modes
+        raise Cut
+
+    stage.play(script())
+
+
+@pytest.mark.parametrize("age", [10.0, 0.3, -10.0])
 def test_a_message_of_the_switch_that_took_too_long_says_nothing(age: float, stage: Stage):
     lab, topic = stage.lab, stage.lab.profile.operator.dead_man
     (switch,) = [each.queue for each in stage.node.listeners if each.topic == topic]

@@ -164,7 +164,7 @@ def test_an_image_is_not_unpacked_if_it_is_too_large(suffix: str, tmp_path: Path
     message = messages.encode(
         messages.COMPRESSED_IMAGE, messages.header(0.0), "png", np.frombuffer(data, np.uint8)
     )
-    assert messages.uncompressed(messages.decode(message, messages.COMPRESSED_IMAGE)) is None
+    assert messages.unpacked_image(messages.decode(message, messages.COMPRESSED_IMAGE).data.tobytes()) is None
 
 
 @pytest.mark.parametrize(

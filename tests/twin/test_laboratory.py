@@ -21,7 +21,7 @@ from pixel2catch.cli.main import main
 from pixel2catch.deployment import machine
 from pixel2catch.deployment.laboratory import checks_of_laboratory
 from pixel2catch.deployment.stepped import StepClock
-from pixel2catch.deployment.survey import Surveyor
+from pixel2catch.deployment.survey import Survey
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.findings import Absent, Broken, Check, check
 from pixel2catch.ros2 import messages
@@ -63,13 +63,14 @@ class Laboratory:
     def examine(self, profile: Profile = PROFILE, cycles: int = CYCLES) -> dict[str, Check]:
         """What is found after so many cycles of 2 ms, by name."""
         with self.broker.node(self.clock) as node:
-            surveyor = Surveyor(node, profile, self.clock)
+            survey = Survey(node, profile, self.clock)
             for number in range(cycles):
                 self.clock.time = self._lab_node.time
                 self._lab_node.cycle(-self.late)
                 if number % 50 == 49:
-                    surveyor.listen()
-            found = checks_of_laboratory(profile, surveyor.survey(), RGB_CAMERA, is_loopback=True)
+                    survey.listen()
+            survey.listen()
+            found = checks_of_laboratory(profile, survey, RGB_CAMERA, is_loopback=True)
         return {each.name: each for each in found}
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import resource
 import shlex
 from pathlib import Path
 
@@ -74,6 +75,23 @@ def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
     errors = np.sqrt(((simulated - motion.measured) ** 2).mean(axis=(1, 2)))
     assert errors.min() < 1e-4
     assert np.ptp(read.q_cmd, axis=0).min() > 0.1
+
+
+@pytest.mark.slow
+def test_a_recording_on_a_full_disk_is_said_and_fails(
+    truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    swing(tmp_path / "swing.npz")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    try:
+        recorded = ("record", tmp_path / "swing.npz", "--out", tmp_path / "tape", "--lockstep", truth)
+        assert main([*map(str, recorded)]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    said = capsys.readouterr().err
+    assert re.search(r"^running: .* lacks \d+ messages .*File too large", said, re.MULTILINE)
+    assert re.search(r"error: the recording lacks \d+ messages .*record anew", said)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """The lab behind the wires: throws and verdicts are those of the environment."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +28,7 @@ EXACT = replace(TASK, sensing=SensingCfg(joint_bias=0.0))
 
 @pytest.fixture
 def lab() -> Iterator[SimulatedLab]:
-    with SimulatedLab(TASK, seed=0) as lab:
+    with closing(SimulatedLab(TASK, seed=0)) as lab:
         yield lab
 
 

@@ -307,6 +307,22 @@ def test_the_switch_of_a_browser_falls_whenever_there_is_doubt(desk: Desk, brows
             browser_page.keyboard.up("h")
 
 
+def test_stop_is_in_sight_in_a_window_of_any_size(desk: Desk, browser_page: Any):
+    desk.go_on()
+    browser_page.goto(desk.page.address)
+    stop = browser_page.locator("#stop")
+    desk.until(stop.is_visible)
+    for width, height in ((320, 240), (900, 300), (400, 700)):
+        browser_page.set_viewport_size({"width": width, "height": height})
+        for end in ("0", "document.documentElement.scrollHeight"):
+            browser_page.evaluate(f"scrollTo(0, {end})")
+            stop_box = stop.bounding_box()
+            assert stop_box["x"] >= 0.0
+            assert stop_box["y"] >= 0.0
+            assert stop_box["x"] + stop_box["width"] <= width
+            assert stop_box["y"] + stop_box["height"] <= height
+
+
 def test_a_visitor_arms_points_runs_and_stops(browser_page: Any):
     """In a browser, with a servo, a policy and a laboratory whose time goes on between the clicks."""
     wrong: list[str] = []

@@ -90,9 +90,7 @@ class Deploy:
         if self.vision.perception.checkpoint is None:  # a large network may want all cores, and for long
             set_real_time(LOOP_PRIORITY)
         with ExitStack() as stack:
-            executor = None
-            if pipeline.knows_age:
-                executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
+            executor = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="perception"))
             connection = self.link.connect(profile, self.record, self.record_images, stack)
             clock = connection.clock
             images = ImageSubscriber(

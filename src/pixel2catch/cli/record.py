@@ -110,19 +110,26 @@ class Record:
     def _follow(self, follower: "TrajectoryFollower", is_over: "Callable[[], bool]") -> None:
         """Follow until the end, until it is over, or Ctrl-C, and say when something changes."""
         from pixel2catch.cli.console import say
-        from pixel2catch.deployment.status_words import sentence
         from pixel2catch.interruption import StopRequest
 
         said = ""
 
         def report(status: dict[str, Any]) -> None:
             nonlocal said
-            if (line := FOLLOWING.get(str(status["mode"])) or sentence(status)) != said:
+            if (line := in_words(status)) != said:
                 said = line
                 say(line)
 
         with StopRequest() as stop:
             follower.run(lambda: stop.is_set or is_over(), report)
+
+
+def in_words(status: dict[str, Any]) -> str:
+    """A status in a line, with what it says of the recording."""
+    from pixel2catch.deployment.status_words import sentence
+
+    words = FOLLOWING.get(status["mode"])
+    return " ".join(filter(None, (words, status["message"]))) if words else sentence(status)
 
 
 def whole_robot(trajectory: "Trajectory"):

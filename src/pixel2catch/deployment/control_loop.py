@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
-from pixel2catch.deployment.perception_thread import CallerExecutor, ConcurrentPerception, PerceptionResult
-from pixel2catch.deployment.policy_pipeline import BOX_AGE, PolicyPipeline
+from pixel2catch.deployment.perception_thread import ConcurrentPerception, PerceptionResult
+from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import ORDERS, Connection
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
 from pixel2catch.errors import DeploymentError, NonFiniteError
@@ -35,41 +35,14 @@ BUSY_POLL = 0.005
 
 Source: ours: as often as otherwise they would take a tenth of the time from perception."""
 
-LONGEST_AGE = BOX_AGE - 0.1 * CONTROL_DT
-"""Age up to which an image waits for its decision [s]: the policy gets the box of before. Source: ours."""
-
-PATIENCE = 1.5 * CONTROL_DT  #: Time after an image from which the next one is missing [s]. Source: ours.
+SILENCE = 1.0  #: Time after a good image from which it is said that there is none [s]. Source: ours.
 QUANTILE = 0.9  #: Share of the images that are looked at in time. Source: ours.
-STEP = 0.0005  #: How fast the time is adapted, for each image [s]. Source: ours.
 NUM_LOOKS = 60  #: Looks that a timer learns from: two to four seconds. Source: ours.
 SHIFT = 0.0005  #: How far a control step may be longer or shorter than it should be [s]. Source: ours.
 
 GRACE = 0.15 * CONTROL_DT
 """How long a decision waits for a look that should be done [s]: without it the box is a control step older.
 Source: ours."""
-
-
-class DecisionDelay:
-    """Learns how old images are when they have been looked at, and waits for those that are done sooner.
-
-    What the policy sees of the object's speed is what has changed since the last control step. In training
-    steps are equally long; perception takes now less and now more.
-    """
-
-    def __init__(self, longest: float) -> None:
-        """Wait for nothing yet: the first looks, which are slow, count no more than others.
-
-        Waiting costs nothing up to the longest age [s].
-        """
-        self._longest = longest
-        self.age = 0.0  #: How old an image is when it is decided on [s]; the quantile of the ages so far.
-
-    def moment(self, stamp: float, now: float) -> float:
-        """When to decide on an image that was taken then and has been looked at now [s]; it may be over."""
-        age = now - stamp
-        change = QUANTILE if age > self.age else QUANTILE - 1.0
-        self.age = min(self.age + STEP * change, self._longest)
-        return stamp + self.age
 
 
 class DecisionTimer:
@@ -106,11 +79,7 @@ class DecisionTimer:
 
 
 class ControlLoop:
-    """Runs a control loop.
-
-    A policy that knows how old its boxes are decides at even times, while images are looked at. One that does
-    not decides on each image when it has been looked at, and when the box is as old as in its training.
-    """
+    """Runs a control loop: images are looked at while the policy decides at even times."""
 
     def __init__(
         self,
@@ -118,9 +87,9 @@ class ControlLoop:
         images: ImageSubscriber,
         connection: Connection,
         topics: OperatorTopics,
-        executor: Executor | None = None,
+        executor: Executor,
     ) -> None:
-        """Announce and listen; the executor looks at images, at one at a time, or else the caller itself."""
+        """Announce and listen; the executor looks at images, at one at a time."""
         self.statistics = RunStatistics()
         self._pipeline, self._images = pipeline, images
         self._connection, self._clock = connection, connection.clock
@@ -129,14 +98,11 @@ class ControlLoop:
         self._status = connection.transport.publisher(topics.status)
         self._joint_pos = np.full(pipeline.num_joints, np.nan)
         self._mode = int(Mode.IDLE)
-        executor = executor or CallerExecutor(connection.clock)
         self._perception = ConcurrentPerception(pipeline, executor, connection.clock)
-        self._frame: CameraFrame | None = None
         self._look: PerceptionResult | None = None
         self._seen: Extraction | None = None
         self._sent: PolicyCommand | None = None
-        self._due = connection.clock.now()
-        self._message, self._delay, self._timer = "", DecisionDelay(LONGEST_AGE), DecisionTimer(self._due)
+        self._message, self._timer = "", DecisionTimer(connection.clock.now())
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
         """Go from control step to control step, with the status of each, until it is over.
@@ -154,23 +120,35 @@ class ControlLoop:
 
     def _wait(self) -> None:
         """Wait for an image or, while one is looked at, for what is seen, but not for long."""
-        left = self._due - self._clock.now()
+        left = self._timer.due - self._clock.now()
         if not self._perception.is_free:
             self._perception.wait(min(BUSY_POLL, left) if left > 0.0 else POLL)
         elif left > 0.0:
             self._connection.transport.wait(min(POLL, left))
 
     def poll(self) -> dict[str, Any] | None:
-        """Make a control step if it is time, and return its status; it raises what `run` does."""
+        """Have images looked at, and decide when it is time, whether that is done or not.
+
+        Returned is the status of a control step that was made; it raises what `run` does.
+        """
         self._hear()
         frame = self._images.newest()
         if self._recording:
             self._recording.record_images(self._images.received)
-        if self._pipeline.knows_age:
-            return self._poll_at_even_times(frame)
-        if frame is None and self._clock.now() < self._due:
+        if frame:
+            self._perception.offer(frame)
+            self._show_servo(frame)
+        if look := self._perception.go_on():
+            self._look, self._seen = look, look.seen
+            self._timer.learn(look.frame.stamp, look.end)
+        now = self._clock.now()
+        if not self._timer.is_due(now, self._perception.stamp):
             return None
-        return self._step(frame)
+        look, self._look = self._look, None
+        took = look.end - look.begin if look else 0.0
+        policy_command, complaint = self._decide()
+        self._timer.advance(now, is_even=policy_command is not None)
+        return self._conclude(policy_command, complaint, look, began=now - took)
 
     def _hear(self) -> None:
         """Take what servo and operator have said."""
@@ -188,49 +166,12 @@ class ControlLoop:
             except DeploymentError as error:
                 self._message = str(error)
 
-    def _poll_at_even_times(self, frame: CameraFrame | None) -> dict[str, Any] | None:
-        """Have images looked at, and decide when it is time, whether that is done or not."""
-        if frame:
-            self._perception.offer(frame)
-            self._show_servo(frame)
-        if look := self._perception.go_on():
-            self._look, self._seen = look, look.seen
-            self._timer.learn(look.frame.stamp, look.end)
-        now = self._clock.now()
-        if not self._timer.is_due(now, self._perception.stamp):
-            return None
-        look, self._look = self._look, None
-        took = look.end - look.begin if look else 0.0
-        policy_command, complaint = self._decide()
-        self._timer.advance(now, is_even=policy_command is not None)
-        self._due = self._timer.due
-        return self._conclude(policy_command, complaint, look, began=now - took)
-
     def _show_servo(self, frame: CameraFrame) -> None:
         """Tell the servo of an image at once: how old the newest one is does not depend on decisions."""
         if self._sent and self._mode in ACTIVE:
             newest, is_sound = min(frame.stamp, self._clock.now()), not self._problem
             told = replace(self._sent, image_stamp=newest, is_perception_sound=is_sound)
             self._connection.servo.send(told)
-
-    def _step(self, frame: CameraFrame | None) -> dict[str, Any]:
-        """One control step; without a new image it is the last one's again."""
-        begin, look = self._clock.now(), None
-        self._frame = frame or self._frame
-        if frame:
-            look = self._perception.look_now(frame, begin)
-            self._seen = look.seen
-        else:
-            self._seen = self._pipeline.perceive(self._frame, begin)
-            self._pipeline.remember(self._frame, self._seen)
-        looked = self._clock.now()
-        if frame:
-            self._clock.sleep_until(self._delay.moment(frame.stamp, looked))
-        waited = self._clock.now() - looked
-        self._hear()
-        policy_command, complaint = self._decide()
-        self._due = begin + PATIENCE if look else self._due + CONTROL_DT
-        return self._conclude(policy_command, complaint, look, began=begin + waited)
 
     def _conclude(
         self,
@@ -247,7 +188,8 @@ class ControlLoop:
         if policy_command and self._mode in ACTIVE:
             self._connection.servo.send(policy_command)
             self._sent = policy_command
-        end, seen = self._clock.now(), self._seen
+        end = self._clock.now()
+        seen = self._seen if end - self._images.stamp < SILENCE else None
         if self._mode in ACTIVE:
             self.statistics.count_step(took=end - began, is_missed=look is None)
         if self._mode in ACTIVE and policy_command and look:
@@ -255,9 +197,9 @@ class ControlLoop:
             self.statistics.count_stages(look.frame.stamp, times)
         trouble = self._recording.trouble if self._recording else ""
         of_image = self._images.message or (seen.message if seen else "")
-        message = self._message or self._problem or of_image or complaint or trouble
+        message = self._message or self._problem or of_image or complaint
         sight = self._pipeline.sight
-        message = self._images.take_notice() or message
+        message = " ".join(filter(None, (self._images.take_notice() or message, trouble)))
         status = self.statistics.status(seen, message, sight.at(end), end - sight.box_stamp)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:

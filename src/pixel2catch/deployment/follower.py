@@ -75,28 +75,26 @@ class TrajectoryFollower:
         if not np.isfinite(self._armed_at):
             return
         elapsed = now - self._armed_at - self._ramp_time
-        target = self._targets(elapsed)
-        policy_command = PolicyCommand(
-            joint_pos_target=target, target_stamp=now, image_stamp=now, box_stamp=now
-        )
-        self._connection.servo.send(policy_command)
+        policy_command = self._order(now, elapsed)
         if self._connection.recording:
             self._connection.recording.record_row(ORDERS, policy_command.row, now)
         self.is_done = elapsed > self._duration
+
+    def _order(self, now: float, elapsed: float, *, is_stop_requested: bool = False) -> PolicyCommand:
+        """Give the servo now [s] the target of a time since the trajectory's beginning [s]."""
+        policy_command = PolicyCommand(
+            joint_pos_target=self._targets(elapsed),
+            **dict.fromkeys(("target_stamp", "image_stamp", "box_stamp"), now),
+            is_stop_requested=is_stop_requested,
+        )
+        self._connection.servo.send(policy_command)
+        return policy_command
 
     def _rest(self) -> None:
         """Have the servo stop, and record that, too."""
         connection = self._connection
         if np.isfinite(self._armed_at):
-            now, still = connection.clock.now(), self._targets(self._duration)
-            stop = PolicyCommand(
-                joint_pos_target=still,
-                target_stamp=now,
-                image_stamp=now,
-                box_stamp=now,
-                is_stop_requested=True,
-            )
-            connection.servo.send(stop)
+            self._order(connection.clock.now(), self._duration, is_stop_requested=True)
         connection.clock.sleep_until(connection.clock.now() + STOP_TIME)
         if connection.recording:
             connection.recording.record_messages()

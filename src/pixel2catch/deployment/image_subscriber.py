@@ -14,6 +14,7 @@ from pixel2catch.ros2.profile import CameraProfile
 from pixel2catch.ros2.transport import Clock, Message, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.motion import Joints
+from pixel2catch.servo.subscriptions import POLL_TIME
 
 DEPTH = 4  #: Images that are kept until they are looked at; only the newest is. Source: ours.
 MEMORY = 0.5  #: How long joint positions are remembered [s]. Source: ours; longer than an image may be late.
@@ -27,10 +28,8 @@ NUM_EQUAL = 4
 that is asked for more images than it takes, may repeat one."""
 
 THINNING = 8  #: Rows and columns of which one is compared before all are [px]. Source: ours.
-DISTRUST_TIME = (
-    1.0  #: Time for which images are not trusted after one that is older than its predecessor [s].
-)
-POLL_TIME = 0.2  #: Time between two counts of the cameras [s]. Source: ours, as the servo's.
+DISTRUST_TIME = 1.0
+"""Time for which images are not trusted after one that is older than its predecessor [s]. Source: ours."""
 
 
 class ImageChecks:

@@ -2,15 +2,14 @@
 
 import os
 import resource
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 
 from pixel2catch.findings import Absent, Broken
 from pixel2catch.ros2.dds import domain_id
-from pixel2catch.ros2.transport import RealClock
+from pixel2catch.ros2.transport import ROS_ON_LOOPBACK, RealClock
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.process import SERVO_PRIORITY
+from pixel2catch.servo.process import SERVO_PRIORITY, scheduled
 
 GUIDE = "docs/laboratory.md"  #: Where the steps are.
 LEAST_CORES = 4  #: For servo, policy, perception and drivers. Source: ours.
@@ -21,9 +20,6 @@ NUM_TICKS = 500  #: Ticks of the servo that are timed: a second.
 
 SPOKEN = ("", "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 """Values of RMW_IMPLEMENTATION whose messages plain DDS hears; the first is the default of ROS 2."""
-
-LOCAL = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-"""What keeps ROS 2 to its machine: drivers that were started so are not heard by plain DDS."""
 
 
 def cores(root: Path = Path("/")) -> str:
@@ -44,24 +40,9 @@ def kernel(root: Path = Path("/")) -> str:
     raise Absent(f"no PREEMPT_RT: the servo's ticks may be late under load ({GUIDE})")
 
 
-@contextmanager
-def real_time_priority() -> Iterator[bool]:
-    """What the servo process asks for, for a while; it says whether the system grants it."""
-    before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(SERVO_PRIORITY))
-    except PermissionError:
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        os.sched_setscheduler(0, before, parameters)
-
-
 def real_time() -> str:
     """Whether the servo may ask for real-time scheduling."""
-    with real_time_priority() as is_granted:
+    with scheduled(os.SCHED_FIFO, SERVO_PRIORITY) as is_granted:
         if is_granted:
             return f"priority {SERVO_PRIORITY} of SCHED_FIFO is granted"
     limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
@@ -74,7 +55,7 @@ def real_time() -> str:
 def ticks(limits: ServoLimits) -> str:
     """How late this process wakes up at the servo's pace, with its priority where that is granted."""
     clock, worst = RealClock(), 0.0
-    with real_time_priority():
+    with scheduled(os.SCHED_FIFO, SERVO_PRIORITY):
         due = clock.now()
         for _ in range(NUM_TICKS):
             due += limits.dt
@@ -122,7 +103,8 @@ def dds_settings(
         raise Broken(f"RMW_IMPLEMENTATION is {middleware}, which DDS does not hear: take {SPOKEN[1]}")
     if is_loopback:
         return f"domain {domain}, this machine only"
-    kept = [f"{name}={value}" for name, value in LOCAL.items() if environment.get(name) == value]
+    # drivers that were started so are not heard by plain DDS
+    kept = [f"{name}={value}" for name, value in ROS_ON_LOOPBACK.items() if environment.get(name) == value]
     if kept:
         raise Broken(f"{kept[0]}: drivers started so keep to themselves; unset it for them and here")
     if configured := environment.get("CYCLONEDDS_URI"):

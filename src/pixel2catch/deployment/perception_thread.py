@@ -107,12 +107,6 @@ class ConcurrentPerception:
         else:
             self._later = point
 
-    def look_now(self, frame: CameraFrame, now: float) -> PerceptionResult:
-        """Look at an image, and wait for what is seen; nothing else may be looked at."""
-        seen = self._executor.submit(self._pipeline.perceive, frame, now).result()
-        self._pipeline.remember(frame, seen)
-        return PerceptionResult(frame=frame, seen=seen, received=now, begin=now, end=self._clock.now())
-
     def offer(self, frame: CameraFrame) -> None:
         """Have an image that has just arrived looked at, if no newer one comes before its turn."""
         self._waiting = (frame, self._clock.now())

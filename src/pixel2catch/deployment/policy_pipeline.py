@@ -203,8 +203,8 @@ class PolicyPipeline:
         if prompt is not None:
             self._person.give(prompt)
 
-    def perceive(self, frame: CameraFrame | None, now: float) -> Extraction:
-        """Look at the newest image, be it the same as before: what takes most of the time.
+    def perceive(self, frame: CameraFrame, now: float) -> Extraction:
+        """Look at the newest image: what takes most of the time.
 
         Now is a time [s] of the clock of the image's stamp.
 
@@ -217,14 +217,14 @@ class PolicyPipeline:
         """Learn from the last look what no decision waits for; the next look does it at the latest."""
         self._extractor.settle()
 
-    def remember(self, frame: CameraFrame | None, seen: Extraction) -> None:
+    def remember(self, frame: CameraFrame, seen: Extraction) -> None:
         """Keep the box of an image for the policy.
 
         Where nothing was seen, the last box gets older for a policy that knows it; for another one it is also
-        the box of this image, as in its training. The image may be the same as before. A box that does not
-        continue the one before, or that ends a hold, is the first.
+        the box of this image, as in its training. A box that does not continue the one before, or that ends a
+        hold, is the first.
         """
-        if frame is None or not seen.is_valid or frame.stamp <= self._looked:
+        if not seen.is_valid or frame.stamp <= self._looked:
             return
         self._looked = frame.stamp
         self.sight.note(frame.stamp, seen)
@@ -248,11 +248,11 @@ class PolicyPipeline:
 
         Raises:
             NonFiniteError: The policy is asked, and a joint position is infinite.
-            DeploymentError: No image was looked at for long, by a perception that is not waited for.
+            DeploymentError: No image was looked at for long.
         """
         if not self._boxes or np.isnan(joint_pos).any():
             return None
-        if self.knows_age and now - self._looked > LONGEST_LOOK:
+        if now - self._looked > LONGEST_LOOK:
             raise DeploymentError(
                 f"the newest image that was looked at is {now - self._looked:.1f} s old: look at the camera, "
                 "and with 'pixel2catch track' at which stage of perception takes so long."

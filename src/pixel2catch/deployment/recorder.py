@@ -139,10 +139,8 @@ class DeploymentRecorder:
         self._recorder, self._clock = recorder, clock
         self._profile, self._images = profile, images
         self._last: dict[Topic, float] = {}
-        topics = {topic for part in profile.robots for topic in (part.state_topic, part.command_topic)}
+        topics = profile.told | {part.command_topic for part in profile.robots}
         topics |= {*vars(profile.operator).values()}
-        topics |= {topic for topic in vars(profile.status).values() if topic}
-        topics |= {part.controller.activity for part in profile.robots if part.controller}
         self._subscriptions = [
             (topic, transport.subscription(topic, DEPTH, only_watches=True)) for topic in topics
         ]

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import ORDERS, SERVO, BagRecorder, DeploymentRecorder
 from pixel2catch.deployment.statistics import RunStatistics
-from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
+from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2 import messages
@@ -113,36 +113,30 @@ def replay(
         clock.time = player.start
         node = broker.node(clock)
         recorder = stack.enter_context(BagRecorder(out))
-        nodes = Nodes(
-            servo=node,
-            loop=node,
-            clock=clock,
-            recording=DeploymentRecorder(recorder, node, profile, clock, "none"),
-        )
+        new = DeploymentRecorder(recorder, node, profile, clock, "none")
         limits = ServoLimits.of(find_workcell(profile.workcell))
         setup = ServoSetup(profile=profile, limits=limits, is_dry_run=True)
-        robot = SteppedDeployment(setup, camera, nodes, pipeline, perception_times(perception_time))
-        stack.callback(robot.close)
+        servo = SteppedServo(setup, (node, node), clock, new)
+        stack.callback(servo.close)
+        loop = SteppedLoop(servo, camera, pipeline, perception_times(perception_time))
 
         def run_until(moment: float) -> None:
             while clock.time < moment:
                 clock.time += limits.dt
                 player.play(clock.time)
-                robot.tick()
-                robot.look()
+                servo.tick()
+                loop.look()
 
         while not player.is_over:
             run_until(clock.time + CONTROL_DT)
-        return robot.control_loop.statistics
+        return loop.statistics
 
 
 def played_topics(profile: Profile) -> set[Topic]:
     """What a deployment listens to: nobody else commands the robot, and its status is said anew."""
     operator, camera = profile.operator, profile.camera
-    topics = {part.state_topic for part in profile.robots} | {*vars(profile.status).values()}
-    topics |= {operator.arm, operator.dead_man, operator.stop, operator.prompt, camera.image, camera.info}
-    topics |= {part.controller.activity for part in profile.robots if part.controller}
-    return {topic for topic in topics if topic}
+    topics = {operator.arm, operator.dead_man, operator.stop, operator.prompt, camera.image, camera.info}
+    return profile.told | {topic for topic in topics if topic}
 
 
 def _require_images(recording: Path, profile: Profile) -> None:

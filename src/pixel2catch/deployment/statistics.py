@@ -9,6 +9,7 @@ import numpy as np
 
 from pixel2catch.deployment.sight import Sight
 from pixel2catch.perception.extractor import Extraction
+from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.core import Clamp, Mode
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
@@ -119,7 +120,7 @@ class RunStatistics:
     def status(
         self, seen: Extraction | None, message: str, sight: Sight | None = None, age: float = inf
     ) -> dict[str, Any]:
-        """What is going on now, and what is known of the object, if one matters, seen so long ago [s].
+        """What is going on now, and what is known of the object, if one matters, last seen so long ago [s].
 
         Requests that were refused are said once.
         """
@@ -132,7 +133,7 @@ class RunStatistics:
             "refused": flag_names(Fault, refused),
             "clamped": flag_names(Clamp, clamped),
             "box": seen.box[0].tolist() if seen and seen.is_valid else None,
-            "verdict": str(seen.verdict) if seen else None,
+            "verdict": str(seen.verdict) if seen else sight and str(Verdict.NO_IMAGE),
             "object": sight and str(sight),
             "object_age_ms": round(1e3 * age, 1) if age < inf else None,
             "latency_ms": self._latencies.milliseconds(50, 90, 99),

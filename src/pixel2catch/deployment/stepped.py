@@ -4,7 +4,6 @@ For rehearsals and replays in which it does not matter how fast the machine is.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from random import Random
 from typing import final
 
@@ -56,45 +55,26 @@ def perception_times(least: float, jitter: float = 0.0, seed: int = 0) -> Callab
     return lambda: least + jitter * random.random()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Nodes:
-    """How a deployment hears of its robot."""
-
-    servo: Transport  #: The servo's node.
-    loop: Transport  #: The control loop's node; it may be the same.
-    clock: Clock  #: The clock of both.
-    recording: DeploymentRecorder | None = None  #: The recording, if there is one.
-
-
-class SteppedDeployment:
-    """Servo and control loop, each of which does what it has to do when it is told to."""
+class SteppedServo:
+    """A servo that ticks when it is told to, and how a control loop is connected to it."""
 
     def __init__(
         self,
         setup: ServoSetup,
-        camera: CameraSpec,
-        nodes: Nodes,
-        pipeline: PolicyPipeline,
-        perception_time: Callable[[], float],
+        nodes: tuple[Transport, Transport],
+        clock: Clock,
+        recording: DeploymentRecorder | None,
     ) -> None:
-        """Put both in place; the perception takes so long [s] for an image."""
-        loop_end, servo_end = link()
-        self._ends, clock = (loop_end, servo_end), nodes.clock
-        self._servo = Servo(servo_end, nodes.servo, setup, clock)
-        connection = Connection(
-            transport=nodes.loop,
-            servo=loop_end,
-            servo_dt=setup.limits.dt,
-            clock=clock,
-            recording=nodes.recording,
+        """Put it in place, with the nodes of servo and control loop, which may be the same."""
+        self._ends, self.profile = link(), setup.profile
+        (loop_end, servo_end), (node, loop_node) = self._ends, nodes
+        self._servo = Servo(servo_end, node, setup, clock)
+        self.connection = Connection(
+            transport=loop_node, servo=loop_end, servo_dt=setup.limits.dt, clock=clock, recording=recording
         )
-        profile, executor = setup.profile, CallerExecutor(clock, perception_time)
-        images = ImageSubscriber(nodes.loop, profile.camera, camera, clock, assumes_age=pipeline.knows_age)
-        self.control_loop = ControlLoop(pipeline, images, connection, profile.operator, executor)
-        self._is_thinking = False
 
     def tick(self) -> None:
-        """A tick of the servo.
+        """A tick.
 
         Raises:
             Exception: What the servo did not foresee.
@@ -103,14 +83,34 @@ class SteppedDeployment:
         if self._servo.unforeseen:
             raise self._servo.unforeseen
 
+    def close(self) -> None:
+        """Cut the link."""
+        for end in self._ends:
+            end.close()
+
+
+class SteppedLoop:
+    """A control loop on a servo's connection, which looks when it is told to."""
+
+    def __init__(
+        self,
+        servo: SteppedServo,
+        camera: CameraSpec,
+        pipeline: PolicyPipeline,
+        perception_time: Callable[[], float],
+    ) -> None:
+        """Put it in place; the perception takes so long [s] for an image."""
+        connection, profile = servo.connection, servo.profile
+        images = ImageSubscriber(
+            connection.transport, profile.camera, camera, connection.clock, assumes_age=pipeline.knows_age
+        )
+        executor = CallerExecutor(connection.clock, perception_time)
+        self._loop = ControlLoop(pipeline, images, connection, profile.operator, executor)
+        self.statistics, self._is_thinking = self._loop.statistics, False
+
     def look(self) -> None:
         """A look of the control loop, which may take its time; while it does, it does not look again."""
         if not self._is_thinking:
             self._is_thinking = True
-            self.control_loop.poll()
+            self._loop.poll()
             self._is_thinking = False
-
-    def close(self) -> None:
-        """Cut the link between the two."""
-        for end in self._ends:
-            end.close()

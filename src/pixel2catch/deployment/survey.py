@@ -11,7 +11,7 @@ from jaxtyping import Float
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
-from pixel2catch.ros2.transport import Clock, Endpoint, Message, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import Clock, Endpoint, Subscription, Topic, Transport
 
 DISCOVERY = 5.0  #: Real time in which all that the profile names should be found [s]. Source: ours.
 SECONDS = 2.0  #: How long is listened then [s]: one change of lamps and exposure controls. Source: ours.
@@ -37,12 +37,19 @@ class Heard:
     errors: list[str] = field(default_factory=list)  #: Why messages could not be read.
 
 
-@dataclass(frozen=True, kw_only=True)
+@final
 class Survey:
-    """What was on the network."""
+    """What was on the network: who, and what was said on each topic that the robot publishes."""
 
-    endpoints: tuple[Endpoint, ...]  #: All publishers and subscriptions of others.
-    heard: dict[Topic, Heard]  #: What was said on each topic of the profile that the robot publishes.
+    def __init__(self, transport: Transport, profile: Profile, clock: Clock) -> None:
+        """Begin to listen to all that a profile names."""
+        self._transport, self._clock, self._profile = transport, clock, profile
+        self._readers: dict[Topic, tuple[Subscription, Callable[[bytes], Any]]] = {}
+        for topic, read in self._published():
+            depth = IMAGES if topic.type == messages.IMAGE else DEPTH
+            self._readers[topic] = transport.subscription(topic, depth), read
+        self.heard = {topic: Heard() for topic in self._readers}  #: What was said.
+        self.endpoints: list[Endpoint] = []  #: All publishers and subscriptions of others.
 
     def publishers(self, topic: Topic) -> list[Endpoint]:
         """Who publishes under the name of a topic, whatever type."""
@@ -52,19 +59,10 @@ class Survey:
         """Who listens under the name of a topic, whatever type."""
         return [each for each in self.endpoints if each.topic == topic.name and not each.is_publisher]
 
-
-@final
-class Surveyor:
-    """Listens to all that a profile names."""
-
-    def __init__(self, transport: Transport, profile: Profile, clock: Clock) -> None:
-        """Begin to listen."""
-        self._transport, self._clock, self._profile = transport, clock, profile
-        self._readers: dict[Topic, tuple[Subscription, Callable[[bytes], Any]]] = {}
-        for topic, read in self._published():
-            depth = IMAGES if topic.type == messages.IMAGE else DEPTH
-            self._readers[topic] = transport.subscription(topic, depth), read
-        self._heard = {topic: Heard() for topic in self._readers}
+    def of_type(self, topic: Topic, *, is_publisher: bool) -> str:
+        """Topics of the type of one that somebody publishes, or listens to."""
+        kind = (topic.type, is_publisher)
+        return ", ".join(sorted({e.topic for e in self.endpoints if (e.type, e.is_publisher) == kind}))
 
     def _published(self) -> list[tuple[Topic, Callable[[bytes], Any]]]:
         """What the robot should publish, and how it is read."""
@@ -82,24 +80,29 @@ class Surveyor:
         found += [(each.activity, messages.read_active_controllers) for each in controllers]
         return [(topic, read) for topic, read in found if topic is not None]
 
+    @property
     def is_complete(self) -> bool:
         """Whether somebody publishes every topic, and somebody takes every command."""
-        survey = self.survey()
-        return all(survey.publishers(topic) for topic in self._readers) and all(
-            survey.subscriptions(part.command_topic) for part in self._profile.robots
-        )
+        taken = (self.subscriptions(part.command_topic) for part in self._profile.robots)
+        return all(map(self.publishers, self._readers)) and all(taken)
 
+    @property
     def is_anybody_there(self) -> bool:
         """Whether somebody publishes any of the topics."""
-        survey = self.survey()
-        return any(survey.publishers(topic) for topic in self._readers)
+        return any(map(self.publishers, self._readers))
 
     def listen(self) -> None:
-        """Take and note what has arrived."""
+        """See who is there, and take and note what has arrived."""
+        self.endpoints = self._transport.endpoints()
         to_stamp = self._clock.stamp() - self._clock.now()
         for topic, (subscription, read) in self._readers.items():
+            heard = self.heard[topic]
             for message in subscription.take():
-                self._note(self._heard[topic], message, read, to_stamp)
+                try:
+                    heard.readings.append(read(message.data))
+                    heard.arrivals.append(message.arrival + to_stamp)
+                except DeploymentError as error:
+                    heard.errors.append(str(error))
 
     def _note_image(self, data: bytes) -> ImageNote:
         reading = messages.read_image(data)
@@ -107,38 +110,22 @@ class Surveyor:
         brightness = reading.pixels[::EVERY, ::EVERY].mean(axis=(0, 1))
         return ImageNote(stamp=reading.stamp, brightness=brightness)
 
-    @staticmethod
-    def _note(heard: Heard, message: Message, read: Callable[[bytes], Any], to_stamp: float) -> None:
-        try:
-            heard.readings.append(read(message.data))
-            heard.arrivals.append(message.arrival + to_stamp)
-        except DeploymentError as error:
-            heard.errors.append(str(error))
-
     def forget(self) -> None:
         """Begin anew, but for what is latched: it is said once."""
-        for topic in self._readers:
-            if not topic.is_latched:
-                self._heard[topic] = Heard()
-
-    def survey(self) -> Survey:
-        """What is known by now."""
-        return Survey(endpoints=tuple(self._transport.endpoints()), heard=self._heard)
+        self.heard |= {topic: Heard() for topic in self._readers if not topic.is_latched}
 
 
 def take_survey(transport: Transport, profile: Profile, clock: Clock) -> Survey:
     """Find who is on the network, within `DISCOVERY`, and listen for `SECONDS` of the clock."""
-    surveyor = Surveyor(transport, profile, clock)
+    survey = Survey(transport, profile, clock)
     end = time.monotonic() + DISCOVERY
-    while time.monotonic() < end and not surveyor.is_complete():
+    while time.monotonic() < end and not survey.is_complete:
         transport.wait(0.1)
-        surveyor.listen()
-    surveyor.listen()
-    if not surveyor.is_anybody_there():
-        return surveyor.survey()
-    surveyor.forget()
-    end = clock.now() + SECONDS
-    while clock.now() < end:
-        transport.wait(0.05)
-        surveyor.listen()
-    return surveyor.survey()
+        survey.listen()
+    if survey.is_anybody_there:
+        survey.forget()
+        end = clock.now() + SECONDS
+        while clock.now() < end:
+            transport.wait(0.05)
+            survey.listen()
+    return survey

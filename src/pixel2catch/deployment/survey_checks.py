@@ -13,7 +13,7 @@ from pixel2catch.deployment.survey import Heard, Survey
 from pixel2catch.findings import Absent, Broken
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import CameraProfile, Controller, Profile, RobotPart
-from pixel2catch.ros2.transport import Topic
+from pixel2catch.ros2.transport import Endpoint, Topic
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import ServoLimits
 
@@ -42,10 +42,10 @@ def heard_of(survey: Survey, topic: Topic, most: float = 1) -> Heard:
     """What was said on a topic that so many publish at the most, by its type, and that could be read."""
     publishers = survey.publishers(topic)
     if not publishers:
-        alike = sorted({e.topic for e in survey.endpoints if e.is_publisher and e.type == topic.type})
-        hint = f"{topic.type} is published on {', '.join(alike)}" if alike else "nor any topic of that type"
+        alike = survey.of_type(topic, is_publisher=True)
+        hint = f"{topic.type} is published on {alike}" if alike else "nor any topic of that type"
         raise Broken(f"nobody publishes {topic.name}; {hint}: start the driver, or correct the profile")
-    require_type(topic, sorted({each.type for each in publishers}))
+    require_type(topic, publishers)
     if len(publishers) > most:
         raise Broken(f"{len(publishers)} publishers of {topic.name}: one may be; end the others")
     heard = survey.heard[topic]
@@ -75,8 +75,9 @@ def network(survey: Survey) -> str:
     return f"{publishers} publishers, {len(endpoints) - publishers} subscriptions of others"
 
 
-def require_type(topic: Topic, types: list[str]) -> None:
+def require_type(topic: Topic, endpoints: list[Endpoint]) -> None:
     """Refuse endpoints of other types."""
+    types = sorted({each.type for each in endpoints})
     if types != [topic.type]:
         raise Broken(
             f"{topic.name} is of type {', '.join(types)}, the profile wants {topic.type}: correct it"
@@ -226,10 +227,10 @@ def commands(survey: Survey, part: RobotPart) -> str:
     if senders:
         raise Broken(f"{len(senders)} other publishers of {topic.name}: end that program before arming")
     if not takers:
-        alike = sorted({e.topic for e in survey.endpoints if not e.is_publisher and e.type == topic.type})
-        hint = f"; {topic.type} is taken on {', '.join(alike)}" if alike else ""
+        alike = survey.of_type(topic, is_publisher=False)
+        hint = f"; {topic.type} is taken on {alike}" if alike else ""
         raise Broken(f"nobody takes {topic.name}{hint}: load the controller, or correct the profile")
-    require_type(topic, sorted({each.type for each in takers}))
+    require_type(topic, takers)
     if len(takers) > 1:
         raise Broken(f"{len(takers)} subscribers of {topic.name}: one driver may take it; end the others")
     return f"{topic.name}: one driver, no other publisher"

@@ -19,7 +19,7 @@ from pixel2catch.ros2.messages import (
     IMAGE,
     JOINT_STATE,
     pixels_of,
-    uncompressed,
+    unpacked_image,
 )
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def _image(message: BagMessage) -> Image | None:
             raise PerceptionError(
                 f"topic {message.topic}: format '{content.format}' is not read; record jpeg or png."
             )
-        return uncompressed(content)
+        return unpacked_image(bytes(content.data))
     if content.encoding not in CHANNELS:
         raise PerceptionError(
             f"topic {message.topic}: encoding '{content.encoding}' is not read; record "

@@ -65,14 +65,10 @@ def dds_type(name: str, store: Typestore = STORE) -> Any:
     fields = {field: _field_type(description, store) for field, description in store.fielddefs[name][1]}
     made: Any = make_idl_struct(f"{short}_", f"{package}.{kind}.dds_.{short}_", fields, dataclassify=False)
     # Not by a base class: DDS would announce that as a base of the message.
-    made.__init__ = _take_bytes
+    made.__init__ = lambda sample, cdr: setattr(sample, "cdr", cdr)
     made.serialize = lambda sample, **_: sample.cdr
     made.deserialize = made.deserialize_key = classmethod(_of_bytes)
     return made
-
-
-def _take_bytes(sample: Any, cdr: bytes) -> None:
-    sample.cdr = cdr
 
 
 def _of_bytes(kind: Any, data: bytes, **_: Any) -> Any:

@@ -347,11 +347,6 @@ def unpacked_image(data: bytes) -> Pixels | None:
         return None
 
 
-def uncompressed(message: Any) -> Pixels | None:
-    """The pixels of a decoded compressed image; see `unpacked_image`."""
-    return unpacked_image(bytes(message.data))
-
-
 def uncompress(data: bytes) -> bytes:
     """A JPEG message as an image message.
 
@@ -359,7 +354,7 @@ def uncompress(data: bytes) -> bytes:
         DeploymentError: It is damaged.
     """
     message = decode(data, COMPRESSED_IMAGE)
-    pixels = uncompressed(message)
+    pixels = unpacked_image(bytes(message.data))
     if pixels is None:
         raise DeploymentError("a compressed image cannot be read: it is damaged.")
     return image(pixels, seconds(message.header))

@@ -310,6 +310,13 @@ class Profile:
         with reading("profile", path, "Correct it.", DeploymentError):
             return decoded(cls, parse_yaml(read_text(path, MOST_YAML)))
 
+    @property
+    def told(self) -> set[Topic]:
+        """What the drivers of the robot say: joint states, and how it is."""
+        topics = {part.state_topic for part in self.robots} | {*vars(self.status).values()}
+        topics |= {part.controller.activity for part in self.robots if part.controller}
+        return topics - {None}
+
     def require(self, joints: Iterable[str]) -> None:
         """Refuse a policy that moves joints which this robot does not have.
 

@@ -24,6 +24,7 @@ from pixel2catch.ros2.memory import MessageQueue, MessageQueues
 from pixel2catch.ros2.transport import (
     ANY,
     LOOPBACK,
+    ROS_ON_LOOPBACK,
     Endpoint,
     Publisher,
     RealClock,
@@ -31,9 +32,6 @@ from pixel2catch.ros2.transport import (
     Topic,
     Transport,
 )
-
-LOCALHOST = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-"""What keeps ROS 2 to this machine, the older setting first."""
 
 OWN_NODES = "pixel2catch"  #: What the names of our nodes begin with; they only watch what others are to take.
 
@@ -50,9 +48,9 @@ class RosTransport(Transport):
                 which rclpy cannot choose; this version of ROS 2 is too old; or it cannot be started.
         """
         if network == LOOPBACK and not any(
-            os.environ.get(name) == value for name, value in LOCALHOST.items()
+            os.environ.get(name) == value for name, value in ROS_ON_LOOPBACK.items()
         ):
-            settings = " or ".join(f"{name}={value}" for name, value in LOCALHOST.items())
+            settings = " or ".join(f"{name}={value}" for name, value in ROS_ON_LOOPBACK.items())
             raise DeploymentError(f"ROS 2 would speak to the whole network: set {settings} first.")
         if network not in (LOOPBACK, ANY):
             raise DeploymentError(

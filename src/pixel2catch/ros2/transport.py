@@ -155,6 +155,9 @@ class Transport(ABC):
 LOOPBACK, ANY = "lo", "any"
 """Networks besides the interfaces of this machine: itself alone, and what the transport takes by itself."""
 
+ROS_ON_LOOPBACK = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+"""What keeps ROS 2 to this machine, the older setting first."""
+
 
 @final
 @dataclass(frozen=True)

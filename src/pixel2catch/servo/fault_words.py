@@ -87,7 +87,8 @@ FAULT_WORDS = {
         fix="Restart the camera's driver, or end the other camera or recording.",
     ),
     "status unknown": FaultWords(
-        what="a driver does not say how the robot is", fix="Check that the robot's driver runs."
+        what="no driver says how the robot is, or several do",
+        fix="Check that the robot's driver runs, and that nothing plays a recording.",
     ),
     "no subscriber": FaultWords(
         what="nobody takes the commands of the robot or the hand",

@@ -41,15 +41,9 @@ class PolicyCommand:
     @classmethod
     def of(cls, row: Row) -> "PolicyCommand":
         """Read it."""
-        target_stamp, image_stamp, box_stamp, is_sound, stop = row[:5].tolist()
-        return cls(
-            target_stamp=target_stamp,
-            image_stamp=image_stamp,
-            box_stamp=box_stamp,
-            is_perception_sound=is_sound != 0.0,
-            is_stop_requested=stop != 0.0,
-            joint_pos_target=row[5:],
-        )
+        values = (*row[:3].tolist(), *(row[3:5] != 0.0).tolist(), row[5:])
+        by_name: dict[str, Any] = dict(zip(cls.__annotations__, values, strict=True))
+        return cls(**by_name)
 
     @property
     def row(self) -> Row:

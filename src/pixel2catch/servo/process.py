@@ -56,16 +56,17 @@ def give_way(priority: int) -> None:
 
 
 @contextmanager
-def as_others() -> Iterator[None]:
-    """Let what is started here be no real-time process: it takes seconds to start."""
-    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
+def scheduled(policy: int, priority: int) -> Iterator[bool]:
+    """Another place for this thread among all others, for a while; say whether the system grants it."""
+    before, is_granted = (os.sched_getscheduler(0), os.sched_getparam(0)), False
     with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+        is_granted = True
     try:
-        yield
+        yield is_granted
     finally:
         with suppress(OSError):
-            os.sched_setscheduler(0, policy, priority)
+            os.sched_setscheduler(0, *before)
 
 
 PATIENCE = 10.0  #: Real time in which a servo process ends after its link is closed [s]. Source: ours.
@@ -228,7 +229,7 @@ def start_servo(
         process = multiprocessing.get_context("spawn").Process(
             target=run_servo, args=(servo, setup, make_transport, clock_rate), name="servo", daemon=True
         )
-        with as_others():
+        with scheduled(os.SCHED_OTHER, 0):  # it takes seconds to start
             process.start()
     try:
         yield RunningServo(link=loop, process=process)

@@ -20,10 +20,13 @@ from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.watchdogs import ServoInputs
 
 DEPTH = 16  #: Messages kept from one tick to the next: several senders may share a topic. Source: ours.
+MOST_BYTES = 2**14
+"""Bytes of a message that is read. Source: ours; robots' have up to 3,000, more would hold up ticks."""
+
 ARM_PAUSE = 0.5
 """Time without a request to arm after which the next one counts [s]: not one of many. Source: ours."""
 
-POLL_TIME = 0.2  #: Time between two counts of publishers and subscribers [s]. Source: ours.
+POLL_TIME = 0.2  #: Time between two counts of publishers, subscribers or cameras [s]. Source: ours.
 SCALING_DIGITS = 3  #: Digits of a share of the speed: the driver multiplies two fractions. Source: ours.
 
 SCALING_AGE = 0.1
@@ -103,15 +106,27 @@ class _Said(Generic[T]):
         self, transport: Transport, topic: Topic, read: Callable[[bytes], T], longest: float = np.inf
     ) -> None:
         """Begin to listen; what is said holds for so long [s]."""
-        self.topic = topic
         self.value: T | None = None
-        self._subscription, self._read, self._longest = transport.subscription(topic, DEPTH), read, longest
-        self._stamp = -np.inf
+        self._transport, self._topic, self._read, self._longest = transport, topic, read, longest
+        self._subscription, self._stamp = transport.subscription(topic, DEPTH), -np.inf
+        self._num_senders = 1
+
+    @property
+    def is_known(self) -> bool:
+        """Whether one sender has said it, and it holds."""
+        return self.value is not None and self._num_senders == 1
 
     def hear(self, now: float) -> None:
+        """Take what has arrived up to now [s]."""
         for value, arrival in _read(self._subscription, self._read):
             self.value, self._stamp = value, arrival
         if now - self._stamp > self._longest:
+            self.value = None
+
+    def count_senders(self) -> None:
+        """Forget what was latched by somebody who is gone; believe nobody while there are several."""
+        self._num_senders = self._transport.num_other_publishers(self._topic)
+        if not self._num_senders:
             self.value = None
 
 
@@ -123,7 +138,6 @@ class DriverStatus:
 
     def __init__(self, transport: Transport, profile: Profile) -> None:
         """Begin to listen to what the profile names."""
-        self._transport = transport
         topics = profile.status
         modes: list[tuple[Topic | None, Callable[[bytes], bool]]] = [
             (topics.safety_mode, lambda data: messages.read_safety_mode(data) == messages.NORMAL_SAFETY_MODE),
@@ -132,18 +146,18 @@ class DriverStatus:
         ]
         self._modes = [_Said(transport, topic, read) for topic, read in modes if topic]
         self._controllers = [
-            _Said(transport, each.activity, partial(_is_active, each.name))
-            for each in (part.controller for part in profile.robots)
-            if each
+            _Said(transport, part.controller.activity, partial(_is_active, part.controller.name))
+            for part in profile.robots
+            if part.controller
         ]
-        scaling = topics.speed_scaling
-        self._scaling = _Said(transport, scaling, messages.read_number, SCALING_AGE) if scaling else None
+        scaling = [topics.speed_scaling] if topics.speed_scaling else []
+        self._scaling = [_Said(transport, topic, messages.read_number, SCALING_AGE) for topic in scaling]
+        self._all = (*self._modes, *self._controllers, *self._scaling)
 
     @property
     def is_known(self) -> bool:
-        """Whether all of it has been said, and holds."""
-        scaling = [self._scaling] if self._scaling else []
-        return all(said.value is not None for said in (*self._modes, *self._controllers, *scaling))
+        """Whether all of it is known."""
+        return all(said.is_known for said in self._all)
 
     @property
     def is_safe(self) -> bool:
@@ -158,21 +172,18 @@ class DriverStatus:
     @property
     def speed_scaling(self) -> float:
         """Share of the full speed at which the robot runs; 1 while that is unknown."""
-        percent = self._scaling.value if self._scaling else None
-        return 1.0 if percent is None else round(percent / 100.0, SCALING_DIGITS)
+        percent = next((said.value for said in self._scaling if said.value is not None), 100.0)
+        return round(percent / 100.0, SCALING_DIGITS)
 
     def hear(self, now: float) -> None:
         """Take what has arrived up to now [s]."""
-        for said in (*self._modes, *self._controllers):
+        for said in self._all:
             said.hear(now)
-        if self._scaling:
-            self._scaling.hear(now)
 
-    def forget_lost(self) -> None:
-        """Forget what was latched by somebody who is gone."""
-        for said in (*self._modes, *self._controllers):
-            if not self._transport.num_other_publishers(said.topic):
-                said.value = None
+    def count_senders(self) -> None:
+        """Look who is there."""
+        for said in self._all:
+            said.count_senders()
 
 
 def _is_active(controller: str, data: bytes) -> bool:
@@ -234,7 +245,7 @@ class ServoSubscriptions:
             self._has_other_publisher = any(num_publishers(topic) for topic in self._commands)
             self._has_other_operator = any(num_publishers(topic) > 1 for topic in self._switches)
             self._num_subscribers = [publisher.num_subscribers() for publisher in self._publishers]
-            self._status.forget_lost()
+            self._status.count_senders()
 
     def inputs(self, now: float, policy_command: PolicyCommand) -> ServoInputs:
         """What the servo is told in a tick, with what the control loop has ordered last."""
@@ -275,9 +286,12 @@ def _rows(**values: float) -> dict[str, np.ndarray]:
 def _read(
     subscription: Subscription, read: Callable[[bytes], T], longest: float = np.inf
 ) -> Iterator[tuple[T, float]]:
-    """What has arrived and can be read, with its time of arrival [s], if it was not too long under way."""
+    """What has arrived and can be read, with its time of arrival [s].
+
+    Left out is what has more than `MOST_BYTES`, or was under way for longer than the longest time [s].
+    """
     for message in subscription.take():
-        if abs(message.age) > longest:
+        if abs(message.age) > longest or len(message.data) > MOST_BYTES:
             continue
         try:
             yield read(message.data), message.arrival

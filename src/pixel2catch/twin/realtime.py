@@ -7,7 +7,7 @@ import gc
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 
@@ -73,7 +73,7 @@ LATE = 0.01
 """How late a cycle is that is counted [s]. Source: ours, half of what the servo lets joint states age."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class ClockStats:
     """How well the twin keeps to its clock."""
 
@@ -81,13 +81,11 @@ class ClockStats:
     num_late: int = 0  #: Those of them that began more than `LATE` after their time; none is left out.
     worst: float = 0.0  #: The latest [s].
 
-    def counted(self, lateness: float) -> "ClockStats":
-        """The pace with one cycle more, so late [s]."""
-        return ClockStats(
-            num_cycles=self.num_cycles + 1,
-            num_late=self.num_late + (lateness > LATE),
-            worst=max(self.worst, lateness),
-        )
+    def count(self, lateness: float) -> None:
+        """Note a cycle that began so late [s]."""
+        self.num_cycles += 1
+        self.num_late += lateness > LATE
+        self.worst = max(self.worst, lateness)
 
 
 OnCycle = Callable[[LabNode, ClockStats], bool]  #: Called after every cycle; says whether to go on.
@@ -106,7 +104,7 @@ def serve(cfg: TwinCfg, task: CatchEnvCfg, on_cycle: OnCycle) -> ClockStats:
     with (
         drawing_process(scene, cfg.seed) as draw,
         make_transport("dds", "pixel2catch_twin", LOOPBACK, clock) as node,
-        SimulatedLab(task, cfg.seed) as lab,
+        closing(SimulatedLab(task, cfg.seed)) as lab,
     ):
         return run(LabNode(lab, profile, node, Camera(draw)), clock, on_cycle)
 
@@ -121,6 +119,6 @@ def run(lab_node: LabNode, clock: Clock, on_cycle: OnCycle) -> ClockStats:
         clock.sleep_until(begin + lab_node.time)
         lateness = clock.now() - begin - lab_node.time
         lab_node.cycle(start, int(lateness / CYCLE))
-        stats = stats.counted(lateness)
+        stats.count(lateness)
         if not on_cycle(lab_node, stats):
             return stats

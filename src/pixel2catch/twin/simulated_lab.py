@@ -1,6 +1,5 @@
 """The laboratory behind the wires: simulated robot, object and thrower, and what of it is true."""
 
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf, pi
@@ -103,8 +102,8 @@ class Phase(StrEnum):
 
 
 @final
-class SimulatedLab(AbstractContextManager["SimulatedLab"]):
-    """The simulation in steps of its physics; nothing here knows real time.
+class SimulatedLab:
+    """The simulation in steps of its physics; nothing here knows real time. Close it.
 
     Throws, dynamics and the offsets of the encoders are those of the task. Its noise of encoders, its errors
     of actions and its delays are not applied: encoders are as a driver's, and what is late in a lab is late
@@ -261,10 +260,6 @@ class SimulatedLab(AbstractContextManager["SimulatedLab"]):
     def close(self) -> None:
         """Free the simulation."""
         self._world.simulation.close()
-
-    def __exit__(self, *exception: object) -> None:
-        """Close it."""
-        self.close()
 
     def _end_control_step(self, log: StepExtremes) -> None:
         """Score, and go on with the throw."""

@@ -12,7 +12,7 @@ import numpy as np
 from pixel2catch.deployment.operator import OperatorConsole
 from pixel2catch.deployment.policy_pipeline import Controller, PolicyPipeline, make_pipeline
 from pixel2catch.deployment.recorder import BagRecorder, Connection, DeploymentRecorder
-from pixel2catch.deployment.stepped import Nodes, StepClock, SteppedDeployment, perception_times
+from pixel2catch.deployment.stepped import StepClock, SteppedLoop, SteppedServo, perception_times
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
@@ -26,8 +26,7 @@ from pixel2catch.ros2.memory import Broker
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import link
-from pixel2catch.servo.process import Servo, ServoSetup
+from pixel2catch.servo.process import ServoSetup
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, Camera
 from pixel2catch.twin.lab_node import ROUNDING, LabNode, twin_profile
@@ -92,14 +91,13 @@ class SteppedRehearsal:
             self._recording = recording = DeploymentRecorder(
                 self._open.enter_context(BagRecorder(cfg.record)), node, twin.profile, clock, "jpeg"
             )
-        nodes = Nodes(servo=broker.node(clock), loop=node, clock=clock, recording=recording)
         limits = limits or ServoLimits.of(find_workcell(task.scene.workcell))
         setup = ServoSetup(profile=twin.profile, limits=limits)
         time = perception_times(1e-3 * cfg.perception_ms, 1e-3 * cfg.perception_jitter_ms, cfg.seed)
-        self._robot = SteppedDeployment(setup, self.lab.camera, nodes, pipeline, time)
-        self.control_loop = self._robot.control_loop
-        self._topics = twin.profile.operator
-        twin.followers = (self._robot.tick, self._robot.look)
+        self._servo = SteppedServo(setup, (broker.node(clock), node), clock, recording)
+        loop = SteppedLoop(self._servo, self.lab.camera, pipeline, time)
+        self.statistics, self._topics = loop.statistics, twin.profile.operator
+        twin.followers = (self._servo.tick, loop.look)
 
     @cached_property
     def operator(self) -> RehearsalOperator:
@@ -114,7 +112,7 @@ class SteppedRehearsal:
         """
         self._open.close()
         self.lab.close()
-        self._robot.close()
+        self._servo.close()
         if self._recording:
             self._recording.require_whole()
 
@@ -153,7 +151,7 @@ def rehearse_stepped(
             "perception_time": 1e-3 * cfg.perception_ms,
             "perception_jitter": 1e-3 * cfg.perception_jitter_ms,
             "clock_error": 1e-3 * cfg.clock_error_ms,
-            "deploy": rehearsal.control_loop.statistics.summary(),
+            "deploy": rehearsal.statistics.summary(),
             "twin": of_twin(rehearsal.operator.truth),
         }
 
@@ -215,13 +213,10 @@ def recorded_in_step(
     twin = SteppedTwin(CatchEnvCfg(scene=scene).with_files(dynamics, None), 0, plain_image)
     clock, node = twin.clock, twin.broker.node(twin.clock)
     operator = OperatorConsole(twin.broker.node(clock), twin.profile.operator, clock)
-    with closing(twin.lab), BagRecorder(out) as recorder, ExitStack() as stack:
+    with closing(twin.lab), BagRecorder(out) as recorder:
         recording = DeploymentRecorder(recorder, node, twin.profile, clock, "none")
-        loop_end, servo_end = link()
-        for end in (loop_end, servo_end):
-            stack.callback(end.close)
         setup = ServoSetup(profile=twin.profile, limits=limits)
-        servo, is_armed = Servo(servo_end, twin.broker.node(clock), setup, clock), False
+        servo, is_armed = SteppedServo(setup, (twin.broker.node(clock), node), clock, recording), False
 
         def operate() -> None:
             nonlocal is_armed
@@ -231,10 +226,6 @@ def recorded_in_step(
                 operator.arm()
                 is_armed = True
 
-        def tick() -> None:
-            servo.tick()
-            if servo.unforeseen:
-                raise servo.unforeseen
-
-        twin.followers = (tick, operate)
-        yield Connection(transport=node, servo=loop_end, servo_dt=limits.dt, clock=clock, recording=recording)
+        twin.followers = (servo.tick, operate)
+        with closing(servo):
+            yield servo.connection
