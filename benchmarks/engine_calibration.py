@@ -6,6 +6,8 @@
   MuJoCo's joint positions at 600 Hz.
 * rebound: a ball and a cube hit the floor at 1 and 4 m/s, or at 2 m/s and as fast along it, impacts spread
   evenly over a step: mean and deviation of the speed after over the speed before, upwards.
+* roll: a ball meets the floor at 2 m/s and as fast along it, with friction 1: mean and deviation of its spin
+  over that with which it rolls, as it must by Coulomb's law.
 * rest: how deep a cube lies in the floor after 0.5 s, and how fast it creeps on a slope of 20°.
 * slide: the way of a cube at 1 m/s over v² / (2 mu g).
 * hop: how fast a cube rises that is put on the floor with 1 m/s along it; by Coulomb's law it does not.
@@ -158,20 +160,37 @@ def motion(engine: Engine, joints: slice, command: str, duration: float = 1.2) -
     return 1e3 * float((paths[0] - paths[1]).abs().max())
 
 
-def rebound(
-    engine: Engine, object_name: str, speed: float, restitution: float, along: float = 0.0
-) -> tuple[float, float]:
-    """Mean and deviation of the speed after over the speed before an impact, `along` the floor left out."""
+def impact(engine: Engine, object_name: str, speed: float, restitution: float, along: float) -> Tensor:
+    """Velocities (step, phase, 6) of objects that meet the floor with friction 1, spread over a step."""
     simulation = engine.make(object_name, NUM_PHASES, restitution=restitution)
     pos = torch.tensor((*ASIDE, half_height(object_name) + 0.03)).repeat(NUM_PHASES, 1)
     pos[:, 2] += torch.arange(NUM_PHASES) / NUM_PHASES * speed / engine.hz
     place(simulation, pos, (along, 0.0, -speed, 0.0, 0.0, 0.0))
-    speeds = []
+    velocities = []
     for _ in range(round(engine.hz * (0.06 / speed + 0.03))):
         simulation.step()
-        speeds.append(simulation.bind("qvel")[:, TABLE.indices.dofs][:, 2].clone())
-    seen = torch.stack(speeds)
+        velocities.append(simulation.bind("qvel")[:, TABLE.indices.dofs].clone())
+    return torch.stack(velocities)
+
+
+def rebound(
+    engine: Engine, object_name: str, speed: float, restitution: float, along: float = 0.0
+) -> tuple[float, float]:
+    """Mean and deviation of the speed after over the speed before an impact, `along` the floor left out."""
+    seen = impact(engine, object_name, speed, restitution, along)[:, :, 2]
     ratio = -seen.amax(dim=0) / seen.amin(dim=0)
+    return float(ratio.mean()), float(ratio.std())
+
+
+def roll(engine: Engine, restitution: float, speed: float = 2.0) -> tuple[float, float]:
+    """Mean and deviation of a ball's spin after an oblique impact over that of rolling.
+
+    An impulse m v / (1 + m r² / I) along the floor ends the slip, less than mu m (1 + e) v, and leaves the
+    angular speed v / (r + I / (m r)).
+    """
+    ball, radius = OBJECTS["sphere_l"], half_height("sphere_l")
+    spin = impact(engine, "sphere_l", speed, restitution, speed)[:, :, 3:].norm(dim=2).amax(dim=0)
+    ratio = spin * (radius + ball.inertia[1] / (ball.mass * radius)) / speed
     return float(ratio.mean()), float(ratio.std())
 
 
@@ -252,7 +271,7 @@ def engines() -> list[Engine]:
         *(Engine(name="mujoco", hz=hz) for hz in RATES),
         *(physx(hz=hz) for hz in RATES),
         *(
-            physx(f"physx, offset {mm:g} mm", hz, contact_speed=1e-3 * mm * hz)
+            physx(f"physx, offset {mm:g} mm", hz, contact_offset=1e-3 * mm)
             for mm in (0.5, 5.0)
             for hz in (600.0, 1200.0)
         ),
@@ -271,15 +290,17 @@ def main() -> None:
     chosen = [each for each in engines() if each.name.startswith(parser.parse_args().only)]
     print(
         "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
-        "| slide 0.5, 1 | hop 0.5, 1 | creep mm/s | grip % |"
+        "| slide 0.5, 1 | hop 0.5, 1 | roll 0, 0.25 | creep mm/s | grip % |"
     )
-    print("| --- |" + " ---: |" * 10)
+    print("| --- |" + " ---: |" * 11)
     for each in chosen:
         way, change = flight(each)
         moved = [[motion(each, joints, name) for name in COMMANDS] for joints in (ARM_JOINTS, HAND_JOINTS)]
         cells = [f"{way:.2f}", f"{change:.3f}", *(f"{a:.2f}, {b:.2f}" for a, b in moved)]
         cells += [f"{resting_depth(each):.0f}", f"{slide(each, 0.5):.2f}, {slide(each, 1.0):.2f}"]
         cells += [f"{hop(each, 0.5):.2f}, {hop(each, 1.0):.2f}"]
+        rolled = [roll(each, e) for e in ((0.0,) if each.make_copy is DrakeCopy else (0.0, 0.25))]
+        cells += [", ".join(f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in rolled)]
         cells += [f"{creep(each):.2f}", f"{100 * grip(each):.0f}"]
         print(f"| {each.name} | {each.hz:g} | " + " | ".join(cells) + " |", flush=True)
     print(

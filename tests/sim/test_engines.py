@@ -15,6 +15,7 @@ from engine_calibration import (
     physx,
     rebound,
     resting_depth,
+    roll,
     slide,
 )
 
@@ -65,6 +66,15 @@ def test_a_ball_bounces_as_in_mujoco():
     """A polyhedron of 64 corners meets the floor with a few of them."""
     found, home = (rebound(each, "sphere_l", 4.0, 0.5)[0] for each in (physx(), Engine(name="mujoco")))
     assert found == pytest.approx(home, abs=0.05)
+
+
+@needs_physx
+@pytest.mark.parametrize("restitution", [0.0, 0.25])
+def test_a_ball_rolls_after_an_oblique_impact(restitution):
+    """Whenever in a step it meets the floor; friction that pulls at what is still apart spins it up."""
+    mean, deviation = roll(physx(), restitution)
+    assert mean == pytest.approx(1.0, abs=0.1)
+    assert deviation < 0.1
 
 
 @needs_drake
