@@ -272,7 +272,7 @@ def engines() -> list[Engine]:
         *(physx(hz=hz) for hz in RATES),
         *(
             physx(f"physx, offset {mm:g} mm", hz, contact_offset=1e-3 * mm)
-            for mm in (0.5, 5.0)
+            for mm in (0.25, 5.0)
             for hz in (600.0, 1200.0)
         ),
         physx("physx, 4 iterations", position_iterations=4),
