@@ -69,12 +69,15 @@ def test_a_ball_bounces_as_in_mujoco():
 
 
 @needs_physx
-@pytest.mark.parametrize("restitution", [0.0, 0.25])
-def test_a_ball_rolls_after_an_oblique_impact(restitution):
-    """Whenever in a step it meets the floor; friction that pulls at what is still apart spins it up."""
-    mean, deviation = roll(physx(), restitution)
-    assert mean == pytest.approx(1.0, abs=0.1)
-    assert deviation < 0.1
+@pytest.mark.parametrize("hz", [600.0, 1200.0])
+def test_friction_of_an_impact_is_coulombs(hz):
+    """Whenever in a step it is: a ball rolls away, a cube that lands flat rises as from a straight impact."""
+    mean, deviation = roll(physx(hz=hz), 0.0)
+    assert mean == pytest.approx(1.0, abs=0.06)
+    assert deviation < 0.06
+    mean, deviation = rebound(physx(hz=hz), "cube_l", 2.0, 0.25, along=2.0)
+    assert mean == pytest.approx(0.25, abs=0.03)
+    assert deviation < 0.03
 
 
 @needs_drake
