@@ -11,7 +11,8 @@
 * rest: how deep a cube lies in the floor after 0.5 s, and how fast it creeps on a slope of 20°.
 * slide: the way of a cube at 1 m/s over v² / (2 mu g).
 * hop: how fast a cube rises that is put on the floor with 1 m/s along it; by Coulomb's law it does not.
-* grip: a cube lies in the hand, which closes; how often a pull of three times its weight leaves it there.
+* grip: a cube lies in the hand, which closes; how often a pull of three times its weight leaves it there, and
+  the deepest overlap with the hand.
 
 Run: python benchmarks/engine_calibration.py
 """
@@ -239,21 +240,26 @@ def creep(engine: Engine) -> float:
     return 1e3 * (positions[1] - positions[0]) / 0.5
 
 
-def grip(engine: Engine, num_envs: int = 8) -> float:
-    """Share of cubes in the closed hand that a pull away from the palm leaves there for a second."""
+def grip(engine: Engine, num_envs: int = 8) -> tuple[float, float]:
+    """Share of cubes in the closed hand that a pull away from the palm leaves there for a second.
+
+    Then their deepest overlap with anything [mm].
+    """
     simulation = engine.make("cube_l", num_envs, restitution=0.0)
     normal = torch.tensor(PALM_NORMAL, dtype=torch.float64)
     shifts = torch.linspace(-SPREAD, SPREAD, num_envs, dtype=torch.float64)[:, None]
     place(simulation, torch.tensor(GRIP_SPOT, dtype=torch.float64) + shifts * torch.tensor((0.0, 1.0, 0.0)))
     closed = torch.tensor(GRIP, dtype=torch.float64)
+    touch, deepest = int(simulation.model.sensor("object_any").adr[0]), 0.0
     for step in range(round(1.8 * engine.hz)):
         time = step / engine.hz
         simulation.bind("ctrl")[:, HAND_JOINTS] = HOME[HAND_JOINTS] + min(2.0 * time, 1.0) * closed
         simulation.bind("xfrc_applied")[:, BODY, :3] = (PULL if time > 0.8 else 0.0) * normal
         simulation.step()
+        deepest = max(deepest, -float(simulation.bind("sensordata")[:, touch + 1].min()))
     palm = simulation.bind("site_xpos")[:, simulation.model.site("palm").id]
     distance = (simulation.bind("xpos")[:, BODY] - palm).norm(dim=1)
-    return float((distance < HELD_DISTANCE).double().mean())
+    return float((distance < HELD_DISTANCE).double().mean()), 1e3 * deepest
 
 
 RATES = (600.0, 660.0, 1200.0)
@@ -270,11 +276,17 @@ def engines() -> list[Engine]:
     return [
         *(Engine(name="mujoco", hz=hz) for hz in RATES),
         *(physx(hz=hz) for hz in RATES),
+        physx("physx, TGS", has_substeps=True),
         *(
-            physx(f"physx, offset {mm:g} mm", hz, contact_offset=1e-3 * mm)
+            physx(
+                f"physx, TGS and PCM, offset {mm:g} mm",
+                has_substeps=True,
+                keeps_contacts=True,
+                contact_offset=1e-3 * mm,
+            )
             for mm in (0.25, 5.0)
-            for hz in (600.0, 1200.0)
         ),
+        physx("physx, offset 5 mm", contact_offset=5e-3),
         physx("physx, 4 iterations", position_iterations=4),
         physx("physx, bounces from 2 m/s", bounce_speed=2.0),
         *(Engine(name="drake", hz=hz, make_copy=DrakeCopy) for hz in RATES),
@@ -290,7 +302,7 @@ def main() -> None:
     chosen = [each for each in engines() if each.name.startswith(parser.parse_args().only)]
     print(
         "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
-        "| slide 0.5, 1 | hop 0.5, 1 | roll 0, 0.25 | creep mm/s | grip % |"
+        "| slide 0.5, 1 | hop 0.5, 1 | roll 0, 0.25 | creep mm/s | grip %, mm |"
     )
     print("| --- |" + " ---: |" * 11)
     for each in chosen:
@@ -301,7 +313,8 @@ def main() -> None:
         cells += [f"{hop(each, 0.5):.2f}, {hop(each, 1.0):.2f}"]
         rolled = [roll(each, e) for e in ((0.0,) if each.make_copy is DrakeCopy else (0.0, 0.25))]
         cells += [", ".join(f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in rolled)]
-        cells += [f"{creep(each):.2f}", f"{100 * grip(each):.0f}"]
+        held, deepest = grip(each)
+        cells += [f"{creep(each):.2f}", f"{100 * held:.0f}, {deepest:.1f}"]
         print(f"| {each.name} | {each.hz:g} | " + " | ".join(cells) + " |", flush=True)
     print(
         "\n| engine | Hz | object, m/s down, along | " + " | ".join(f"e = {e:g}" for e in RESTITUTIONS) + " |"

@@ -35,13 +35,13 @@ UNTURNED = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtG
 
 @dataclass(frozen=True, kw_only=True)
 class PhysxCfg:
-    """What PhysX leaves to its user. Source: ours, `benchmarks/engine_calibration.py`.
+    """What PhysX leaves to its user. Source: ours, `benchmarks/engine_calibration.py`."""
 
-    The solver is PGS. SAPIEN's default, TGS, has substeps and pulls back along a surface what moved there in
-    the step before the impact: a ball comes away with up to three times its spin. Contacts are found anew in
-    every step: with those that are kept (PCM) an overlap was at times noticed at 8 mm.
-    """
-
+    #: Whether the solver has substeps (TGS, SAPIEN's default; else PGS). It then pulls back along a surface
+    #: what moved there in the step before an impact: a ball comes away with up to three times its spin.
+    has_substeps: bool = False
+    #: Whether contacts are kept from step to step (PCM, likewise). Some overlaps are then noticed at 8 mm.
+    keeps_contacts: bool = False
     contact_offset: float = 1e-3  #: Distance from a surface at which contacts begin [m].
     bounce_speed: float = (
         0.1  #: Below this speed nothing bounces [m/s]; at 120 Hz a step of free fall is 0.08.
@@ -67,7 +67,10 @@ class PhysxCopy(EngineCopy):
             )
         sapien, physx = load_sapien(), load_sapien().physx
         physx.set_scene_config(
-            gravity=world.gravity, bounce_threshold=cfg.bounce_speed, enable_tgs=False, enable_pcm=False
+            gravity=world.gravity,
+            bounce_threshold=cfg.bounce_speed,
+            enable_tgs=cfg.has_substeps,
+            enable_pcm=cfg.keeps_contacts,
         )
         self._system = physx.PhysxCpuSystem()
         self._system.timestep = world.timestep
