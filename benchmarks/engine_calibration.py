@@ -6,10 +6,13 @@
   MuJoCo's joint positions at 600 Hz.
 * rebound: a ball and a cube hit the floor at 1 and 4 m/s, or at 2 m/s and as fast along it, impacts spread
   evenly over a step: mean and deviation of the speed after over the speed before, upwards.
+* roll: a ball meets the floor at 2 m/s and as fast along it, with friction 1: mean and deviation of its spin
+  over that with which it rolls, as it must by Coulomb's law.
 * rest: how deep a cube lies in the floor after 0.5 s, and how fast it creeps on a slope of 20°.
 * slide: the way of a cube at 1 m/s over v² / (2 mu g).
 * hop: how fast a cube rises that is put on the floor with 1 m/s along it; by Coulomb's law it does not.
-* grip: a cube lies in the hand, which closes; how often a pull of three times its weight leaves it there.
+* grip: a cube lies in the hand, which closes; how often a pull of three times its weight leaves it there, and
+  the deepest overlap with the hand.
 
 Run: python benchmarks/engine_calibration.py
 """
@@ -158,20 +161,37 @@ def motion(engine: Engine, joints: slice, command: str, duration: float = 1.2) -
     return 1e3 * float((paths[0] - paths[1]).abs().max())
 
 
-def rebound(
-    engine: Engine, object_name: str, speed: float, restitution: float, along: float = 0.0
-) -> tuple[float, float]:
-    """Mean and deviation of the speed after over the speed before an impact, `along` the floor left out."""
+def impact(engine: Engine, object_name: str, speed: float, restitution: float, along: float) -> Tensor:
+    """Velocities (step, phase, 6) of objects that meet the floor with friction 1, spread over a step."""
     simulation = engine.make(object_name, NUM_PHASES, restitution=restitution)
     pos = torch.tensor((*ASIDE, half_height(object_name) + 0.03)).repeat(NUM_PHASES, 1)
     pos[:, 2] += torch.arange(NUM_PHASES) / NUM_PHASES * speed / engine.hz
     place(simulation, pos, (along, 0.0, -speed, 0.0, 0.0, 0.0))
-    speeds = []
+    velocities = []
     for _ in range(round(engine.hz * (0.06 / speed + 0.03))):
         simulation.step()
-        speeds.append(simulation.bind("qvel")[:, TABLE.indices.dofs][:, 2].clone())
-    seen = torch.stack(speeds)
+        velocities.append(simulation.bind("qvel")[:, TABLE.indices.dofs].clone())
+    return torch.stack(velocities)
+
+
+def rebound(
+    engine: Engine, object_name: str, speed: float, restitution: float, along: float = 0.0
+) -> tuple[float, float]:
+    """Mean and deviation of the speed after over the speed before an impact, `along` the floor left out."""
+    seen = impact(engine, object_name, speed, restitution, along)[:, :, 2]
     ratio = -seen.amax(dim=0) / seen.amin(dim=0)
+    return float(ratio.mean()), float(ratio.std())
+
+
+def roll(engine: Engine, restitution: float, speed: float = 2.0) -> tuple[float, float]:
+    """Mean and deviation of a ball's spin after an oblique impact over that of rolling.
+
+    An impulse m v / (1 + m r² / I) along the floor ends the slip, less than mu m (1 + e) v, and leaves the
+    angular speed v / (r + I / (m r)).
+    """
+    ball, radius = OBJECTS["sphere_l"], half_height("sphere_l")
+    spin = impact(engine, "sphere_l", speed, restitution, speed)[:, :, 3:].norm(dim=2).amax(dim=0)
+    ratio = spin * (radius + ball.inertia[1] / (ball.mass * radius)) / speed
     return float(ratio.mean()), float(ratio.std())
 
 
@@ -220,21 +240,26 @@ def creep(engine: Engine) -> float:
     return 1e3 * (positions[1] - positions[0]) / 0.5
 
 
-def grip(engine: Engine, num_envs: int = 8) -> float:
-    """Share of cubes in the closed hand that a pull away from the palm leaves there for a second."""
+def grip(engine: Engine, num_envs: int = 8) -> tuple[float, float]:
+    """Share of cubes in the closed hand that a pull away from the palm leaves there for a second.
+
+    Then their deepest overlap with anything [mm].
+    """
     simulation = engine.make("cube_l", num_envs, restitution=0.0)
     normal = torch.tensor(PALM_NORMAL, dtype=torch.float64)
     shifts = torch.linspace(-SPREAD, SPREAD, num_envs, dtype=torch.float64)[:, None]
     place(simulation, torch.tensor(GRIP_SPOT, dtype=torch.float64) + shifts * torch.tensor((0.0, 1.0, 0.0)))
     closed = torch.tensor(GRIP, dtype=torch.float64)
+    touch, deepest = int(simulation.model.sensor("object_any").adr[0]), 0.0
     for step in range(round(1.8 * engine.hz)):
         time = step / engine.hz
         simulation.bind("ctrl")[:, HAND_JOINTS] = HOME[HAND_JOINTS] + min(2.0 * time, 1.0) * closed
         simulation.bind("xfrc_applied")[:, BODY, :3] = (PULL if time > 0.8 else 0.0) * normal
         simulation.step()
+        deepest = max(deepest, -float(simulation.bind("sensordata")[:, touch + 1].min()))
     palm = simulation.bind("site_xpos")[:, simulation.model.site("palm").id]
     distance = (simulation.bind("xpos")[:, BODY] - palm).norm(dim=1)
-    return float((distance < HELD_DISTANCE).double().mean())
+    return float((distance < HELD_DISTANCE).double().mean()), 1e3 * deepest
 
 
 RATES = (600.0, 660.0, 1200.0)
@@ -251,11 +276,17 @@ def engines() -> list[Engine]:
     return [
         *(Engine(name="mujoco", hz=hz) for hz in RATES),
         *(physx(hz=hz) for hz in RATES),
+        physx("physx, TGS", has_substeps=True),
         *(
-            physx(f"physx, offset {mm:g} mm", hz, contact_speed=1e-3 * mm * hz)
-            for mm in (0.5, 5.0)
-            for hz in (600.0, 1200.0)
+            physx(
+                f"physx, TGS and PCM, offset {mm:g} mm",
+                has_substeps=True,
+                keeps_contacts=True,
+                contact_offset=1e-3 * mm,
+            )
+            for mm in (0.25, 5.0)
         ),
+        physx("physx, offset 5 mm", contact_offset=5e-3),
         physx("physx, 4 iterations", position_iterations=4),
         physx("physx, bounces from 2 m/s", bounce_speed=2.0),
         *(Engine(name="drake", hz=hz, make_copy=DrakeCopy) for hz in RATES),
@@ -271,16 +302,19 @@ def main() -> None:
     chosen = [each for each in engines() if each.name.startswith(parser.parse_args().only)]
     print(
         "| engine | Hz | flight mm | momentum | arm step, sine mrad | hand step, sine mrad | rest µm "
-        "| slide 0.5, 1 | hop 0.5, 1 | creep mm/s | grip % |"
+        "| slide 0.5, 1 | hop 0.5, 1 | roll 0, 0.25 | creep mm/s | grip %, mm |"
     )
-    print("| --- |" + " ---: |" * 10)
+    print("| --- |" + " ---: |" * 11)
     for each in chosen:
         way, change = flight(each)
         moved = [[motion(each, joints, name) for name in COMMANDS] for joints in (ARM_JOINTS, HAND_JOINTS)]
         cells = [f"{way:.2f}", f"{change:.3f}", *(f"{a:.2f}, {b:.2f}" for a, b in moved)]
         cells += [f"{resting_depth(each):.0f}", f"{slide(each, 0.5):.2f}, {slide(each, 1.0):.2f}"]
         cells += [f"{hop(each, 0.5):.2f}, {hop(each, 1.0):.2f}"]
-        cells += [f"{creep(each):.2f}", f"{100 * grip(each):.0f}"]
+        rolled = [roll(each, e) for e in ((0.0,) if each.make_copy is DrakeCopy else (0.0, 0.25))]
+        cells += [", ".join(f"{mean:.2f} ± {deviation:.2f}" for mean, deviation in rolled)]
+        held, deepest = grip(each)
+        cells += [f"{creep(each):.2f}", f"{100 * held:.0f}, {deepest:.1f}"]
         print(f"| {each.name} | {each.hz:g} | " + " | ".join(cells) + " |", flush=True)
     print(
         "\n| engine | Hz | object, m/s down, along | " + " | ".join(f"e = {e:g}" for e in RESTITUTIONS) + " |"

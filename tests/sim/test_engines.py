@@ -15,6 +15,7 @@ from engine_calibration import (
     physx,
     rebound,
     resting_depth,
+    roll,
     slide,
 )
 
@@ -65,6 +66,18 @@ def test_a_ball_bounces_as_in_mujoco():
     """A polyhedron of 64 corners meets the floor with a few of them."""
     found, home = (rebound(each, "sphere_l", 4.0, 0.5)[0] for each in (physx(), Engine(name="mujoco")))
     assert found == pytest.approx(home, abs=0.05)
+
+
+@needs_physx
+@pytest.mark.parametrize("hz", [600.0, 1200.0])
+def test_friction_of_an_impact_is_coulombs(hz):
+    """Whenever in a step it is: a ball rolls away, a cube that lands flat rises as from a straight impact."""
+    mean, deviation = roll(physx(hz=hz), 0.0)
+    assert mean == pytest.approx(1.0, abs=0.06)
+    assert deviation < 0.06
+    mean, deviation = rebound(physx(hz=hz), "cube_l", 2.0, 0.25, along=2.0)
+    assert mean == pytest.approx(0.25, abs=0.03)
+    assert deviation < 0.03
 
 
 @needs_drake
