@@ -8,27 +8,22 @@ import cv2
 import numpy as np
 
 from pixel2catch.perception.color import Appearance
-from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Motion, grown, regions
+from pixel2catch.perception.foreground import INNER, LEARNING_IMAGES, grown, prompted, regions, sharpened
 from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
     Image,
     Mask,
+    Motion,
     Prompt,
     Segmentation,
     Segmenter,
 )
 
-INNER = 0.8
-"""Share of the width and height of a prompted box in which the object's colours are learned. Source: ours."""
-
 LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
 """How many times larger or smaller than before the object may be; where the robot may hide a part of it, any
 times smaller. Source: ours."""
-
-LEAST_MOVING = 0.2
-"""Share of a prompted object that differs from the background, below which it was taken for background."""
 
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
@@ -61,15 +56,15 @@ class BackgroundSubtraction(Segmenter):
     robot. An object without colours of its own is followed by its motion alone. It never becomes background.
     """
 
+    uses_motion = True
+
     def __init__(self) -> None:
-        """Know neither background nor object."""
-        self._foreground = Foreground()
+        """Know no object."""
         self._track: ImageTrack | None = None
         self._appearance, self._area, self._num_still = Appearance(), inf, inf
-        self._kept: Mask | None = None
         self._later: partial[None] | None = None
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`.
 
         What only flies is passed by where it does not resemble what was followed before.
@@ -77,61 +72,52 @@ class BackgroundSubtraction(Segmenter):
         self.settle()
         guess = prompt.box if isinstance(prompt, BoxPrompt) and prompt.is_guess else None
         if self._track is not None and guess is not None and not self._resembles(image, guess):
-            return self.track(image, ignored)
+            return self.track(image, motion)
         self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
-        self._area, self._num_still, self._kept = inf, inf, None
-        return self._sure(self._follow(image, ignored, prompt))
+        self._area, self._num_still = inf, inf
+        return self._follow(motion, prompt)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.track`."""
         self.settle()
-        return self._sure(self._follow(image, ignored, None))
+        return self._follow(motion, None)
 
     def settle(self) -> None:
-        """See `Segmenter.settle`: learn background and colours."""
-        self._foreground.settle()
+        """See `Segmenter.settle`: learn the colours."""
         later, self._later = self._later, None
         if later:
             later()
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
-        self._track = self._kept = None
+        self._track = None
 
-    def _sure(self, segmentation: Segmentation) -> Segmentation:
-        """The same, with what speaks against it."""
-        return replace(segmentation, doubt=self._foreground.weakness or "")
-
-    def _follow(self, image: Image, ignored: Mask | None, prompt: Prompt | None) -> Segmentation:
+    def _follow(self, motion: Motion | None, prompt: Prompt | None) -> Segmentation:
         """Find the object in the next image, in which it is where a prompt says, if there is one."""
-        motion = self._foreground.step(image, ignored, self._kept)
+        assert motion is not None
         if self._track is None:
-            return NOT_FOUND
-        image, maybe = motion.image, None
+            return replace(NOT_FOUND, doubt=motion.doubt)
+        maybe = None
         if isinstance(prompt, BoxPrompt):
-            inside, maybe = _prompted(prompt.box, image)
+            inside, maybe = prompted(prompt.box, motion.image)
             self._area = inf if _is_cut(maybe) else float(inside.sum()) / INNER**2
-            if motion.moving[inside].sum() < LEAST_MOVING * inside.sum():
-                self._foreground.forget(maybe)
-                motion = replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
-            self._learn(image, inside, maybe, motion, ignored)
+            self._learn(motion, inside, maybe)
         is_first = isinf(self._area)
-        blobs, blob = self._object(image, motion, self._track, maybe)
+        blobs, blob = self._object(motion, self._track, maybe)
         self._track, segmentation = self._track.advanced(blobs, blob)
         mask = segmentation.mask
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
-        self._kept = None if mask is None else grown(mask, GAP)
         if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
             if not _is_cut(mask):
                 self._area = (
                     blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
                 )
-            self._later = partial(self._learn, image, mask, grown(mask, GAP), motion, ignored)
-        return segmentation
+            self._later = partial(self._learn, motion, mask, grown(mask, GAP))
+        return replace(segmentation, doubt=motion.doubt)
 
     def _object(
-        self, image: Image, motion: Motion, track: ImageTrack, within: Mask | None
+        self, motion: Motion, track: ImageTrack, within: Mask | None
     ) -> tuple[list[Blob], Blob | None]:
         """The region of the object's colours, else of less, else whatever moves.
 
@@ -140,15 +126,14 @@ class BackgroundSubtraction(Segmenter):
         is far off, where another thing of this size may move, only if none is near.
 
         Args:
-            image: The image.
-            motion: What moves in it.
+            motion: What moves in the image.
             track: Where the object should be.
             within: Where a person says that it is; None without a prompt.
 
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alone, whole, alike = self._resembling(image, motion, track)
+        alone, whole, alike = self._resembling(motion, track)
         for masks in ((alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)):
             found = []
             for mask in masks:
@@ -182,18 +167,18 @@ class BackgroundSubtraction(Segmenter):
         is_large = blob.area >= LEAST_SHARE * self._area
         return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(blob.mask(), unknown))
 
-    def _resembling(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask, Mask]:
+    def _resembling(self, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask, Mask]:
         """Things that move and have the object's colours; these with new colours; these alone.
 
         In reach of where the object should be and a little further: what is out of reach now may be in reach
         in the next image, and is known for another thing then. What differs in nothing from a background that
         is known is not the object.
         """
-        alone, whole, alike = (np.zeros(image.shape[:2], dtype=bool) for _ in range(3))
+        alone, whole, alike = (np.zeros_like(motion.moving) for _ in range(3))
         reach = track.reach + REACH
-        window = _window((track.center, track.expected), reach, image)
-        has_colors, is_new = self._appearance.compare(image[window])
-        sharp = motion.sharpened(window)
+        window = _window((track.center, track.expected), reach, motion.image)
+        has_colors, is_new = self._appearance.compare(motion.image[window])
+        sharp = sharpened(motion, window)
         extended = _extended(has_colors, is_new & motion.moving[window])
         changed = sharp | motion.unknown[window]
         alone[window] = _extended(has_colors & sharp, sharp)
@@ -202,7 +187,7 @@ class BackgroundSubtraction(Segmenter):
 
     def _resembles(self, image: Image, box: tuple[float, float, float, float]) -> bool:
         """Whether what fills a box has the size of what was followed, and its colours if it has any."""
-        inside, _ = _prompted(box, image)
+        inside, _ = prompted(box, image)
         area = float(inside.sum()) / INNER**2
         if self._area < inf and not 1 / LARGEST_RATIO <= area / self._area <= LARGEST_RATIO:
             return False
@@ -210,11 +195,12 @@ class BackgroundSubtraction(Segmenter):
         least = LEAST_KNOWN * self._appearance.own_share
         return bool(has_colors[inside].sum() >= least * inside.sum())
 
-    def _learn(self, image: Image, mask: Mask, maybe: Mask, motion: Motion, ignored: Mask | None) -> None:
+    def _learn(self, motion: Motion, mask: Mask, maybe: Mask) -> None:
         """Learn the colours of the object, and of what it could be confused with.
 
         That is what is ignored, what else moves, and, unless the object moves, what stands beside it.
         """
+        image, ignored = motion.image, motion.ignored
         left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
         if not width:
             return
@@ -257,13 +243,3 @@ def _extended(mask: Mask, more: Mask) -> Mask:
     is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())
     is_own[0] = False
     return is_own[labels.astype(np.intp)]
-
-
-def _prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask, Mask]:
-    """Where the object surely is, the ellipse that fills `INNER` of a box, and where it may be, the box."""
-    xmin, ymin, xmax, ymax = box
-    rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
-    across = (columns + 0.5 - 0.5 * (xmin + xmax)) / max(0.5 * (xmax - xmin), 1.0)
-    down = (rows + 0.5 - 0.5 * (ymin + ymax)) / max(0.5 * (ymax - ymin), 1.0)
-    inside = across**2 + down**2 <= INNER**2
-    return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)

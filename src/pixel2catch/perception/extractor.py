@@ -18,6 +18,7 @@ from torch import Tensor
 
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.foreground import Foreground
 from pixel2catch.perception.image_track import find_blobs
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, is_jump, judge
 from pixel2catch.perception.prompt import Prompter
@@ -187,7 +188,7 @@ class PixelFeatureExtractor:
         self.clock = StageClock()  #: How long each stage took.
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
         self._camera, self._cfg = camera, cfg or ExtractorCfg()
-        self._state = TrackState()
+        self._foreground, self._state = Foreground(), TrackState()
         self._is_checked, self._has_begun = False, not waits
 
     def reset(self) -> None:
@@ -199,7 +200,7 @@ class PixelFeatureExtractor:
     def settle(self) -> None:
         """See `Segmenter.settle`."""
         self._segmenter.settle()
-        self._prompter.settle()
+        self._foreground.settle()
 
     def step(self, frame: CameraFrame | None, now: float) -> Extraction:
         """Process the newest image; call it once in every control step, by the clock of the stamps [s].
@@ -268,12 +269,19 @@ class PixelFeatureExtractor:
         """Follow the object, or begin to where it is unknown or lost and the prompter knows."""
         state = self._state
         is_lost = state.num_lost >= self._cfg.patience and not state.is_at_robot
-        if is_lost or not state.is_pointed_out:
-            prompt = self._prompter.look(image, ignored)
-            if prompt is not None and self._has_begun:
-                state.is_pointed_out, state.is_continued, state.num_lost = True, False, 0
-                return self._segmenter.start(image, prompt, ignored)
-        return self._segmenter.track(image, ignored)
+        is_asked = is_lost or not state.is_pointed_out
+        if not (is_asked or self._segmenter.uses_motion):
+            return self._segmenter.track(image)
+        motion = self._foreground.step(image, ignored)
+        prompt = self._prompter.look(image, motion) if is_asked else None
+        if prompt is not None and self._has_begun:
+            state.is_pointed_out, state.is_continued, state.num_lost = True, False, 0
+            motion = self._foreground.reveal(motion, prompt)
+            segmentation = self._segmenter.start(image, prompt, motion)
+        else:
+            segmentation = self._segmenter.track(image, motion)
+        self._foreground.keep(segmentation.mask)
+        return segmentation
 
     def _judged(self, segmentation: Segmentation, stamp: float) -> _Finding:
         """The box of a segmentation, unless something speaks against it."""

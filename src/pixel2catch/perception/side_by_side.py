@@ -18,6 +18,7 @@ from pixel2catch.perception.segmenter import (
     BoxPrompt,
     Image,
     Mask,
+    Motion,
     Prompt,
     Segmentation,
     Segmenter,
@@ -104,6 +105,8 @@ class SideBySide(Segmenter):
     some images; from where it went wrong until both agree again, it is not believed alone.
     """
 
+    uses_motion = True
+
     def __init__(self, sam2: Segmenter, background: Segmenter, longest_wait: float | None = None) -> None:
         """Begin with no object; an image may take so long [s], or as long as SAM 2 takes (None)."""
         self._sam2, self._background, self._longest_wait = sam2, background, longest_wait
@@ -112,24 +115,24 @@ class SideBySide(Segmenter):
         self._last: LastPlace | None = None
         self._num_unbelieved, self._is_trusted = 0, True
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.start`."""
         begin = time.perf_counter()
         self._tell(image, prompt)
         self._last, self._num_unbelieved, self._is_trusted = LastPlace.of(prompt), 0, True
-        other = self._background.start(image, prompt, ignored)
+        other = self._background.start(image, prompt, motion)
         return self._judged(image, self._last, other, begin, is_asked=True)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.track`; where SAM 2 still looks at an earlier image, this one passes it by."""
         begin = time.perf_counter()
         last = self._last
         if last is None:
-            return self._background.track(image, ignored)
+            return self._background.track(image, motion)
         is_asked = self._is_free()
         if is_asked:
             self._work = self._thread.submit(self._sam2.track, self._kept(image))
-        return self._judged(image, last, self._background.track(image, ignored), begin, is_asked=is_asked)
+        return self._judged(image, last, self._background.track(image, motion), begin, is_asked=is_asked)
 
     def settle(self) -> None:
         """See `Segmenter.settle`."""
