@@ -184,6 +184,29 @@ def test_nothing_is_found_before_a_start_and_after_a_reset():
             segmenter.segmenter.reset()
 
 
+def test_what_fills_a_third_of_its_box_is_followed():
+    """A cross, or a box that a person drew far too large: then what was told is not its area."""
+    left, top, right, bottom = held_box().box
+    worst = errors((), BoxPrompt(box=(left - 6.0, top - 6.0, right + 6.0, bottom + 6.0)))
+    assert (worst[1:] <= 2.0).all()
+
+
+def test_what_comes_back_is_found_while_the_edge_of_the_image_cuts_it():
+    """Up and out of the image, and down again: found with a third of its height."""
+    times = np.arange(1, 40)[:, None]
+    flight = (60.0, 60.0) + times * (4.0, -10.0) + 0.5 * times**2 * (0.0, 0.6)
+    path = np.concatenate((BALL.path[:NUM_EMPTY], np.tile((60.0, 60.0), (NUM_STILL, 1)), flight))
+    ball, segmenter = Disc(path=path, radius=9.0), Follower()
+    box = BoxPrompt(box=(51.0, 51.0, 69.0, 69.0))
+    for step, image in enumerate(painted.images((ball,), len(path))):
+        found = segmenter.start(image, box) if step == NUM_EMPTY else segmenter.track(image)
+        bottom = path[step, 1] + ball.radius
+        if step > NUM_EMPTY and not 0.0 < bottom < 6.0:
+            assert (found.mask is not None) == (bottom > 0.0)
+            if found.mask is not None:
+                assert np.abs(painted.box_of(found.mask) - painted.box_of(ball.mask(step))).max() <= 2
+
+
 @pytest.mark.parametrize("place", [(-500.0, 9000.0), (float(WIDTH), float(HEIGHT))])
 def test_a_prompt_off_the_image_finds_nothing(place: tuple[float, float]):
     segmenter = Follower()

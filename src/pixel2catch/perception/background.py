@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 from functools import partial
-from math import hypot, inf, isinf, log
+from math import hypot, inf, pi
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
 from pixel2catch.perception.color import Appearance
 from pixel2catch.perception.foreground import INNER, LEARNING_IMAGES, grown, prompted, regions, sharpened
@@ -22,8 +23,8 @@ from pixel2catch.perception.segmenter import (
 )
 
 LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
-"""How many times larger or smaller than before the object may be; where the robot may hide a part of it, any
-times smaller. Source: ours."""
+"""How many times larger or smaller than before the object may be; where the robot or the edge of the image may
+hide a part of it, any times smaller. Source: ours."""
 
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
@@ -32,8 +33,12 @@ LARGEST_RATIO = 4.0
 """Largest factor between the area of what was lost and of a flight that is taken for it, either way.
 Source: ours: half or twice as far from the camera."""
 
-AREA_MEMORY = 0.7
-"""Weight of what the object's area was before, in every image. Source: ours."""
+SIZE_MEMORY = np.array((0.5, 0.5, 0.7))
+"""Largest weight of what the object's width, height and area were before, in every image. Source: ours."""
+
+AREA_WEIGHT = 0.6
+"""How much a change of the area counts beside one of the sides. Source: ours: the parts of a thing that is told
+from its background in places have any area; a side that was not seen before makes it larger at once."""
 
 NEAR = 10.0
 """How far from the object things that stand still have colours that it could be confused with [px].
@@ -46,6 +51,9 @@ THINNING = 2
 LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
 """Speed from which the object moves [px an image], and for how many images after that it is no background
 yet, so that what differs in nothing from the background is not the object. Source: ours."""
+
+
+Size = Float[np.ndarray, "3"]  #: Width, height [px] and area [px²].
 
 
 class BackgroundSubtraction(Segmenter):
@@ -61,7 +69,8 @@ class BackgroundSubtraction(Segmenter):
     def __init__(self) -> None:
         """Know no object."""
         self._track: ImageTrack | None = None
-        self._appearance, self._area, self._num_still = Appearance(), inf, inf
+        self._appearance, self._num_still = Appearance(), inf
+        self._size: Size | None = None
         self._later: partial[None] | None = None
 
     def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
@@ -74,7 +83,7 @@ class BackgroundSubtraction(Segmenter):
         if self._track is not None and guess is not None and not self._resembles(image, guess):
             return self.track(image, motion)
         self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
-        self._area, self._num_still = inf, inf
+        self._size, self._num_still = None, inf
         return self._follow(motion, prompt)
 
     def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
@@ -100,19 +109,19 @@ class BackgroundSubtraction(Segmenter):
         maybe = None
         if isinstance(prompt, BoxPrompt):
             inside, maybe = prompted(prompt.box, motion.image)
-            self._area = inf if _is_cut(maybe) else float(inside.sum()) / INNER**2
+            self._size = None if _is_cut(maybe) else _prompted_size(prompt.box)
             self._learn(motion, inside, maybe)
-        is_first = isinf(self._area)
         blobs, blob = self._object(motion, self._track, maybe)
+        found = blob  # of what is only said, nothing is learned
+        if blob is None and maybe is not None:
+            blobs = regions(maybe)
+            blob = next(iter(blobs), None)
         self._track, segmentation = self._track.advanced(blobs, blob)
-        mask = segmentation.mask
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
-        if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
+        if found is not None and not _overlap(mask := found.mask(), motion.unknown):
             if not _is_cut(mask):
-                self._area = (
-                    blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
-                )
+                self._resize(found, self._track.num_seen)
             self._later = partial(self._learn, motion, mask, grown(mask, GAP))
         return replace(segmentation, doubt=motion.doubt)
 
@@ -142,30 +151,45 @@ class BackgroundSubtraction(Segmenter):
                 found += [(blobs, blob)] if blob else []
             if found:
                 return min(found, key=lambda each: (track.is_far(each[1]), self._change(each[1])))
-        blobs = regions(alike if within is None else within)
-        return blobs, None if within is None else next(iter(blobs), None)
+        return regions(alike), None
 
     def _first(self, track: ImageTrack, blobs: list[Blob], motion: Motion, *, is_alike: bool) -> Blob | None:
         """The likeliest region that fits; where colours of its own are missing, only where it should be."""
         anywhere = is_alike or self._appearance.own_share < LEAST_KNOWN
         likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
-        return next((blob for blob in likely if self._fits(blob, motion.unknown)), None)
+        return next((blob for blob in likely if self._fits(track, blob, motion.unknown)), None)
 
     def _change(self, blob: Blob) -> float:
-        """How far the size of a region is from that of the object, as a logarithm."""
-        return abs(log(blob.area / self._area)) if self._area < inf else 0.0
+        """How far the sides of a region, or its area, are from the object's, whatever is more, as logarithms."""
+        if self._size is None:
+            return 0.0
+        width, height, area = np.abs(np.log(_size(blob) / self._size)).tolist()
+        return max(width + height, AREA_WEIGHT * area)
+
+    def _resize(self, blob: Blob, num_seen: int) -> None:
+        """Learn the size of the object, seen so often, as a mean in which later images count more."""
+        if self._size is None:
+            self._size = _size(blob)
+            return
+        memory = np.minimum(SIZE_MEMORY, num_seen / (num_seen + 1.0))
+        self._size = memory * self._size + (1.0 - memory) * _size(blob)
 
     @property
     def _is_fresh(self) -> bool:
         """Whether the object moved so lately that it is no background yet."""
         return self._num_still < NUM_FRESH
 
-    def _fits(self, blob: Blob, unknown: Mask) -> bool:
-        """Whether a region has the object's size, or less where the robot may hide a part of it."""
-        if isinf(self._area):
+    def _fits(self, track: ImageTrack, blob: Blob, unknown: Mask) -> bool:
+        """Whether a region has the object's area, or less where robot or edge of the image may hide a part.
+
+        Where a person's box is all that is known, it may fill little of that, as a cross does.
+        """
+        if self._size is None:
             return True
-        is_large = blob.area >= LEAST_SHARE * self._area
-        return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(blob.mask(), unknown))
+        share = blob.area / float(self._size[2])
+        least = LEAST_KNOWN if track.num_seen == 1 else LEAST_SHARE
+        mask = blob.mask()
+        return share <= LARGEST_GROWTH and (share >= least or _is_cut(mask) or _overlap(mask, unknown))
 
     def _resembling(self, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask, Mask]:
         """Things that move and have the object's colours; these with new colours; these alone.
@@ -189,7 +213,7 @@ class BackgroundSubtraction(Segmenter):
         """Whether what fills a box has the size of what was followed, and its colours if it has any."""
         inside, _ = prompted(box, image)
         area = float(inside.sum()) / INNER**2
-        if self._area < inf and not 1 / LARGEST_RATIO <= area / self._area <= LARGEST_RATIO:
+        if self._size is not None and not 1 / LARGEST_RATIO <= area / self._size[2] <= LARGEST_RATIO:
             return False
         has_colors, _ = self._appearance.compare(cv2.blur(image, (3, 3)))
         least = LEAST_KNOWN * self._appearance.own_share
@@ -215,6 +239,16 @@ class BackgroundSubtraction(Segmenter):
         if not self._is_fresh:
             others.append(image[near][~motion.moving[near] & ~maybe[near]])
         self._appearance.learn(image[box][mask[box]], np.concatenate(others))
+
+
+def _size(blob: Blob) -> Size:
+    return np.array((blob.width, blob.height, blob.area), dtype=float)
+
+
+def _prompted_size(box: tuple[float, float, float, float]) -> Size:
+    """The size of an ellipse that fills a box."""
+    width, height = max(box[2] - box[0], 1.0), max(box[3] - box[1], 1.0)
+    return np.array((width, height, 0.25 * pi * width * height))
 
 
 def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> tuple[slice, slice]:
