@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from math import hypot, inf, pi
 
 import cv2
@@ -23,7 +24,7 @@ from pixel2catch.perception.segmenter import (
 )
 
 LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
-"""How many times larger or smaller than before the object may be; where the robot or the edge of the image may
+"""How many times larger or smaller than before the object may be; where the robot or the image's edge may
 hide a part of it, any times smaller. Source: ours."""
 
 LEAST_KNOWN = 0.2
@@ -37,8 +38,9 @@ SIZE_MEMORY = np.array((0.5, 0.5, 0.7))
 """Largest weight of what the object's width, height and area were before, in every image. Source: ours."""
 
 AREA_WEIGHT = 0.6
-"""How much a change of the area counts beside one of the sides. Source: ours: the parts of a thing that is told
-from its background in places have any area; a side that was not seen before makes it larger at once."""
+"""How much a change of the area counts beside one of the sides.
+
+Source: ours; the area is less sure where the object is as bright as what is behind it."""
 
 NEAR = 10.0
 """How far from the object things that stand still have colours that it could be confused with [px].
@@ -112,16 +114,15 @@ class BackgroundSubtraction(Segmenter):
             self._size = None if _is_cut(maybe) else _prompted_size(prompt.box)
             self._learn(motion, inside, maybe)
         blobs, blob = self._object(motion, self._track, maybe)
-        found = blob  # of what is only said, nothing is learned
-        if blob is None and maybe is not None:
-            blobs = regions(maybe)
-            blob = next(iter(blobs), None)
         self._track, segmentation = self._track.advanced(blobs, blob)
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
-        if found is not None and not _overlap(mask := found.mask(), motion.unknown):
-            if not _is_cut(mask):
-                self._resize(found, self._track.num_seen)
+        if blob is not None and not _overlap(mask := blob.mask(), motion.unknown):
+            is_told = maybe is not None and bool(
+                (mask == maybe).all()
+            )  # the box, whose area is not the object's
+            if not (is_told or _is_cut(mask)):
+                self._resize(blob, self._track.num_seen)
             self._later = partial(self._learn, motion, mask, grown(mask, GAP))
         return replace(segmentation, doubt=motion.doubt)
 
@@ -132,7 +133,8 @@ class BackgroundSubtraction(Segmenter):
 
         A whole thing that moves, its part with the object's and new colours, or with the object's alone:
         that is taken which continues the size, so that no hand is added and no blurred rim cut off; one that
-        is far off, where another thing of this size may move, only if none is near.
+        is far off, where another thing of this size may move, only if none is near. Where a person's box is
+        all that is known, the object may fill little of it, as a cross does.
 
         Args:
             motion: What moves in the image.
@@ -143,24 +145,29 @@ class BackgroundSubtraction(Segmenter):
             The regions that were looked at, and which of them is the object; None if none is.
         """
         alone, whole, alike = self._resembling(motion, track)
-        for masks in ((alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)):
+        choices = (alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)
+        leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
+        for least, masks in product(leasts, choices):
             found = []
             for mask in masks:
                 blobs = regions(mask if within is None else mask & within)
-                blob = self._first(track, blobs, motion, is_alike=mask is not motion.moving)
+                blob = self._first(track, blobs, motion, least, is_alike=mask is not motion.moving)
                 found += [(blobs, blob)] if blob else []
             if found:
                 return min(found, key=lambda each: (track.is_far(each[1]), self._change(each[1])))
-        return regions(alike), None
+        blobs = regions(alike if within is None else within)
+        return blobs, None if within is None else next(iter(blobs), None)
 
-    def _first(self, track: ImageTrack, blobs: list[Blob], motion: Motion, *, is_alike: bool) -> Blob | None:
+    def _first(
+        self, track: ImageTrack, blobs: list[Blob], motion: Motion, least: float, *, is_alike: bool
+    ) -> Blob | None:
         """The likeliest region that fits; where colours of its own are missing, only where it should be."""
         anywhere = is_alike or self._appearance.own_share < LEAST_KNOWN
         likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
-        return next((blob for blob in likely if self._fits(track, blob, motion.unknown)), None)
+        return next((blob for blob in likely if self._fits(blob, motion.unknown, least)), None)
 
     def _change(self, blob: Blob) -> float:
-        """How far the sides of a region, or its area, are from the object's, whatever is more, as logarithms."""
+        """How far a region's sides, or its area, whatever is more, are from the object's, as logarithms."""
         if self._size is None:
             return 0.0
         width, height, area = np.abs(np.log(_size(blob) / self._size)).tolist()
@@ -179,15 +186,11 @@ class BackgroundSubtraction(Segmenter):
         """Whether the object moved so lately that it is no background yet."""
         return self._num_still < NUM_FRESH
 
-    def _fits(self, track: ImageTrack, blob: Blob, unknown: Mask) -> bool:
-        """Whether a region has the object's area, or less where robot or edge of the image may hide a part.
-
-        Where a person's box is all that is known, it may fill little of that, as a cross does.
-        """
+    def _fits(self, blob: Blob, unknown: Mask, least: float) -> bool:
+        """Whether a region has the object's area, or less where robot or image's edge may hide a part."""
         if self._size is None:
             return True
         share = blob.area / float(self._size[2])
-        least = LEAST_KNOWN if track.num_seen == 1 else LEAST_SHARE
         mask = blob.mask()
         return share <= LARGEST_GROWTH and (share >= least or _is_cut(mask) or _overlap(mask, unknown))
 

@@ -1,6 +1,5 @@
 """What says which of all the things in an image is the object: a person, its colour, or its flight."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -72,7 +71,7 @@ class Prompter:
         if self._colors is None:
             return None
         blobs = find_blobs(_within(self._colors.mask(image), self._region))
-        return next((_box(blob) for blob in blobs if blob.is_plausible), None)
+        return next((BoxPrompt(box=blob.box) for blob in blobs if blob.is_plausible), None)
 
     def _flying(self, motion: Motion | None) -> BoxPrompt | None:
         """What flew in the last three images; a thrower's arm is longer than an object."""
@@ -83,8 +82,8 @@ class Prompter:
         oldest, middle = self._before
         self._before = (middle, newest)
         triples = product(newest, middle, oldest)
-        flying = next((_box(now) for now, *before in triples if _flies(now, *before)), None)
-        return flying and replace(flying, is_guess=True)
+        flying = (now for now, *before in triples if _flies(now, *before))
+        return next((BoxPrompt(box=blob.box, is_guess=True) for blob in flying), None)
 
 
 def _flies(now: Blob, before: Blob, oldest: Blob) -> bool:
@@ -104,8 +103,3 @@ def _within(mask: Mask, region: Region | None) -> Mask:
     part = np.zeros_like(mask)
     part[ymin:ymax, xmin:xmax] = mask[ymin:ymax, xmin:xmax]
     return part
-
-
-def _box(blob: Blob) -> BoxPrompt:
-    (u, v), half_width, half_height = blob.center, 0.5 * blob.width, 0.5 * blob.height
-    return BoxPrompt(box=(u - half_width, v - half_height, u + half_width, v + half_height))
