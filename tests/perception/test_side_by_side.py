@@ -99,7 +99,8 @@ def rectangle(left: int, top: int, right: int, bottom: int) -> Mask:
     return mask
 
 
-LAST = LastPlace(box=(80.0, 90.0, 100.0, 110.0), velocity=(10.0, 0.0))  # expected at (100, 100)
+# Expected at (100, 100).
+LAST = LastPlace(center=(90.0, 100.0), box=(80.0, 90.0, 100.0, 110.0), velocity=(10.0, 0.0))
 WHOLE = rectangle(0, 0, WIDTH, HEIGHT)
 HERE = rectangle(90, 90, 110, 110)
 
