@@ -20,7 +20,7 @@ from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import PixelFeatureExtractor
 from pixel2catch.perception.prompt import Prompter
-from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import Image, Motion, Prompt, Segmentation, Segmenter
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
@@ -55,10 +55,10 @@ def picture(box: Box | None = BOX) -> np.ndarray:
 class EverythingRed(Segmenter):
     """Takes whatever is red for the object, wherever it is."""
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
-        return self.track(image, ignored)
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
+        return self.track(image, motion)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         return Segmentation(mask=RED.mask(image), score=1.0)
 
     def reset(self) -> None:
@@ -77,7 +77,7 @@ def remembering(method: str = "shared_reward+boxes") -> Controller:
 def new_pipeline(segmenter: Segmenter | None = None, controller: Controller | None = None) -> PolicyPipeline:
     """The policy of the paper, which is not told of ages, and eyes for red if nothing is said."""
     policy, _ = load_policy(Path("proposed"))
-    person = Prompter(finds_flights=False)
+    person = Prompter()
     extractor = PixelFeatureExtractor(segmenter or ColorThreshold(RED), person)
     return PolicyPipeline(
         controller or Controller(policy, find_workcell(PROFILE.workcell)), extractor, person

@@ -17,7 +17,7 @@ from pixel2catch.errors import InvalidValueError, PerceptionError
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import BoxPrompt, Image, Motion, Prompt, Segmentation, Segmenter
 from pixel2catch.scene.constants import CONTROL_DT
 
 PROMPT = BoxPrompt(box=BOX)
@@ -76,13 +76,13 @@ class HeldUp(Segmenter):
         self._segmenter, self.has_begun, self.may_go_on = ColorThreshold(RED), Event(), Event()
         self.settled_by = SimpleQueue[str]()
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         self._wait()
-        return self._segmenter.start(image, prompt, ignored)
+        return self._segmenter.start(image, prompt, motion)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         self._wait()
-        return self._segmenter.track(image, ignored)
+        return self._segmenter.track(image, motion)
 
     def settle(self) -> None:
         self.settled_by.put(current_thread().name)

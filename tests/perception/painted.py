@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pixel2catch.perception.segmenter import Image, Mask
+from pixel2catch.perception.background import BackgroundSubtraction
+from pixel2catch.perception.foreground import Foreground
+from pixel2catch.perception.segmenter import Image, Mask, Prompt, Segmentation, Segmenter
 
 HEIGHT, WIDTH = 240, 320
 RED = (200, 40, 30)
@@ -25,6 +27,29 @@ class Disc:
     def mask(self, step: int) -> Mask:
         (u, v), (rows, columns) = self.path[step], np.ogrid[:HEIGHT, :WIDTH]
         return (columns + 0.5 - u) ** 2 + (rows + 0.5 - v) ** 2 <= self.radius**2
+
+
+class Follower:
+    """A segmenter that is told what moves, as the extractor tells it."""
+
+    def __init__(self, segmenter: Segmenter | None = None) -> None:
+        self.segmenter = segmenter or BackgroundSubtraction()
+        self.foreground = Foreground()
+
+    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+        motion = self.foreground.reveal(self.foreground.step(image, ignored), prompt)
+        return self._kept(self.segmenter.start(image, prompt, motion))
+
+    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+        return self._kept(self.segmenter.track(image, self.foreground.step(image, ignored)))
+
+    def settle(self) -> None:
+        self.foreground.settle()
+        self.segmenter.settle()
+
+    def _kept(self, found: Segmentation) -> Segmentation:
+        self.foreground.keep(found.mask)
+        return found
 
 
 def background(seed: int = 0) -> np.ndarray:

@@ -3,9 +3,8 @@
 import numpy as np
 import painted
 import pytest
-from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc
+from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc, Follower
 
-from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt, Prompt
 
 NUM_STILL, NUM_FLYING = 8, 22
@@ -17,7 +16,7 @@ def errors(
     others: tuple[Disc, ...], prompt: Prompt, prompt_step: int = NUM_EMPTY, robot: Disc | None = None
 ) -> np.ndarray:
     """Largest error of an edge from the prompted image on [px]; infinite where the ball was not found."""
-    segmenter, worst = BackgroundSubtraction(), []
+    segmenter, worst = Follower(), []
     for step, image in enumerate(painted.images((*others, BALL), NUM_STEPS)):
         ignored = None if robot is None else robot.mask(step)
         if step == prompt_step:
@@ -45,7 +44,7 @@ def test_a_thrown_ball_is_followed_from_a_box_on():
 def test_colours_that_are_learned_later_are_the_same():
     found = []
     for is_settled in (True, False):
-        segmenter = BackgroundSubtraction()
+        segmenter = Follower()
         for step, image in enumerate(painted.images((BALL,), NUM_STEPS)):
             seen = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
             found += [] if seen.mask is None else [seen.mask]
@@ -84,7 +83,7 @@ def test_a_side_that_was_not_seen_before_belongs_to_the_ball():
     dark = Disc(path=np.where(is_flying, below, -100.0), radius=8.0, color=(105, 24, 18))
     ball = Disc(path=BALL.path, radius=9.0)
     arm = Disc(path=(25.0, 190.0) + 4.0 * np.sin(steps * (1.0, 1.3)), radius=30.0, color=(150, 110, 90))
-    segmenter, worst = BackgroundSubtraction(), []
+    segmenter, worst = Follower(), []
     for step, image in enumerate(painted.images((arm, ball, dark), NUM_STEPS)):
         found = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
         if step >= NUM_EMPTY:
@@ -101,7 +100,7 @@ def test_a_poster_of_the_balls_colour_changes_nothing(place: tuple[float, float]
     dark = Disc(path=BALL.path + np.array((0.0, 7.0)), radius=8.0, color=(120, 24, 18))
     truth = [painted.box_of(BALL.mask(step) | dark.mask(step)) for step in range(NUM_EMPTY, NUM_STEPS)]
     xmin, ymin, xmax, ymax = truth[0].tolist()
-    segmenter, worst = BackgroundSubtraction(), []
+    segmenter, worst = Follower(), []
     for step, image in enumerate(painted.images((poster, BALL, dark), NUM_STEPS)):
         if step == NUM_EMPTY:
             found = segmenter.start(image, BoxPrompt(box=(xmin, ymin, xmax, ymax)))
@@ -117,7 +116,7 @@ def test_a_ball_that_is_held_for_long_is_not_lost():
     """It becomes background meanwhile; only its colour tells it."""
     still = np.repeat(BALL.path[NUM_EMPTY : NUM_EMPTY + 1], 60, axis=0)
     ball = Disc(path=np.concatenate((BALL.path[:NUM_EMPTY], still)), radius=9.0)
-    segmenter = BackgroundSubtraction()
+    segmenter = Follower()
     for step, image in enumerate(painted.images((ball,), NUM_EMPTY + 60)):
         found = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
         if step >= NUM_EMPTY:
@@ -130,7 +129,7 @@ def test_a_twin_that_passes_is_not_taken_for_a_held_ball():
     ball = Disc(path=np.repeat(BALL.path[NUM_EMPTY : NUM_EMPTY + 1], NUM_STEPS, axis=0), radius=9.0)
     steps = np.arange(NUM_STEPS)[:, None] - NUM_EMPTY
     twin = Disc(path=ball.path + (30.0, -60.0) + steps * (7.0, 0.0), radius=11.0)
-    segmenter, (xmin, ymin, xmax, ymax) = BackgroundSubtraction(), held_box().box
+    segmenter, (xmin, ymin, xmax, ymax) = Follower(), held_box().box
     prompt = BoxPrompt(box=(xmin - 3.0, ymin - 3.0, xmax + 3.0, ymax + 3.0))
     for step, image in enumerate(painted.images((twin, ball), NUM_STEPS)):
         found = segmenter.start(image, prompt) if step == NUM_EMPTY else segmenter.track(image)
@@ -145,7 +144,7 @@ def test_while_the_ball_is_hidden_its_twin_is_not_taken_for_it():
     hidden[first : first + count] = -100.0
     swing = 4.0 * np.sin(np.arange(NUM_STEPS))[:, None] * (1.0, 0.5)
     twin = Disc(path=swing + BALL.path[first] + (-30.0, 20.0), radius=9.0)
-    segmenter, worst = BackgroundSubtraction(), []
+    segmenter, worst = Follower(), []
     for step, image in enumerate(painted.images((twin, Disc(path=hidden, radius=9.0)), NUM_STEPS)):
         found = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
         if first <= step < first + count:
@@ -177,17 +176,40 @@ def test_a_ball_of_the_robots_colour_is_lost_rather_than_mistaken_for_it():
 
 
 def test_nothing_is_found_before_a_start_and_after_a_reset():
-    segmenter = BackgroundSubtraction()
+    segmenter = Follower()
     for step, image in enumerate(painted.images((BALL,), NUM_STEPS)):
         assert segmenter.track(image).mask is None
         if step == NUM_STEPS - 5:
             assert segmenter.start(image, PointPrompt(center=tuple(BALL.path[step]))).mask is not None
-            segmenter.reset()
+            segmenter.segmenter.reset()
+
+
+def test_what_fills_a_third_of_its_box_is_followed():
+    """A cross, or a box that a person drew far too large: then what was told is not its area."""
+    left, top, right, bottom = held_box().box
+    worst = errors((), BoxPrompt(box=(left - 6.0, top - 6.0, right + 6.0, bottom + 6.0)))
+    assert (worst[1:] <= 2.0).all()
+
+
+def test_what_comes_back_is_found_while_the_edge_of_the_image_cuts_it():
+    """Up and out of the image, and down again: found with a third of its height."""
+    times = np.arange(1, 40)[:, None]
+    flight = (60.0, 60.0) + times * (4.0, -10.0) + 0.5 * times**2 * (0.0, 0.6)
+    path = np.concatenate((BALL.path[:NUM_EMPTY], np.tile((60.0, 60.0), (NUM_STILL, 1)), flight))
+    ball, segmenter = Disc(path=path, radius=9.0), Follower()
+    box = BoxPrompt(box=(51.0, 51.0, 69.0, 69.0))
+    for step, image in enumerate(painted.images((ball,), len(path))):
+        found = segmenter.start(image, box) if step == NUM_EMPTY else segmenter.track(image)
+        bottom = path[step, 1] + ball.radius
+        if step > NUM_EMPTY and not 0.0 < bottom < 6.0:
+            assert (found.mask is not None) == (bottom > 0.0)
+            if found.mask is not None:
+                assert np.abs(painted.box_of(found.mask) - painted.box_of(ball.mask(step))).max() <= 2
 
 
 @pytest.mark.parametrize("place", [(-500.0, 9000.0), (float(WIDTH), float(HEIGHT))])
 def test_a_prompt_off_the_image_finds_nothing(place: tuple[float, float]):
-    segmenter = BackgroundSubtraction()
+    segmenter = Follower()
     for image in painted.images((), 5):
         assert segmenter.start(image, PointPrompt(center=place)).mask is None
     box = BoxPrompt(box=(place[0], place[1], place[0] + 5, place[1] + 5))
@@ -204,7 +226,7 @@ def test_a_flight_is_no_new_object_unless_it_resembles_the_lost_one():
     }
     guess = BoxPrompt(box=(151.0, 111.0, 169.0, 129.0), is_guess=True)
     for color, is_taken in ((painted.BLUE, False), (painted.RED, True)):
-        segmenter = BackgroundSubtraction()
+        segmenter = Follower()
         gone = Disc(path=BALL.path[:NUM_STEPS], radius=9.0)
         for step, image in enumerate(painted.images((gone,), NUM_STEPS)):
             _ = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
@@ -215,7 +237,7 @@ def test_a_flight_is_no_new_object_unless_it_resembles_the_lost_one():
 @pytest.mark.parametrize("num_empty", [1, 3])
 def test_few_images_of_the_background_are_enough(num_empty: int):
     first = NUM_EMPTY - num_empty
-    segmenter, worst = BackgroundSubtraction(), []
+    segmenter, worst = Follower(), []
     for step, image in enumerate(painted.images((BALL,), NUM_STEPS)):
         if step < first:
             continue

@@ -20,7 +20,7 @@ from pixel2catch.perception.extractor import CameraFrame, Extraction, ExtractorC
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
-from pixel2catch.perception.segmenter import Image, Mask, PointPrompt, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import Image, Motion, PointPrompt, Prompt, Segmentation, Segmenter
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -47,9 +47,7 @@ def painted_box(box: torch.Tensor) -> np.ndarray:
 
 def extractor(cfg: ExtractorCfg | None = None, robot: RobotMask | None = None) -> PixelFeatureExtractor:
     """Follows red, pointed out by its colour."""
-    return PixelFeatureExtractor(
-        ColorThreshold(REDS), Prompter(colors=REDS, finds_flights=False), robot=robot, cfg=cfg
-    )
+    return PixelFeatureExtractor(ColorThreshold(REDS), Prompter(colors=REDS), robot=robot, cfg=cfg)
 
 
 def play(images: Sequence[np.ndarray | None], subject: PixelFeatureExtractor) -> list[Extraction]:
@@ -139,10 +137,10 @@ def test_a_skipped_image_is_marked_because_it_doubles_the_differences():
 class EverythingRed(Segmenter):
     """Returns all that is red, in one piece or several."""
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
-        return self.track(image, ignored)
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
+        return self.track(image, motion)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         return Segmentation(mask=REDS.mask(image), score=1.0)
 
     def reset(self) -> None:
@@ -150,9 +148,7 @@ class EverythingRed(Segmenter):
 
 
 def everything_red() -> PixelFeatureExtractor:
-    return PixelFeatureExtractor(
-        EverythingRed(), Prompter(PointPrompt(center=(315.0, 165.0)), finds_flights=False)
-    )
+    return PixelFeatureExtractor(EverythingRed(), Prompter(PointPrompt(center=(315.0, 165.0))))
 
 
 def test_of_two_regions_the_box_is_that_of_the_largest():

@@ -5,9 +5,9 @@ import numpy as np
 import painted
 from painted import NUM_EMPTY, Disc
 
-from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Motion, Weakness, closed
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Weakness, closed, sharpened
 from pixel2catch.perception.image_track import GAP
-from pixel2catch.perception.segmenter import Mask
+from pixel2catch.perception.segmenter import BoxPrompt, Mask, Motion
 
 ROBOT_COLOR = (20, 20, 20)
 
@@ -48,7 +48,8 @@ def test_what_stands_still_becomes_background_unless_it_is_kept():
     absorbed = kept = np.zeros(0, dtype=bool)
     for step, image in enumerate(painted.images((disc,), 10 + LEARNING_IMAGES + 5)):
         absorbed = forgetful.step(image, None).moving
-        kept = keeping.step(image, None, disc.mask(20) if step > 10 else None).moving
+        kept = keeping.step(image, None).moving
+        keeping.keep(disc.mask(20) if step > 10 else None)
     assert not absorbed[disc.mask(20)].any()
     assert kept[disc.mask(20)].mean() > 0.9
 
@@ -65,7 +66,7 @@ def test_what_is_learned_later_is_the_same():
             if is_settled:
                 foreground.settle()
             if step == NUM_EMPTY + 2:
-                foreground.forget(disc.mask(step))
+                foreground.reveal(motion, BoxPrompt(box=(100.0, 100.0, 120.0, 120.0)))
     at_once, later = np.split(np.array(told), 2)
     np.testing.assert_array_equal(at_once, later)
     assert told[-1][0].any()
@@ -97,23 +98,13 @@ def test_the_edge_of_a_thing_is_where_its_difference_falls():
     motion = foreground.step(image, None)
     whole = (slice(0, painted.HEIGHT), slice(0, painted.WIDTH))
     assert np.abs(painted.box_of(motion.moving) - painted.box_of(halo.mask(0))).max() <= 2
-    assert np.abs(painted.box_of(motion.sharpened(whole)) - painted.box_of(disc.mask(0))).max() <= 1
+    assert np.abs(painted.box_of(sharpened(motion, whole)) - painted.box_of(disc.mask(0))).max() <= 1
 
 
 def test_noise_is_no_foreground():
     foreground = Foreground()
     shares = [foreground.step(image, None).moving.mean() for image in painted.images((), 60)]
     assert max(shares[NUM_EMPTY:]) < 1e-3
-
-
-def test_nothing_is_said_before_the_background_is_learned():
-    disc = Disc(path=painted.thrown(0, 20), radius=8.0)
-    learning_images = NUM_EMPTY + 5
-    foreground = Foreground(learning_images)
-    for step, image in enumerate(painted.images((disc,), NUM_EMPTY + 20)):
-        motion = foreground.step(image, None)
-        assert motion.unknown.all() == (step + 1 < learning_images)
-        assert motion.moving.any() == (step + 1 >= learning_images)
 
 
 def test_what_a_waiting_robot_uncovers_is_not_taken_for_an_object():
@@ -157,5 +148,5 @@ def test_a_thing_that_a_thin_line_parts_is_sharpened_as_one():
         moving=moving,
         unknown=np.zeros_like(moving),
     )
-    sharp = motion.sharpened((slice(0, 40), slice(0, 40)))
+    sharp = sharpened(motion, (slice(0, 40), slice(0, 40)))
     assert sharp[10:30, 15:25].all()

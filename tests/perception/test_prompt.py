@@ -1,11 +1,14 @@
 """Who says which thing is the object, and how soon."""
 
+from itertools import islice
+
 import numpy as np
 import painted
 import pytest
 from painted import HEIGHT, NUM_EMPTY, RED, WIDTH, Disc
 
 from pixel2catch.perception.color import ColorRange
+from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import BoxPrompt, PointPrompt, Prompt
 
@@ -16,12 +19,13 @@ BALL = Disc(path=painted.thrown(NUM_STILL, NUM_FLYING), radius=9.0)
 
 
 def first_prompt(
-    prompter: Prompter, discs: tuple[Disc, ...], ignored: Disc | None = None
+    prompter: Prompter, discs: tuple[Disc, ...], ignored: Disc | None = None, first: int = 0
 ) -> tuple[int, Prompt] | None:
-    """Step and answer of the first answer in a stream."""
-    num_steps = len(discs[0].path)
-    for step, image in enumerate(painted.images(discs, num_steps)):
-        prompt = prompter.look(image, None if ignored is None else ignored.mask(step))
+    """Step and answer of the first answer in a stream from a first step on."""
+    foreground, num_steps = Foreground(), len(discs[0].path)
+    for step, image in islice(enumerate(painted.images(discs, num_steps)), first, None):
+        motion = foreground.step(image, None if ignored is None else ignored.mask(step))
+        prompt = prompter.look(image, motion)
         if prompt is not None:
             return step, prompt
     return None
@@ -29,7 +33,7 @@ def first_prompt(
 
 def test_a_given_prompt_is_given_once_in_every_throw():
     click = PointPrompt(center=(3.0, 4.0))
-    prompter = Prompter(click, finds_flights=False)
+    prompter = Prompter(click)
     assert [prompter.look(BLANK) for _ in range(3)] == [click, None, None]
     prompter.reset()
     assert prompter.look(BLANK) == click
@@ -37,7 +41,7 @@ def test_a_given_prompt_is_given_once_in_every_throw():
 
 def test_a_click_in_the_middle_of_a_stream_is_for_the_next_image():
     click = PointPrompt(center=(3.0, 4.0))
-    prompter = Prompter(finds_flights=False)
+    prompter = Prompter()
     assert prompter.look(BLANK) is None
     prompter.give(click)
     assert [prompter.look(BLANK) for _ in range(2)] == [click, None]
@@ -50,7 +54,7 @@ def test_the_largest_thing_of_a_colour_is_prompted_with_its_box():
     image = BLANK.copy()
     image[10:20, 30:50] = RED
     image[100:105, 200:205] = RED
-    assert Prompter(colors=REDS, finds_flights=False).look(image) == BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
+    assert Prompter(colors=REDS).look(image) == BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))
 
 
 def test_a_region_of_interest_leaves_the_rest_out():
@@ -58,17 +62,12 @@ def test_a_region_of_interest_leaves_the_rest_out():
     image[10:20, 30:50] = RED
     image[100:105, 200:205] = RED
     region = (190.0, 90.0, 220.0, 120.0)
-    assert Prompter(colors=REDS, finds_flights=False, region=region).look(image) == BoxPrompt(
-        box=(200.0, 100.0, 205.0, 105.0)
-    )
-    assert Prompter(colors=REDS, finds_flights=False, region=(0.0, 150.0, 300.0, 240.0)).look(image) is None
+    assert Prompter(colors=REDS, region=region).look(image) == BoxPrompt(box=(200.0, 100.0, 205.0, 105.0))
+    assert Prompter(colors=REDS, region=(0.0, 150.0, 300.0, 240.0)).look(image) is None
 
 
 def test_a_red_wall_is_no_object():
-    assert (
-        Prompter(colors=REDS, finds_flights=False).look(np.full((HEIGHT, WIDTH, 3), RED, dtype=np.uint8))
-        is None
-    )
+    assert Prompter(colors=REDS).look(np.full((HEIGHT, WIDTH, 3), RED, dtype=np.uint8)) is None
 
 
 def test_a_flight_is_found_in_its_third_image():
@@ -78,6 +77,13 @@ def test_a_flight_is_found_in_its_third_image():
     assert step == NUM_EMPTY + 2
     assert isinstance(prompt, BoxPrompt)
     assert np.abs(np.array(prompt.box) - painted.box_of(BALL.mask(step))).max() <= 2
+
+
+def test_flights_are_found_once_the_background_was_seen_for_a_second():
+    first = NUM_EMPTY + 10 - LEARNING_IMAGES
+    answer = first_prompt(Prompter(), (BALL,), first=first)
+    assert answer is not None
+    assert answer[0] + 1 - first == LEARNING_IMAGES + 2
 
 
 def swinging(num_steps: int, amplitude: float, radius: float) -> Disc:
@@ -102,7 +108,7 @@ def test_the_robots_own_motion_is_not_found():
 
 def test_what_a_person_gave_is_preferred_to_the_colour():
     click = PointPrompt(center=(3.0, 4.0))
-    both = Prompter(click, colors=REDS, finds_flights=False)
+    both = Prompter(click, colors=REDS)
     image = BLANK.copy()
     image[10:20, 30:50] = RED
     box = BoxPrompt(box=(30.0, 10.0, 50.0, 20.0))

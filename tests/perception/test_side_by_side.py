@@ -13,14 +13,14 @@ from typing import final
 import numpy as np
 import painted
 import pytest
-from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc
+from painted import HEIGHT, NUM_EMPTY, WIDTH, Disc, Follower
 from tiny_sam2 import CERTAIN, save_tiny_sam2
 
 from domains import PATIENCE
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.sam2 import Sam2Segmenter
-from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt, Segmentation, Segmenter
 from pixel2catch.perception.side_by_side import Doubt, LastPlace, SideBySide, Source, believe
 
 NUM_STILL, NUM_FLYING = 4, 14
@@ -41,9 +41,9 @@ def pictures() -> list[Image]:
 
 def follow(segmenter: Segmenter) -> list[Segmentation]:
     """What is seen from the prompted image on."""
-    results = []
+    results, follower = [], Follower(segmenter)
     for step, image in enumerate(pictures()):
-        found = segmenter.start(image, held_box()) if step == NUM_EMPTY else segmenter.track(image)
+        found = follower.start(image, held_box()) if step == NUM_EMPTY else follower.track(image)
         if step >= NUM_EMPTY:
             results.append(found)
         else:
@@ -70,14 +70,14 @@ class Troubled(Segmenter):
         self.go_on = Event()
         self.go_on.set()
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         self.num_starts += 1
-        return self.segmenter.start(image, prompt, ignored)
+        return self.segmenter.start(image, prompt, motion)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         assert self.go_on.wait(PATIENCE)
         self.num_tracked += 1
-        found = self.segmenter.track(image, ignored)
+        found = self.segmenter.track(image, motion)
         if failure := self.failures.get(self.num_tracked):
             raise failure
         if self.num_tracked not in self.masks:
@@ -99,7 +99,8 @@ def rectangle(left: int, top: int, right: int, bottom: int) -> Mask:
     return mask
 
 
-LAST = LastPlace(box=(80.0, 90.0, 100.0, 110.0), velocity=(10.0, 0.0))  # expected at (100, 100)
+# Expected at (100, 100).
+LAST = LastPlace(center=(90.0, 100.0), box=(80.0, 90.0, 100.0, 110.0), velocity=(10.0, 0.0))
 WHOLE = rectangle(0, 0, WIDTH, HEIGHT)
 HERE = rectangle(90, 90, 110, 110)
 
@@ -218,21 +219,22 @@ def test_a_jump_and_a_failure_are_bridged():
 
 def test_who_is_late_is_passed_by_and_comes_back():
     segmenter, look = pair(longest_wait=0.0)
-    sources = []
+    sources, follower = [], Follower(segmenter)
     for step, image in enumerate(pictures()):
         if step < NUM_EMPTY:
-            segmenter.track(image)
+            follower.track(image)
             continue
         if step == NUM_EMPTY:
             segmenter._longest_wait = PATIENCE
-            segmenter.start(image, held_box())
+            follower.start(image, held_box())
             continue
         is_held = NUM_EMPTY + 5 <= step < NUM_EMPTY + 9
         look.go_on.clear() if is_held else look.go_on.set()
         if not is_held and segmenter._work is not None:
             wait((segmenter._work,), PATIENCE)
         segmenter._longest_wait = 0.0 if is_held else PATIENCE
-        found = segmenter.track(image)
+        found = follower.track(image)
+        assert found.mask is not None
         error = np.abs(painted.box_of(found.mask) - painted.box_of(BALL.mask(step))).max()
         assert error <= 2.0
         sources.append(found.doubt or found.source)
@@ -247,20 +249,20 @@ def test_a_new_throw_forgets_the_one_before():
     segmenter, _ = pair()
     first = follow(segmenter)
     segmenter.reset()
-    assert segmenter.track(pictures()[0]).mask is None
+    assert Follower(segmenter).track(pictures()[0]).mask is None
     again = follow(segmenter)
     assert [found.source for found in again] == [found.source for found in first]
 
 
 def test_a_caller_may_paint_over_an_image_that_is_still_looked_at():
     segmenter, look = pair(longest_wait=0.0)
-    picture = pictures()[NUM_EMPTY]
-    segmenter.start(picture, held_box())
+    picture, follower = pictures()[NUM_EMPTY], Follower(segmenter)
+    follower.start(picture, held_box())
     assert segmenter._work is not None
     wait((segmenter._work,), PATIENCE)
     look.go_on.clear()
     given = picture.copy()
-    assert segmenter.track(given).doubt == "sam2 late"
+    assert follower.track(given).doubt == "sam2 late"
     given[:] = 0
     look.go_on.set()
     found = segmenter._work.result(PATIENCE)

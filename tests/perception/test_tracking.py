@@ -26,7 +26,7 @@ def ticks() -> Iterator[Tick]:
 
 
 def sightings(begin: float) -> list[Sighting]:
-    prompter = Prompter(colors=RED, finds_flights=False)
+    prompter = Prompter(colors=RED)
     extractor = PixelFeatureExtractor(ColorThreshold(RED), prompter, camera=CAMERA, waits=True)
     return list(follow(ticks(), extractor, begin))
 

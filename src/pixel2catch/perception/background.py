@@ -2,33 +2,30 @@
 
 from dataclasses import replace
 from functools import partial
-from math import hypot, inf, isinf, log
+from itertools import product
+from math import hypot, inf, pi
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
 from pixel2catch.perception.color import Appearance
-from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground, Motion, grown, regions
+from pixel2catch.perception.foreground import INNER, LEARNING_IMAGES, grown, prompted, regions, sharpened
 from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
     Image,
     Mask,
+    Motion,
     Prompt,
     Segmentation,
     Segmenter,
 )
 
-INNER = 0.8
-"""Share of the width and height of a prompted box in which the object's colours are learned. Source: ours."""
-
 LARGEST_GROWTH, LEAST_SHARE = 2.0, 0.5
-"""How many times larger or smaller than before the object may be; where the robot may hide a part of it, any
-times smaller. Source: ours."""
-
-LEAST_MOVING = 0.2
-"""Share of a prompted object that differs from the background, below which it was taken for background."""
+"""How many times larger or smaller than before the object may be; where the robot or the image's edge may
+hide a part of it, any times smaller. Source: ours."""
 
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
@@ -37,8 +34,13 @@ LARGEST_RATIO = 4.0
 """Largest factor between the area of what was lost and of a flight that is taken for it, either way.
 Source: ours: half or twice as far from the camera."""
 
-AREA_MEMORY = 0.7
-"""Weight of what the object's area was before, in every image. Source: ours."""
+SIZE_MEMORY = np.array((0.5, 0.5, 0.7))
+"""Largest weight of what the object's width, height and area were before, in every image. Source: ours."""
+
+AREA_WEIGHT = 0.6
+"""How much a change of the area counts beside one of the sides.
+
+Source: ours; the area is less sure where the object is as bright as what is behind it."""
 
 NEAR = 10.0
 """How far from the object things that stand still have colours that it could be confused with [px].
@@ -53,6 +55,9 @@ LEAST_SPEED, NUM_FRESH = 3.0, LEARNING_IMAGES // 3
 yet, so that what differs in nothing from the background is not the object. Source: ours."""
 
 
+Size = Float[np.ndarray, "3"]  #: Width, height [px] and area [px²].
+
+
 class BackgroundSubtraction(Segmenter):
     """Follows what has the object's colours, or moves, near to where the object should be; needs no weights.
 
@@ -61,15 +66,16 @@ class BackgroundSubtraction(Segmenter):
     robot. An object without colours of its own is followed by its motion alone. It never becomes background.
     """
 
+    uses_motion = True
+
     def __init__(self) -> None:
-        """Know neither background nor object."""
-        self._foreground = Foreground()
+        """Know no object."""
         self._track: ImageTrack | None = None
-        self._appearance, self._area, self._num_still = Appearance(), inf, inf
-        self._kept: Mask | None = None
+        self._appearance, self._num_still = Appearance(), inf
+        self._size: Size | None = None
         self._later: partial[None] | None = None
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """Begin at the prompt, whose colours are learned if it is a box: see `Segmenter.start`.
 
         What only flies is passed by where it does not resemble what was followed before.
@@ -77,123 +83,129 @@ class BackgroundSubtraction(Segmenter):
         self.settle()
         guess = prompt.box if isinstance(prompt, BoxPrompt) and prompt.is_guess else None
         if self._track is not None and guess is not None and not self._resembles(image, guess):
-            return self.track(image, ignored)
+            return self.track(image, motion)
         self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
-        self._area, self._num_still, self._kept = inf, inf, None
-        return self._sure(self._follow(image, ignored, prompt))
+        self._size, self._num_still = None, inf
+        return self._follow(motion, prompt)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.track`."""
         self.settle()
-        return self._sure(self._follow(image, ignored, None))
+        return self._follow(motion, None)
 
     def settle(self) -> None:
-        """See `Segmenter.settle`: learn background and colours."""
-        self._foreground.settle()
+        """See `Segmenter.settle`: learn the colours."""
         later, self._later = self._later, None
         if later:
             later()
 
     def reset(self) -> None:
         """See `Segmenter.reset`."""
-        self._track = self._kept = None
+        self._track = None
 
-    def _sure(self, segmentation: Segmentation) -> Segmentation:
-        """The same, with what speaks against it."""
-        return replace(segmentation, doubt=self._foreground.weakness or "")
-
-    def _follow(self, image: Image, ignored: Mask | None, prompt: Prompt | None) -> Segmentation:
+    def _follow(self, motion: Motion | None, prompt: Prompt | None) -> Segmentation:
         """Find the object in the next image, in which it is where a prompt says, if there is one."""
-        motion = self._foreground.step(image, ignored, self._kept)
+        assert motion is not None
         if self._track is None:
-            return NOT_FOUND
-        image, maybe = motion.image, None
+            return replace(NOT_FOUND, doubt=motion.doubt)
+        maybe = None
         if isinstance(prompt, BoxPrompt):
-            inside, maybe = _prompted(prompt.box, image)
-            self._area = inf if _is_cut(maybe) else float(inside.sum()) / INNER**2
-            if motion.moving[inside].sum() < LEAST_MOVING * inside.sum():
-                self._foreground.forget(maybe)
-                motion = replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
-            self._learn(image, inside, maybe, motion, ignored)
-        is_first = isinf(self._area)
-        blobs, blob = self._object(image, motion, self._track, maybe)
+            inside, maybe = prompted(prompt.box, motion.image)
+            self._size = None if _is_cut(maybe) else _prompted_size(prompt.box)
+            self._learn(motion, inside, maybe)
+        blobs, blob = self._object(motion, self._track, maybe)
         self._track, segmentation = self._track.advanced(blobs, blob)
-        mask = segmentation.mask
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
-        self._kept = None if mask is None else grown(mask, GAP)
-        if blob is not None and mask is not None and not _overlap(mask, motion.unknown):
-            if not _is_cut(mask):
-                self._area = (
-                    blob.area if is_first else AREA_MEMORY * self._area + (1 - AREA_MEMORY) * blob.area
-                )
-            self._later = partial(self._learn, image, mask, grown(mask, GAP), motion, ignored)
-        return segmentation
+        if blob is not None and not _overlap(mask := blob.mask(), motion.unknown):
+            is_told = maybe is not None and bool(
+                (mask == maybe).all()
+            )  # the box, whose area is not the object's
+            if not (is_told or _is_cut(mask)):
+                self._resize(blob, self._track.num_seen)
+            self._later = partial(self._learn, motion, mask, grown(mask, GAP))
+        return replace(segmentation, doubt=motion.doubt)
 
     def _object(
-        self, image: Image, motion: Motion, track: ImageTrack, within: Mask | None
+        self, motion: Motion, track: ImageTrack, within: Mask | None
     ) -> tuple[list[Blob], Blob | None]:
         """The region of the object's colours, else of less, else whatever moves.
 
         A whole thing that moves, its part with the object's and new colours, or with the object's alone:
         that is taken which continues the size, so that no hand is added and no blurred rim cut off; one that
-        is far off, where another thing of this size may move, only if none is near.
+        is far off, where another thing of this size may move, only if none is near. Where a person's box is
+        all that is known, the object may fill little of it, as a cross does.
 
         Args:
-            image: The image.
-            motion: What moves in it.
+            motion: What moves in the image.
             track: Where the object should be.
             within: Where a person says that it is; None without a prompt.
 
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alone, whole, alike = self._resembling(image, motion, track)
-        for masks in ((alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)):
+        alone, whole, alike = self._resembling(motion, track)
+        choices = (alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)
+        leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
+        for least, masks in product(leasts, choices):
             found = []
             for mask in masks:
                 blobs = regions(mask if within is None else mask & within)
-                blob = self._first(track, blobs, motion, is_alike=mask is not motion.moving)
+                blob = self._first(track, blobs, motion, least, is_alike=mask is not motion.moving)
                 found += [(blobs, blob)] if blob else []
             if found:
                 return min(found, key=lambda each: (track.is_far(each[1]), self._change(each[1])))
         blobs = regions(alike if within is None else within)
         return blobs, None if within is None else next(iter(blobs), None)
 
-    def _first(self, track: ImageTrack, blobs: list[Blob], motion: Motion, *, is_alike: bool) -> Blob | None:
+    def _first(
+        self, track: ImageTrack, blobs: list[Blob], motion: Motion, least: float, *, is_alike: bool
+    ) -> Blob | None:
         """The likeliest region that fits; where colours of its own are missing, only where it should be."""
         anywhere = is_alike or self._appearance.own_share < LEAST_KNOWN
         likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
-        return next((blob for blob in likely if self._fits(blob, motion.unknown)), None)
+        return next((blob for blob in likely if self._fits(blob, motion.unknown, least)), None)
 
     def _change(self, blob: Blob) -> float:
-        """How far the size of a region is from that of the object, as a logarithm."""
-        return abs(log(blob.area / self._area)) if self._area < inf else 0.0
+        """How far a region's sides, or its area, whatever is more, are from the object's, as logarithms."""
+        if self._size is None:
+            return 0.0
+        width, height, area = np.abs(np.log(_size(blob) / self._size)).tolist()
+        return max(width + height, AREA_WEIGHT * area)
+
+    def _resize(self, blob: Blob, num_seen: int) -> None:
+        """Learn the size of the object, seen so often, as a mean in which later images count more."""
+        if self._size is None:
+            self._size = _size(blob)
+            return
+        memory = np.minimum(SIZE_MEMORY, num_seen / (num_seen + 1.0))
+        self._size = memory * self._size + (1.0 - memory) * _size(blob)
 
     @property
     def _is_fresh(self) -> bool:
         """Whether the object moved so lately that it is no background yet."""
         return self._num_still < NUM_FRESH
 
-    def _fits(self, blob: Blob, unknown: Mask) -> bool:
-        """Whether a region has the object's size, or less where the robot may hide a part of it."""
-        if isinf(self._area):
+    def _fits(self, blob: Blob, unknown: Mask, least: float) -> bool:
+        """Whether a region has the object's area, or less where robot or image's edge may hide a part."""
+        if self._size is None:
             return True
-        is_large = blob.area >= LEAST_SHARE * self._area
-        return blob.area <= LARGEST_GROWTH * self._area and (is_large or _overlap(blob.mask(), unknown))
+        share = blob.area / float(self._size[2])
+        mask = blob.mask()
+        return share <= LARGEST_GROWTH and (share >= least or _is_cut(mask) or _overlap(mask, unknown))
 
-    def _resembling(self, image: Image, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask, Mask]:
+    def _resembling(self, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask, Mask]:
         """Things that move and have the object's colours; these with new colours; these alone.
 
         In reach of where the object should be and a little further: what is out of reach now may be in reach
         in the next image, and is known for another thing then. What differs in nothing from a background that
         is known is not the object.
         """
-        alone, whole, alike = (np.zeros(image.shape[:2], dtype=bool) for _ in range(3))
+        alone, whole, alike = (np.zeros_like(motion.moving) for _ in range(3))
         reach = track.reach + REACH
-        window = _window((track.center, track.expected), reach, image)
-        has_colors, is_new = self._appearance.compare(image[window])
-        sharp = motion.sharpened(window)
+        window = _window((track.center, track.expected), reach, motion.image)
+        has_colors, is_new = self._appearance.compare(motion.image[window])
+        sharp = sharpened(motion, window)
         extended = _extended(has_colors, is_new & motion.moving[window])
         changed = sharp | motion.unknown[window]
         alone[window] = _extended(has_colors & sharp, sharp)
@@ -202,19 +214,20 @@ class BackgroundSubtraction(Segmenter):
 
     def _resembles(self, image: Image, box: tuple[float, float, float, float]) -> bool:
         """Whether what fills a box has the size of what was followed, and its colours if it has any."""
-        inside, _ = _prompted(box, image)
+        inside, _ = prompted(box, image)
         area = float(inside.sum()) / INNER**2
-        if self._area < inf and not 1 / LARGEST_RATIO <= area / self._area <= LARGEST_RATIO:
+        if self._size is not None and not 1 / LARGEST_RATIO <= area / self._size[2] <= LARGEST_RATIO:
             return False
         has_colors, _ = self._appearance.compare(cv2.blur(image, (3, 3)))
         least = LEAST_KNOWN * self._appearance.own_share
         return bool(has_colors[inside].sum() >= least * inside.sum())
 
-    def _learn(self, image: Image, mask: Mask, maybe: Mask, motion: Motion, ignored: Mask | None) -> None:
+    def _learn(self, motion: Motion, mask: Mask, maybe: Mask) -> None:
         """Learn the colours of the object, and of what it could be confused with.
 
         That is what is ignored, what else moves, and, unless the object moves, what stands beside it.
         """
+        image, ignored = motion.image, motion.ignored
         left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
         if not width:
             return
@@ -229,6 +242,16 @@ class BackgroundSubtraction(Segmenter):
         if not self._is_fresh:
             others.append(image[near][~motion.moving[near] & ~maybe[near]])
         self._appearance.learn(image[box][mask[box]], np.concatenate(others))
+
+
+def _size(blob: Blob) -> Size:
+    return np.array((blob.width, blob.height, blob.area), dtype=float)
+
+
+def _prompted_size(box: tuple[float, float, float, float]) -> Size:
+    """The size of an ellipse that fills a box."""
+    width, height = max(box[2] - box[0], 1.0), max(box[3] - box[1], 1.0)
+    return np.array((width, height, 0.25 * pi * width * height))
 
 
 def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> tuple[slice, slice]:
@@ -257,13 +280,3 @@ def _extended(mask: Mask, more: Mask) -> Mask:
     is_own = own >= LEAST_KNOWN * np.bincount(labels.ravel())
     is_own[0] = False
     return is_own[labels.astype(np.intp)]
-
-
-def _prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask, Mask]:
-    """Where the object surely is, the ellipse that fills `INNER` of a box, and where it may be, the box."""
-    xmin, ymin, xmax, ymax = box
-    rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
-    across = (columns + 0.5 - 0.5 * (xmin + xmax)) / max(0.5 * (xmax - xmin), 1.0)
-    down = (rows + 0.5 - 0.5 * (ymin + ymax)) / max(0.5 * (ymax - ymin), 1.0)
-    inside = across**2 + down**2 <= INNER**2
-    return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)

@@ -8,7 +8,7 @@ from jaxtyping import Float32, Int, UInt8
 
 from pixel2catch.errors import PerceptionError
 from pixel2catch.perception.image_track import SPECK, ImageTrack, find_blobs
-from pixel2catch.perception.segmenter import NOT_FOUND, Image, Mask, Prompt, Segmentation, Segmenter
+from pixel2catch.perception.segmenter import NOT_FOUND, Image, Mask, Motion, Prompt, Segmentation, Segmenter
 
 Colors = UInt8[np.ndarray, "_ 3"]  #: Red, green and blue of some pixels.
 
@@ -64,13 +64,13 @@ class ColorThreshold(Segmenter):
         self._colors = colors
         self._track: ImageTrack | None = None
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """Begin at the prompt: see `Segmenter.start`."""
         self._track = ImageTrack(center=prompt.center)
-        return self.track(image, ignored)
+        return self.track(image)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
-        """See `Segmenter.track`; colour needs no motion, so nothing is ignored."""
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
+        """See `Segmenter.track`."""
         if self._track is None:
             return NOT_FOUND
         blobs = find_blobs(self._colors.mask(image))

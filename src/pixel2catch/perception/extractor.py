@@ -18,6 +18,7 @@ from torch import Tensor
 
 from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.foreground import Foreground
 from pixel2catch.perception.image_track import find_blobs
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, is_jump, judge
 from pixel2catch.perception.prompt import Prompter
@@ -49,45 +50,39 @@ class ExtractorCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Extraction:
-    """What a control step knows of the object: the box for the policy, the rest for log and safety."""
+class Finding:
+    """What became of one image."""
 
-    box: Float[Tensor, "1 4"]  #: `Measurement.box` of training [px]; zeros before the first detection.
-    #: That of the step before; the first box of a throw stands for its predecessor, as at the beginning of an
-    #: episode.
-    before: Float[Tensor, "1 4"]
-    camera: CameraSpec = RGB_CAMERA  #: What they are seen with.
-    verdict: Verdict  #: What became of the image; only `SEEN` gives a new box.
-    is_valid: bool  #: Whether the object was seen in this throw.
-    is_fresh: bool  #: Whether the box is no older than those of training.
-    age: float  #: Time since the image of the box [s]; infinite before the first detection.
-    score: float  #: The segmenter's score of this image, on its own scale; 0 where it was not asked.
-    num_skipped: int  #: Control steps without an image since the last: so many too many are in differences.
-    mask: Mask | None  #: The object's pixels, where it was seen.
-    message: str  #: What went wrong with an image that could not be used.
+    verdict: Verdict  #: Only `SEEN` gives a new box.
+    score: float = 0.0  #: The segmenter's score of this image, on its own scale; 0 where it was not asked.
+    mask: Mask | None = None  #: The object's pixels, where it was seen.
+    box: Float[Tensor, "1 4"] | None = None  #: About them [px].
+    message: str = ""  #: What went wrong with an image that could not be used.
     #: Whether the box does not continue the one before it: no thrown object moves so.
     is_elsewhere: bool = False
     source: str = ""  #: Which of several segmenters was believed, see `Segmentation`.
     doubt: str = ""  #: What speaks against it, see `Segmentation`.
 
+
+@dataclass(frozen=True, kw_only=True)
+class Extraction(Finding):
+    """What a control step knows of the object: the box for the policy, the rest for log and safety."""
+
+    #: `Measurement.box` of training [px]; zeros before the first detection.
+    box: Float[Tensor, "1 4"] = field(default_factory=lambda: torch.zeros(1, 4))
+    #: That of the step before; the first box of a throw stands for its predecessor, as at the beginning of an
+    #: episode.
+    before: Float[Tensor, "1 4"]
+    camera: CameraSpec = RGB_CAMERA  #: What they are seen with.
+    is_valid: bool  #: Whether the object was seen in this throw.
+    is_fresh: bool  #: Whether the box is no older than those of training.
+    age: float  #: Time since the image of the box [s]; infinite before the first detection.
+    num_skipped: int  #: Control steps without an image since the last: so many too many are in differences.
+
     @cached_property
     def features(self) -> Float[Tensor, "1 8"]:
         """The pixel features of the box and that of the step before, for show."""
         return pixel_features(self.before, self.box, self.camera)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Finding:
-    """What became of one image: fields of `Extraction`."""
-
-    verdict: Verdict
-    score: float = 0.0
-    mask: Mask | None = None
-    box: Float[Tensor, "1 4"] | None = None
-    message: str = ""
-    is_elsewhere: bool = False
-    source: str = ""
-    doubt: str = ""
 
 
 @dataclass(kw_only=True)
@@ -116,7 +111,7 @@ class TrackState:
             return 0
         return max(round((stamp - self.image_stamp) / CONTROL_DT) - 1, 0)
 
-    def count(self, finding: _Finding, stamp: float, ignored: Mask | None) -> None:
+    def count(self, finding: Finding, stamp: float, ignored: Mask | None) -> None:
         """Take over what was found in an image of this time; where nothing was, the box is held."""
         if finding.box is None:
             self.num_lost += 1
@@ -187,7 +182,7 @@ class PixelFeatureExtractor:
         self.clock = StageClock()  #: How long each stage took.
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
         self._camera, self._cfg = camera, cfg or ExtractorCfg()
-        self._state = TrackState()
+        self._foreground, self._state = Foreground(), TrackState()
         self._is_checked, self._has_begun = False, not waits
 
     def reset(self) -> None:
@@ -199,7 +194,7 @@ class PixelFeatureExtractor:
     def settle(self) -> None:
         """See `Segmenter.settle`."""
         self._segmenter.settle()
-        self._prompter.settle()
+        self._foreground.settle()
 
     def step(self, frame: CameraFrame | None, now: float) -> Extraction:
         """Process the newest image; call it once in every control step, by the clock of the stamps [s].
@@ -216,28 +211,21 @@ class PixelFeatureExtractor:
             finding = self._look(frame)
         age = now - state.box_stamp
         return Extraction(
-            box=state.box,
+            **{**vars(finding), "box": state.box},
             before=state.box if before is None else before,
             camera=self._camera,
-            verdict=finding.verdict,
             is_valid=state.is_valid,
             is_fresh=age <= LARGEST_AGE,
             age=age,
-            score=finding.score,
             num_skipped=num_skipped,
-            mask=finding.mask,
-            message=finding.message,
-            is_elsewhere=finding.is_elsewhere,
-            source=finding.source,
-            doubt=finding.doubt,
         )
 
-    def _look(self, frame: CameraFrame | None) -> _Finding:
+    def _look(self, frame: CameraFrame | None) -> Finding:
         """Look at an image, if it is one and a new one."""
         if frame is None:
-            return _Finding(verdict=Verdict.NO_IMAGE)
+            return Finding(verdict=Verdict.NO_IMAGE)
         if not frame.stamp > self._state.image_stamp:
-            return _Finding(verdict=Verdict.REPEATED)
+            return Finding(verdict=Verdict.REPEATED)
         problem = Verdict.BAD_IMAGE
         try:
             check_image(frame.image, self._camera.width, self._camera.height)
@@ -246,11 +234,11 @@ class PixelFeatureExtractor:
         except PerceptionError as error:
             if not self._is_checked:
                 raise
-            finding = _Finding(verdict=problem, message=str(error))
+            finding = Finding(verdict=problem, message=str(error))
         self._state.image_stamp = frame.stamp
         return finding
 
-    def _find(self, frame: CameraFrame) -> _Finding:
+    def _find(self, frame: CameraFrame) -> Finding:
         """Find the object in an image of the camera's size."""
         ignored = None
         if self._robot is not None and frame.joint_pos is not None:
@@ -268,30 +256,35 @@ class PixelFeatureExtractor:
         """Follow the object, or begin to where it is unknown or lost and the prompter knows."""
         state = self._state
         is_lost = state.num_lost >= self._cfg.patience and not state.is_at_robot
-        if is_lost or not state.is_pointed_out:
-            prompt = self._prompter.look(image, ignored)
-            if prompt is not None and self._has_begun:
-                state.is_pointed_out, state.is_continued, state.num_lost = True, False, 0
-                return self._segmenter.start(image, prompt, ignored)
-        return self._segmenter.track(image, ignored)
+        is_asked = is_lost or not state.is_pointed_out
+        if not (is_asked or self._segmenter.uses_motion):
+            return self._segmenter.track(image)
+        motion = self._foreground.step(image, ignored)
+        prompt = self._prompter.look(image, motion) if is_asked else None
+        if prompt is not None and self._has_begun:
+            state.is_pointed_out, state.is_continued, state.num_lost = True, False, 0
+            motion = self._foreground.reveal(motion, prompt)
+            segmentation = self._segmenter.start(image, prompt, motion)
+        else:
+            segmentation = self._segmenter.track(image, motion)
+        self._foreground.keep(segmentation.mask)
+        return segmentation
 
-    def _judged(self, segmentation: Segmentation, stamp: float) -> _Finding:
+    def _judged(self, segmentation: Segmentation, stamp: float) -> Finding:
         """The box of a segmentation, unless something speaks against it."""
         state, score, cfg = self._state, segmentation.score, self._cfg.plausibility
         if segmentation.mask is None:
             missing = Verdict.NOT_FOUND if state.is_pointed_out else Verdict.NO_PROMPT
-            return _Finding(verdict=missing, score=score)
+            return Finding(verdict=missing, score=score)
         blobs = find_blobs(segmentation.mask)
         if not blobs:
-            return _Finding(verdict=Verdict.TOO_SMALL, score=score)
+            return Finding(verdict=Verdict.TOO_SMALL, score=score)
         box = torch.tensor([blobs[0].box])
         verdict = judge(cfg, self._camera, box, blobs[0].area)
         if verdict is not Verdict.SEEN:
-            return _Finding(verdict=verdict, score=score)
+            return Finding(verdict=verdict, score=score)
         is_far = state.is_valid and is_jump(cfg, box, state.box, (stamp - state.box_stamp) / CONTROL_DT)
         if is_far and state.is_continued:
-            return _Finding(verdict=Verdict.JUMP, score=score)
+            return Finding(verdict=Verdict.JUMP, score=score)
         is_elsewhere = is_far or state.has_jumped
-        return _Finding(
-            verdict=verdict, score=score, mask=blobs[0].mask(), box=box, is_elsewhere=is_elsewhere
-        )
+        return Finding(verdict=verdict, score=score, mask=blobs[0].mask(), box=box, is_elsewhere=is_elsewhere)

@@ -1,7 +1,7 @@
 """What differs from a learned background, in whatever light: where it moves, and where its edges are."""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from math import log
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pixel2catch.perception.image_track import GAP, SPECK, Blob, find_blobs
-from pixel2catch.perception.segmenter import Image, Mask
+from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt
 
 MEMORY = 100
 """Images that the background is the mean of. Source: ours: 3 s at 30 Hz."""
@@ -48,31 +48,11 @@ EDGE = 0.3
 around it, and no more than half, where the edge of a blurred thing is."""
 BRIGHT = 80.0  #: Percentile of the differences in a region that is that inside: its rim is less.
 
+INNER = 0.8
+"""Share of the width and height of a prompted box in which the object surely is. Source: ours."""
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """What an image shows of motion.
-
-    Attributes:
-        image: The image, smoothed, in the light of the background.
-        difference: How far each pixel is from the background, in its worst channel.
-        moving: Which pixels differ from the background.
-        unknown: In which pixels that cannot be told, but for the smoothed rim of what is ignored.
-    """
-
-    image: Image
-    difference: UInt8[np.ndarray, "height width"]
-    moving: Mask
-    unknown: Mask
-
-    def sharpened(self, window: tuple[slice, slice]) -> Mask:
-        """What moves in a part of the image, each thing up to where it differs much less than inside."""
-        difference, sharp = self.difference[window], np.zeros_like(self.moving[window])
-        for blob in regions(self.moving[window]):
-            inside = blob.mask()
-            level = EDGE * float(np.percentile(difference[inside], BRIGHT))
-            sharp |= inside & (difference >= level)
-        return closed(sharp)
+LEAST_MOVING = 0.2
+"""Share of a prompted object that differs from the background, below which it was taken for background."""
 
 
 class Weakness(StrEnum):
@@ -97,12 +77,12 @@ class Foreground:
     background, and neither is what it uncovers taken for an object.
     """
 
-    def __init__(self, learning_images: int = 1) -> None:
-        """Know no background, and say nothing before so many images of it."""
-        self._learning_images = learning_images
+    def __init__(self) -> None:
+        """Know no background."""
         self._mean = np.empty((0, 0, 3), dtype=np.float32)
         self._num_images = 0
         self._later: partial[None] | None = None
+        self._kept: Mask | None = None
         self._light: deque[float] = deque(maxlen=FLICKER_IMAGES + 1)
 
     @property
@@ -113,14 +93,8 @@ class Foreground:
         is_unsteady = len(self._light) > FLICKER_IMAGES and np.median(np.abs(np.diff(self._light))) > FLICKER
         return Weakness.FLICKER if is_unsteady else None
 
-    def step(self, image: Image, ignored: Mask | None, kept: Mask | None = None) -> Motion:
-        """Learn the next image, but for pixels that do not belong to the scene; None for no such pixel.
-
-        Args:
-            image: The image.
-            ignored: Where nothing is known of the scene.
-            kept: Where what differs stays foreground however long it stands still.
-        """
+    def step(self, image: Image, ignored: Mask | None) -> Motion:
+        """Learn the next image, but for pixels in which motion means nothing; None for no such pixel."""
         self.settle()
         smooth = cv2.blur(image, (3, 3))
         if self._mean.shape != image.shape:
@@ -134,16 +108,21 @@ class Foreground:
         _replace(self._mean, smooth, first)
         _replace(self._background, smooth, first)
         known = counted.view(bool) & (self._num_seen >= min(self._num_images - 1, LEARNING_IMAGES))
-        if self._num_images < self._learning_images:
-            known[:] = False
         difference = _difference(smooth, self._background)
         noise = DEVIATIONS * float(np.median(difference[::SAMPLING, ::SAMPLING]))
         least = min(round(max(noise, LEAST_DIFFERENCE)), 255)
         differs = (difference > self._tolerance) & (difference > least)
         moving = opened(differs) & known
-        self._later = partial(self._learn, smooth, difference, differs & known, counted, kept)
+        self._later = partial(self._learn, smooth, difference, differs & known, counted)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
-        return Motion(image=smooth, difference=difference, moving=moving, unknown=unknown)
+        return Motion(
+            image=smooth,
+            difference=difference,
+            moving=moving,
+            unknown=unknown,
+            ignored=ignored,
+            doubt=self.weakness or "",
+        )
 
     def settle(self) -> None:
         """Learn from the last image, which its motion need not wait for; the next image does so first."""
@@ -151,10 +130,20 @@ class Foreground:
         if later:
             later()
 
-    def forget(self, mask: Mask) -> None:
-        """Know nothing of some pixels: what was taken for background is the object."""
+    def keep(self, mask: Mask | None) -> None:
+        """The object's pixels in the last image, which stay foreground however long it stands still."""
+        self._kept = None if mask is None else grown(mask, GAP)
+
+    def reveal(self, motion: Motion, prompt: Prompt) -> Motion:
+        """The motion in the last image, unknown where a person's box holds what was background so far."""
+        if not isinstance(prompt, BoxPrompt) or prompt.is_guess:
+            return motion
+        inside, maybe = prompted(prompt.box, motion.image)
+        if motion.moving[inside].sum() >= LEAST_MOVING * inside.sum():
+            return motion
         self.settle()
-        self._num_seen[mask] = 0
+        self._num_seen[maybe] = 0
+        return replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
 
     def _begin(self, image: Image) -> None:
         shape = image.shape[:2]
@@ -175,12 +164,10 @@ class Foreground:
         self._light.append(log(gain))
         return image if abs(gain - 1.0) < LEAST_GAIN else cv2.convertScaleAbs(image, alpha=1.0 / gain)
 
-    def _learn(
-        self, image: Image, difference: np.ndarray, differs: Mask, counted: np.ndarray, kept: Mask | None
-    ) -> None:
+    def _learn(self, image: Image, difference: np.ndarray, differs: Mask, counted: np.ndarray) -> None:
         """Learn what does not differ, and what has stood still for long."""
         differs = grown(differs, SPECK)
-        free = counted if kept is None else counted * ~kept
+        free = counted if self._kept is None else counted * ~self._kept
         left, top, width, height = cv2.boundingRect(differs.view(np.uint8))
         part = slice(top, top + height), slice(left, left + width)
         num_still = np.zeros_like(self._num_still)
@@ -197,6 +184,26 @@ class Foreground:
         self._last = image  # and what the next image is compared with, before it comes
         self._background = cv2.convertScaleAbs(self._mean)
         self._tolerance = cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS)
+
+
+def sharpened(motion: Motion, window: tuple[slice, slice]) -> Mask:
+    """What moves in a part of the image, each thing up to where it differs much less than inside."""
+    difference, sharp = motion.difference[window], np.zeros_like(motion.moving[window])
+    for blob in regions(motion.moving[window]):
+        inside = blob.mask()
+        level = EDGE * float(np.percentile(difference[inside], BRIGHT))
+        sharp |= inside & (difference >= level)
+    return closed(sharp)
+
+
+def prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask, Mask]:
+    """Where the object surely is, the ellipse that fills `INNER` of a box, and where it may be, the box."""
+    xmin, ymin, xmax, ymax = box
+    rows, columns = np.ogrid[: image.shape[0], : image.shape[1]]
+    across = (columns + 0.5 - 0.5 * (xmin + xmax)) / max(0.5 * (xmax - xmin), 1.0)
+    down = (rows + 0.5 - 0.5 * (ymin + ymax)) / max(0.5 * (ymax - ymin), 1.0)
+    inside = across**2 + down**2 <= INNER**2
+    return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)
 
 
 def regions(mask: Mask) -> list[Blob]:

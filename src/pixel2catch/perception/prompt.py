@@ -1,15 +1,13 @@
 """What says which of all the things in an image is the object: a person, its colour, or its flight."""
 
-from dataclasses import replace
 from itertools import product
 
-import cv2
 import numpy as np
 
 from pixel2catch.perception.color import ColorRange
-from pixel2catch.perception.foreground import LEARNING_IMAGES, Foreground
-from pixel2catch.perception.image_track import GAP, LARGEST_CHANGE, Blob, find_blobs
-from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Prompt
+from pixel2catch.perception.foreground import Weakness, closed
+from pixel2catch.perception.image_track import LARGEST_CHANGE, Blob, find_blobs
+from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt
 
 Region = tuple[float, float, float, float]
 """xmin, ymin, xmax, ymax [px]."""
@@ -26,8 +24,8 @@ class Prompter:
     """Looks for the object; asked about one image after the other until it is found, and when it is lost.
 
     Preferred is a box or a click by a person, best while the object is held still; then the largest thing of
-    its colour; then what flies: of an object's size, and moved twice by about the same. Flights are found in
-    the foreground, which takes some images of the background before.
+    its colour; then what flies: of an object's size, and moved twice by about the same. Flights are found
+    once the background was seen for a second.
     """
 
     def __init__(
@@ -36,7 +34,6 @@ class Prompter:
         *,
         colors: ColorRange | None = None,
         region: Region | None = None,
-        finds_flights: bool = True,
     ) -> None:
         """Begin before the first throw.
 
@@ -44,11 +41,9 @@ class Prompter:
             prompt: Where the object is when a throw begins, such as on a stand; None if a person says so.
             colors: The object's colours, if they are known.
             region: Where it may be found by colour or flight; the whole image if absent.
-            finds_flights: Whether a flight points it out.
         """
         self._usual = prompt
         self._colors, self._region = colors, region
-        self._foreground = Foreground(LEARNING_IMAGES) if finds_flights else None
         self.reset()
 
     def reset(self) -> None:
@@ -56,24 +51,19 @@ class Prompter:
         self._given = self._usual
         self._before: tuple[list[Blob], list[Blob]] = ([], [])
 
-    def settle(self) -> None:
-        """See `Segmenter.settle`."""
-        if self._foreground:
-            self._foreground.settle()
-
     def give(self, prompt: Prompt) -> None:
         """Point the object out in the next image, once."""
         self._given = prompt
 
-    def look(self, image: Image, ignored: Mask | None = None) -> Prompt | None:
+    def look(self, image: Image, motion: Motion | None = None) -> Prompt | None:
         """Return where the object is, or None where it is not known yet.
 
         Args:
             image: The newest image.
-            ignored: Pixels in which motion means nothing, such as those of the robot; None for no such pixel.
+            motion: What moves in it; None if nothing does.
         """
         given, self._given = self._given, None
-        flying = self._flying(image, ignored)  # looks at every image, because it learns
+        flying = self._flying(motion)  # looks at every image, because it remembers two
         return given or self._colored(image) or flying
 
     def _colored(self, image: Image) -> BoxPrompt | None:
@@ -81,20 +71,19 @@ class Prompter:
         if self._colors is None:
             return None
         blobs = find_blobs(_within(self._colors.mask(image), self._region))
-        return next((_box(blob) for blob in blobs if blob.is_plausible), None)
+        return next((BoxPrompt(box=blob.box) for blob in blobs if blob.is_plausible), None)
 
-    def _flying(self, image: Image, ignored: Mask | None) -> BoxPrompt | None:
+    def _flying(self, motion: Motion | None) -> BoxPrompt | None:
         """What flew in the last three images; a thrower's arm is longer than an object."""
-        if self._foreground is None:
+        if motion is None or motion.doubt == Weakness.FEW_IMAGES:
             return None
-        moving = self._foreground.step(image, ignored).moving
-        whole = cv2.morphologyEx(moving.view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
-        newest = [blob for blob in find_blobs(_within(whole, self._region)) if blob.is_plausible]
+        whole = _within(closed(motion.moving), self._region)
+        newest = [blob for blob in find_blobs(whole) if blob.is_plausible]
         oldest, middle = self._before
         self._before = (middle, newest)
         triples = product(newest, middle, oldest)
-        flying = next((_box(now) for now, *before in triples if _flies(now, *before)), None)
-        return flying and replace(flying, is_guess=True)
+        flying = (now for now, *before in triples if _flies(now, *before))
+        return next((BoxPrompt(box=blob.box, is_guess=True) for blob in flying), None)
 
 
 def _flies(now: Blob, before: Blob, oldest: Blob) -> bool:
@@ -114,8 +103,3 @@ def _within(mask: Mask, region: Region | None) -> Mask:
     part = np.zeros_like(mask)
     part[ymin:ymax, xmin:xmax] = mask[ymin:ymax, xmin:xmax]
     return part
-
-
-def _box(blob: Blob) -> BoxPrompt:
-    (u, v), half_width, half_height = blob.center, 0.5 * blob.width, 0.5 * blob.height
-    return BoxPrompt(box=(u - half_width, v - half_height, u + half_width, v + half_height))

@@ -28,7 +28,7 @@ from pixel2catch.perception.sam2_checkpoint import Sam2VideoInferenceSession, lo
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     Image,
-    Mask,
+    Motion,
     PointPrompt,
     Prompt,
     Segmentation,
@@ -75,7 +75,7 @@ class Sam2Segmenter(Segmenter):
     """Follows an object by its look, whatever else moves.
 
     Its memory is bounded: the prompted image and what the model reads of the latest ones. The score is the
-    model's probability that the object is in the image. Motion means nothing to it, so no pixels are ignored.
+    model's probability that the object is in the image. Motion means nothing to it.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class Sam2Segmenter(Segmenter):
         """Side of the square that the model sees [px]."""
         return cast("int", self._model.image_size)
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.start`. A session has one prompt, because the model never forgets one."""
         self._check(image)
         height, width, _ = image.shape
@@ -160,7 +160,7 @@ class Sam2Segmenter(Segmenter):
         self._session.obj_with_new_inputs = [OBJECT]
         return self._segment(self._session, image)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.track`."""
         self._check(image)
         if self._session is None:

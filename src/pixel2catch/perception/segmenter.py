@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -10,6 +11,27 @@ from pixel2catch.errors import PerceptionError
 
 Image = UInt8[np.ndarray, "height width 3"]  #: Red, green, blue; upper row first.
 Mask = Bool[np.ndarray, "height width"]  #: Which pixels of an image are meant.
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """What an image shows of motion.
+
+    Attributes:
+        image: The image, smoothed, in the light of the background.
+        difference: How far each pixel is from the background, in its worst channel.
+        moving: Which pixels differ from the background.
+        unknown: In which pixels that cannot be told, but for the smoothed rim of what is ignored.
+        ignored: In which pixels it means nothing, such as those of the robot; None for no such pixel.
+        doubt: Why it is less sure than usual; empty if it is not.
+    """
+
+    image: Image
+    difference: UInt8[np.ndarray, "height width"]
+    moving: Mask
+    unknown: Mask
+    ignored: Mask | None = None
+    doubt: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,26 +75,28 @@ NOT_FOUND = Segmentation(mask=None, score=0.0)
 class Segmenter(ABC):
     """Follows one object through a stream of images.
 
-    Every image of the stream goes once to `start` or to `track`, in order, so that a segmenter that learns
-    the background can do so before there is an object. All images have the size of the first. A segmenter
-    never changes an image or a mask that it was given, and never returns one that it changes later.
+    Every image of the stream goes once to `start` or to `track`, in order. All images have the size of the
+    first. A segmenter never changes an image or a mask that it was given, and never returns one that it
+    changes later.
     """
 
+    uses_motion: ClassVar[bool] = False  #: Whether it must be told what moves in each image.
+
     @abstractmethod
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """Begin to follow what the prompt points at; what was followed before is forgotten.
 
         Args:
             image: The image that the prompt belongs to.
             prompt: Where the object is.
-            ignored: Pixels in which motion means nothing, such as those of the robot; None for no such pixel.
+            motion: What moves in the image; None where `uses_motion` is false.
 
         Raises:
             PerceptionError: If the image is none, or of another size than those before.
         """
 
     @abstractmethod
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         """Find the object in the next image, see `start`; not found where nothing was started."""
 
     def settle(self) -> None:
@@ -81,7 +105,7 @@ class Segmenter(ABC):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget the object; what is known of the background stays."""
+        """Forget the object."""
 
 
 def check_image(image: np.ndarray, width: int, height: int) -> None:

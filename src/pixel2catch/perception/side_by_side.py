@@ -12,12 +12,13 @@ from enum import StrEnum
 
 import torch
 
-from pixel2catch.perception.image_track import Blob, find_blobs
+from pixel2catch.perception.image_track import Blob, ImageTrack, find_blobs
 from pixel2catch.perception.plausibility import PlausibilityCfg, is_jump
 from pixel2catch.perception.segmenter import (
     BoxPrompt,
     Image,
     Mask,
+    Motion,
     Prompt,
     Segmentation,
     Segmenter,
@@ -33,8 +34,6 @@ PATIENCE = 3
 
 LONGEST_WAIT = 0.6 * CONTROL_DT
 """Time that an image of a camera may take [s]. Source: ours: leaves a third for box, features and policy."""
-
-LONGEST_COAST = 3  #: Images that an unseen object is taken to go on as before. Source: ours.
 
 
 class Source(StrEnum):
@@ -57,33 +56,22 @@ class Doubt(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LastPlace:
+class LastPlace(ImageTrack):
     """Where the object was last, and how it moved."""
 
     box: tuple[float, float, float, float]  #: Its box there [px].
-    velocity: tuple[float, float] = (0.0, 0.0)  #: Of the middle of its box, in an image interval [px].
-    num_missed: int = 0  #: Images since then.
 
     @classmethod
     def of(cls, prompt: Prompt) -> "LastPlace":
         """Where a prompt says."""
         u, v = prompt.center
-        return cls(box=prompt.box if isinstance(prompt, BoxPrompt) else (u, v, u, v))
+        return cls(center=(u, v), box=prompt.box if isinstance(prompt, BoxPrompt) else (u, v, u, v))
 
-    @property
-    def expected(self) -> tuple[float, float]:
-        """Where the middle of its box should be in the next image [px]."""
-        steps = min(self.num_missed + 1, LONGEST_COAST)
-        (u, v), (du, dv) = BoxPrompt(box=self.box).center, self.velocity
-        return u + steps * du, v + steps * dv
-
-    def seen(self, blob: Blob | None) -> "LastPlace":
+    def after(self, blob: Blob | None) -> "LastPlace":
         """The place after the next image, in which it is this region, or none."""
         if blob is None:
             return replace(self, num_missed=self.num_missed + 1)
-        (u, v), steps = BoxPrompt(box=self.box).center, self.num_missed + 1
-        velocity = (blob.center[0] - u) / steps, (blob.center[1] - v) / steps
-        return LastPlace(box=blob.box, velocity=velocity)
+        return LastPlace(**vars(self.seen(blob.center)), box=blob.box)
 
     def likeliest(self, mask: Mask | None) -> Blob | None:
         """The largest region of a mask that can be the object in the next image; others are specks."""
@@ -104,6 +92,8 @@ class SideBySide(Segmenter):
     some images; from where it went wrong until both agree again, it is not believed alone.
     """
 
+    uses_motion = True
+
     def __init__(self, sam2: Segmenter, background: Segmenter, longest_wait: float | None = None) -> None:
         """Begin with no object; an image may take so long [s], or as long as SAM 2 takes (None)."""
         self._sam2, self._background, self._longest_wait = sam2, background, longest_wait
@@ -112,24 +102,24 @@ class SideBySide(Segmenter):
         self._last: LastPlace | None = None
         self._num_unbelieved, self._is_trusted = 0, True
 
-    def start(self, image: Image, prompt: Prompt, ignored: Mask | None = None) -> Segmentation:
+    def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.start`."""
         begin = time.perf_counter()
         self._tell(image, prompt)
         self._last, self._num_unbelieved, self._is_trusted = LastPlace.of(prompt), 0, True
-        other = self._background.start(image, prompt, ignored)
+        other = self._background.start(image, prompt, motion)
         return self._judged(image, self._last, other, begin, is_asked=True)
 
-    def track(self, image: Image, ignored: Mask | None = None) -> Segmentation:
+    def track(self, image: Image, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.track`; where SAM 2 still looks at an earlier image, this one passes it by."""
         begin = time.perf_counter()
         last = self._last
         if last is None:
-            return self._background.track(image, ignored)
+            return self._background.track(image, motion)
         is_asked = self._is_free()
         if is_asked:
             self._work = self._thread.submit(self._sam2.track, self._kept(image))
-        return self._judged(image, last, self._background.track(image, ignored), begin, is_asked=is_asked)
+        return self._judged(image, last, self._background.track(image, motion), begin, is_asked=is_asked)
 
     def settle(self) -> None:
         """See `Segmenter.settle`."""
@@ -179,7 +169,7 @@ class SideBySide(Segmenter):
         """Decide whom to believe, and go on from there."""
         seen = self._look(begin) if is_asked else Doubt.LATE
         belief = believe(last, seen, other.mask, is_trusted=self._is_trusted)
-        self._last = last.seen(belief.blob)
+        self._last = last.after(belief.blob)
         if seen is not Doubt.LATE:
             is_wrong = belief.source is Source.BACKGROUND
             self._num_unbelieved = self._num_unbelieved + 1 if is_wrong else 0

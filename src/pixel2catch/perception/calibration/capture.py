@@ -54,13 +54,19 @@ MOST_SHARE = 2.0  #: So many times the wanted images at most, whatever is not co
 
 
 @dataclass(frozen=True, kw_only=True)
-class Taken:
+class Candidate:
+    """A board in an image, about where it is."""
+
+    view: View  #: The corners.
+    turn: Rotation  #: Orientation of the board in the camera.
+    distance: float  #: Distance of the board [m].
+
+
+@dataclass(frozen=True, kw_only=True)
+class Taken(Candidate):
     """A view that was taken."""
 
     name: str  #: Name of its image.
-    view: View  #: The corners in it.
-    turn: Rotation  #: Orientation of the board in the camera.
-    distance: float  #: Distance of the board [m].
     joint_pos: Float[np.ndarray, " num_joints"]  #: Positions of the arm's joints [rad]; none of a video.
     palm: Rotation | None  #: Orientation of the palm in the world; None if it is not known.
 
@@ -72,15 +78,6 @@ class Taken:
         """
         right, down, _ = (-self.turn.as_matrix()[:, 2]).tolist()
         return float(np.arcsin(right)), float(np.arcsin(down))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """A board in an image, about where it is."""
-
-    view: View
-    turn: Rotation  #: Orientation of the board in the camera.
-    distance: float  #: Distance of the board [m].
 
 
 def located(view: View, matrix: np.ndarray) -> Candidate | None:
@@ -218,16 +215,7 @@ class Capture:
         joint_pos = np.zeros(0) if frame.joint_pos is None else frame.joint_pos
         content = cv2.imencode(".png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))[1].tobytes()
         write_atomically({self._folder / name: content})
-        self.taken.append(
-            Taken(
-                name=name,
-                view=found.view,
-                turn=found.turn,
-                distance=found.distance,
-                joint_pos=joint_pos,
-                palm=palm,
-            )
-        )
+        self.taken.append(Taken(**vars(found), name=name, joint_pos=joint_pos, palm=palm))
         text = io.StringIO()
         rows = [[each.name, *map(repr, each.joint_pos.tolist())] for each in self.taken]
         csv.writer(text).writerows([["image", *self._joints], *rows])
