@@ -38,7 +38,7 @@ class Laws:
         self.refusals_by = {fault: 0 for fault in Fault}
         self.num_clamps = 0
         #: Largest speed, acceleration and jerk of a command, as shares of its limit.
-        self.reached = dict.fromkeys(("speed", "acceleration", "jerk"), 0.0)
+        self.reached: dict[str, float] = dict.fromkeys(("speed", "acceleration", "jerk"), 0.0)
 
     def check(self, inputs: ServoInputs, output: Output) -> None:
         """Check a tick, and remember it."""
