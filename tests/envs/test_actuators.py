@@ -100,7 +100,7 @@ def test_one_law_in_the_environment_and_in_the_fit(physics_hz):
 
 
 def test_one_law_at_the_torque_limits():
-    """Jumps to and fro, at whose beginnings the arm's joints have no more than their torque."""
+    """Jumps there and back, at whose beginnings the arm's joints have no more than their torque."""
     scene = SceneCfg(physics_hz=600.0)
     jumps = HOME + np.where(np.arange(19) < 6, INWARDS * 0.25, 0.0) * (np.arange(36)[:, None] // 9 % 2)
     dynamics = IDENTIFIED.with_values(filter_gain=np.inf, filter_lookahead=0.0)
