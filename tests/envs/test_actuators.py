@@ -99,6 +99,17 @@ def test_one_law_in_the_environment_and_in_the_fit(physics_hz):
     np.testing.assert_allclose(environment, fit, atol=5e-6)
 
 
+def test_one_law_at_the_torque_limits():
+    """Jumps there and back, at whose beginnings the arm's joints have no more than their torque."""
+    scene = SceneCfg(physics_hz=600.0)
+    jumps = HOME + np.where(np.arange(19) < 6, INWARDS * 0.25, 0.0) * (np.arange(36)[:, None] // 9 % 2)
+    dynamics = IDENTIFIED.with_values(filter_gain=np.inf, filter_lookahead=0.0)
+    fit = recorded_path(scene, dynamics, jumps)[:, :6]
+    environment = world_path(scene, dynamics, jumps)[-len(fit) :, :6]
+    assert np.ptp(environment, axis=0).min() > 0.1
+    assert np.sqrt(((environment - fit) ** 2).mean(axis=0)).max() < 1.5e-3
+
+
 def test_a_path_without_latency_is_a_physics_step_behind_nominal_joints():
     """The ramp's speed times the step, less what the servo smooths; nominal joints go as they always went."""
     scene, ramp = SceneCfg(), HOME + INWARDS * 0.01 * np.arange(1, 31)[:, None]

@@ -65,7 +65,7 @@ def test_less_speed_is_gentler_everywhere():
 def test_what_cannot_be_drawn_is_refused():
     with pytest.raises(UnknownNameError, match="Did you mean 'ur5e'"):
         ExcitationCfg(robot="ur5")
-    with pytest.raises(InvalidValueError, match=r"speed is 1\.5; it must be above 0 and at most 1"):
+    with pytest.raises(InvalidValueError, match=r"speed is 1\.5; it must be greater than 0, and at most 1"):
         ExcitationCfg(speed=1.5)
     with pytest.raises(InvalidValueError, match="seed is -1"):
         ExcitationCfg(seed=-1)

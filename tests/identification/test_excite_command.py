@@ -76,7 +76,6 @@ def test_nothing_is_overwritten(option: str, tmp_path: Path, capsys: pytest.Capt
         (("--speed", 2), "speed is 2; it must be greater than 0, and at most 1"),
         (("--recordings", 0), "recordings is 0"),
         (("--seconds", 5), "seconds is 5; at this speed it must be at least"),
-        (("--noise", -1), "noise is -1"),
         (("--physics-hz", 0), "physics_hz is 0"),
         (("--dynamics", "nowhere.json"), "nowhere.json"),
     ],

@@ -154,7 +154,7 @@ def test_a_new_fit_may_know_less_than_an_earlier_one():
 
 
 def test_the_armature_of_a_stiff_joint_is_no_better_known_than_its_servo_s_cycle() -> None:
-    """0.4 ms of 200 N·m·s/rad are 0.08 kg·m², 40 % of an armature of 0.2.
+    """0.4 ms of 200 N·m·s/rad are 0.08 kg·m², 40 % of an armature of 0.2, and of its servo's torques.
 
     Links as heavy as that double the scale's 15 %, and add 15 % of their own.
     """
@@ -165,4 +165,13 @@ def test_the_armature_of_a_stiff_joint_is_no_better_known_than_its_servo_s_cycle
     )
     assert alone[1, 1] == pytest.approx(0.4**2 + 0.15**2)
     assert heavy[1, 1] == pytest.approx(0.4**2 + 0.3**2 + 0.15**2)
-    assert alone[0, 0] == pytest.approx(0.15**2)
+    assert alone[0, 0] == pytest.approx(0.4**2 + 0.15**2)
+    assert heavy[0, 0] == pytest.approx(0.2**2 + 0.15**2)
+
+
+def test_the_lag_is_no_better_known_than_it_is_of_another_robot() -> None:
+    """Damping over stiffness to 0.3 %, whatever the common scale of both is known to."""
+    joint, free = JointDynamics.nominal(["elbow_joint"]), ("stiffness", "damping")
+    (covariance,) = model_covariance(joint, joint.armature, np.array([0.2]), free, 0.01)
+    difference = np.array((-1.0, 1.0))
+    assert difference @ covariance @ difference == pytest.approx(0.003**2)

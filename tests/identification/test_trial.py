@@ -214,7 +214,7 @@ def test_impossible_recorders_are_refused():
     for wrong in (
         {"noise": -1.0},
         {"noise": float("nan")},
-        {"stall": 1.0},
+        {"stall": 1.5},
         {"read_period": 0.0},
         {"physics_hz": 0.0},
     ):

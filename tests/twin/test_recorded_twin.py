@@ -117,7 +117,11 @@ def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, mon
             assert low <= value <= high, (name, joint)
     lag = (found.damping / found.stiffness) / (true.damping / true.stiffness)
     assert lag == pytest.approx(np.ones(6), abs=0.01)
-    assert (found.stiffness / true.stiffness)[:5] == pytest.approx(np.ones(5), abs=0.03)
+    scale = (
+        found.stiffness / true.stiffness
+    )  # by the inertia of the links; of wrists 2 and 3, by torque limits
+    assert scale[:4] == pytest.approx(np.ones(4), abs=0.03)
+    assert scale[4:] == pytest.approx(np.ones(2), abs=0.2)
     assert WIRE[0] < (found.latency - true.latency).min()
     assert (found.latency - true.latency).max() < WIRE[1]
     tiny = "--device cpu --num-envs 8 --rollout-steps 8 --transitions 256 --mini-batches 2 --hidden 32"

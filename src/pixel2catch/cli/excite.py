@@ -8,18 +8,14 @@ from pixel2catch.checks import (
     AtMostFull,
     DynamicsPath,
     NewFolder,
-    NotNegative,
     OutputFile,
     PhysicsRate,
     Positive,
     Seed,
-    Share,
     Within,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from pixel2catch.identification.recording import Trajectory
     from pixel2catch.identification.rehearsal import Assessment
     from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -58,9 +54,6 @@ class Excite:
     rehearse: NewFolder | None = None
     #: Dynamics file of that robot. Default: drawn, up to 40 % from the nominal one, 12 ms late.
     truth: DynamicsPath | None = None
-    noise: NotNegative = 2e-4  #: Standard deviation of a measured position in a rehearsal [rad].
-    #: Share of turns of the sending and of the reading loop that take 40 ms in a rehearsal.
-    stall: Share = 0.05
     #: Physics steps in a second of a rehearsal; the more, the nearer to a real robot.
     physics_hz: PhysicsRate = 480.0
 
@@ -69,20 +62,25 @@ class Excite:
         from numpy.random import default_rng
 
         from pixel2catch.cli.console import say, working
-        from pixel2catch.files import write_atomically
+        from pixel2catch.files import require_free_file, write_atomically
+        from pixel2catch.identification.excitation import ExcitationCfg, find_excitation
         from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
         from pixel2catch.identification.report import motion_picture
         from pixel2catch.workcells import find_workcell
 
         outs, pictures = self._numbered(self.out), self._numbered(self.picture)
-        self._require_free([*outs, *pictures])
-        recorder = RecorderCfg(noise=self.noise, stall=self.stall, physics_hz=self.physics_hz)
-        workcell = find_workcell(self.workcell)
+        for path in (*outs, *pictures):
+            require_free_file(path)
+        workcell, found = find_workcell(self.workcell), []
         dynamics, truth = (self._dynamics(path, workcell) for path in (self.dynamics, self.truth))
         if self.truth is None:
             truth = unlike_nominal(default_rng(self.seed), self._dynamics(None, workcell))
         with working() as report:
-            found = self._find(workcell, dynamics, report)
+            for i in range(self.recordings):
+                report(f"drawing and trying trajectory {i + 1} of {self.recordings}")
+                options = {"seconds": self.seconds, "speed": self.speed, "seed": self.seed + i}
+                cfg = ExcitationCfg(workcell=workcell, robot=self.robot, **options)
+                found.append(find_excitation(cfg, dynamics, report))
             for (trajectory, _), path in zip(found, outs, strict=False):
                 trajectory.save(path)
             for pair, path in zip(found, pictures, strict=False):
@@ -90,7 +88,8 @@ class Excite:
             if self.rehearse:
                 report("recording what a robot would have done")
                 trajectories = [trajectory for trajectory, _ in found]
-                rehearse(self.rehearse, trajectories, truth, recorder, self.seed)
+                cfg = RecorderCfg(physics_hz=self.physics_hz)
+                rehearse(self.rehearse, trajectories, truth, cfg, self.seed)
         for trajectory, assessment in found:
             _print(trajectory, assessment)
         written = [*outs, *pictures, *([self.rehearse] if self.rehearse else [])]
@@ -103,15 +102,6 @@ class Excite:
         numbers = range(1, self.recordings + 1)
         return [path] if self.recordings == 1 else [path.with_stem(f"{path.stem}-{i}") for i in numbers]
 
-    def _require_free(self, files: "Sequence[Path]") -> None:
-        """Refuse what would overwrite something, before the work."""
-        from pixel2catch.files import require_free_file, require_free_folder
-
-        for path in files:
-            require_free_file(path)
-        if self.rehearse:
-            require_free_folder(self.rehearse, "--rehearse")
-
     def _dynamics(self, path: Path | None, workcell: "WorkcellSpec") -> "JointDynamics":
         """The dynamics of the robot's joints; what a file does not have is nominal."""
         from pixel2catch.identification.joints import joints_of
@@ -121,20 +111,6 @@ class Excite:
         joints = joints_of(workcell, self.robot or workcell.name)
         nominal = JointDynamics.nominal(specs=workcell.joints)
         return DynamicsFile.load(path, workcell).dynamics.over(nominal).select(joints)
-
-    def _find(
-        self, workcell: "WorkcellSpec", dynamics: "JointDynamics", report: "Callable[[str], None]"
-    ) -> "list[tuple[Trajectory, Assessment]]":
-        """Draw and try all trajectories."""
-        from pixel2catch.identification.excitation import ExcitationCfg, find_excitation
-
-        options = {"workcell": workcell, "robot": self.robot, "seconds": self.seconds, "speed": self.speed}
-        found = []
-        for i in range(self.recordings):
-            cfg = ExcitationCfg(**options, seed=self.seed + i)
-            report(f"drawing and trying trajectory {i + 1} of {self.recordings}")
-            found.append(find_excitation(cfg, dynamics, report))
-        return found
 
 
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:

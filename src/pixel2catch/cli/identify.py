@@ -3,11 +3,11 @@
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import DynamicsPath, OutputFolder, PhysicsRate
+from pixel2catch.checks import DynamicsPath, NewFolder, PhysicsRate
 from pixel2catch.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Identify:
     #: names, or arm, hand, or its own name. With --check it may be left out: what was recorded is checked.
     robot: str | None = None
     #: New or empty folder for dynamics.json, report.html and result.json.
-    out: Annotated[Path, OutputFolder(is_empty=True)] | None = None
+    out: NewFolder | None = None
     #: Only check the data, of one joint or more, and fit nothing; the exit status is 1 if they cannot be
     #: fitted.
     check: bool = False
@@ -71,7 +71,7 @@ class Identify:
         """Check, fit, and write the report."""
         from pixel2catch.circumstances import circumstances
         from pixel2catch.cli.console import say, working
-        from pixel2catch.files import json_text, require_free_folder
+        from pixel2catch.files import json_text
         from pixel2catch.identification.identify import checked, identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
         from pixel2catch.workcells import find_workcell
@@ -84,7 +84,6 @@ class Identify:
             raise InvalidValueError(
                 "say whose joints to fit, --robot, and where to write, --out; or --check to look at the data."
             )
-        require_free_folder(self.out)
         cfg, start = self._fit_cfg(), start_of_fit(self.robot, self.start, self.filter, workcell)
         with working() as report:
             recordings = self._read(workcell, report)

@@ -49,12 +49,6 @@ class NormalEquations:
         """By how much the squares would become less without damping, if they were quadratic."""
         return float(self.gradient @ np.linalg.solve(self.hessian, self.gradient))
 
-    @property
-    def covariance(self) -> Float[np.ndarray, "num_joints num_free num_free"]:
-        """Covariance of each joint's parameters, with those of the other joints unknown as well."""
-        steps = self.directions.steps
-        return np.einsum("kja,kl,ljb->jab", steps, np.linalg.inv(self.hessian), steps)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Jacobian:

@@ -12,11 +12,13 @@ import dataclasses
 import importlib.metadata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.random import Generator
 
+from pixel2catch.checks import Above, AtMostFull, Seed, require_valid
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.identification.joints import MOTION_RANGES, groups_of, joints_of, largest_step, specs_of
 from pixel2catch.identification.recording import REST, Trajectory
@@ -63,19 +65,14 @@ class ExcitationCfg:
 
     workcell: WorkcellSpec = UR5E_ALLEGRO  #: whose joints move
     robot: str | None = None  #: which of them: one of its parts; none is all
-    seconds: float = 40.0  #: duration, rest included [s]
-    seed: int = 0  #: seed of everything that is drawn
-    speed: float = 1.0  #: factor on speed, acceleration and jumps; 1 is full
+    seconds: Annotated[float, Above(0.0, MAX_SECONDS)] = 40.0  #: duration, rest included [s]
+    seed: Seed = 0  #: seed of everything that is drawn
+    speed: AtMostFull = 1.0  #: factor on speed, acceleration and jumps; 1 is full
 
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn."""
         joints_of(self.workcell, self.part)
-        if not 0.0 < self.seconds <= MAX_SECONDS:
-            raise InvalidValueError(f"seconds is {self.seconds:g}; it must be up to {MAX_SECONDS:g}")
-        if not 0.0 < self.speed <= 1.0:
-            raise InvalidValueError(f"speed is {self.speed:g}; it must be above 0 and at most 1")
-        if self.seed < 0:
-            raise InvalidValueError(f"seed is {self.seed}; it must be 0 or more")
+        require_valid(self)
 
     @property
     def part(self) -> str:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from pixel2catch.checks import Count, Positive, require_valid
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.directions import Directions, Jacobian, NormalEquations, Point, Residuals
 from pixel2catch.identification.encoders import Encoders, encoders_of
@@ -90,9 +91,9 @@ class FitCfg:
     """How the dynamics are fitted."""
 
     free: tuple[str, ...] = SERVO_PARAMETERS  #: what is fitted; other parameters keep their start values
-    prior: float = 2.0  #: deviation of what is known before, in coordinates of the fit: 2 is a factor 7
-    physics_dt: float = FIT_DT  #: time step of the simulation [s]
-    max_rounds: int = 4  #: most evaluations of the Jacobian with this time step
+    prior: Positive = 2.0  #: deviation of what is known before, in coordinates of the fit: 2 is a factor 7
+    physics_dt: Positive = FIT_DT  #: time step of the simulation [s]
+    max_rounds: Count = 4  #: most evaluations of the Jacobian with this time step
 
     def __post_init__(self) -> None:
         """Refuse unknown parameters, none at all, and sizes that are not positive."""
@@ -101,9 +102,7 @@ class FitCfg:
                 raise UnknownNameError("parameter", name, PARAMETERS)
         if not self.free:
             raise InvalidValueError(f"nothing is free to be fitted; name some of {', '.join(PARAMETERS)}")
-        for name in ("prior", "physics_dt", "max_rounds"):
-            if not getattr(self, name) > 0:
-                raise InvalidValueError(f"{name} is {getattr(self, name):g}; it must be more than 0")
+        require_valid(self)
 
 
 @dataclass(frozen=True, kw_only=True)

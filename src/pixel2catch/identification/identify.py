@@ -231,9 +231,10 @@ def found_encoders(fit: Fit, is_held_out: Bool[np.ndarray, " num_recordings"]) -
 
 def worse_than_command(motions: Sequence[Motion]) -> list[str]:
     """Joints of which the command alone predicts these motions better than the fitted simulation."""
-    errors = tracking_errors(motions) if motions else {"after": np.zeros(0), "command": np.zeros(0)}
-    worse = np.flatnonzero(errors["after"] > errors["command"])
-    return [motions[0].recording.joints[j] for j in worse]
+    if not motions:
+        return []
+    errors = tracking_errors(motions)
+    return [motions[0].recording.joints[j] for j in np.flatnonzero(errors["after"] > errors["command"])]
 
 
 def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " num_joints"]]:

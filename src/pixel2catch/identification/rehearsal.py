@@ -7,13 +7,14 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import numpy as np
 from jaxtyping import Float64
 from numpy.random import Generator
 
-from pixel2catch.errors import InvalidValueError
+from pixel2catch.checks import Above, Share, Within, require_valid
 from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of, watched_model
 from pixel2catch.identification.recording import Recording, Trajectory
@@ -26,6 +27,7 @@ from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STALLED_TURN = 0.04  # length of a turn that stalls [s]. Source: a real UR5 recording, where 5 % did.
 MIN_PHYSICS_HZ = 120.0  # fewest physics steps in a second. Source: paper, the rate of a training.
+Turn = Annotated[float, Above(0.0, STALLED_TURN)]  # length of a turn of a loop [s]
 
 LIMIT_TOLERANCE = 0.005
 """Excess of a position limit that counts as none [rad]. Source: ours; in the start pose two joints stand at
@@ -38,30 +40,20 @@ HORIZON = 0.1  # distance up to which the robot is watched [m]
 class RecorderCfg:
     """How motion is commanded and recorded: two loops that know nothing of each other."""
 
-    noise: float = 2e-4  #: standard deviation of a measured position [rad]. Default: a UR's encoders.
-    stall: float = 0.05  #: share of each loop's turns that take 40 ms
-    send_period: float = 0.008  #: turn of the loop that sends targets [s]
-    read_period: float = 0.008  #: turn of the loop that reads positions [s]
+    #: standard deviation of a measured position [rad]. Default: a UR's encoders.
+    noise: Annotated[float, Within(0.0, 1.0)] = 2e-4
+    stall: Share = 0.05  #: share of each loop's turns that take 40 ms
+    send_period: Turn = 0.008  #: turn of the loop that sends targets [s]
+    read_period: Turn = 0.008  #: turn of the loop that reads positions [s]
     #: by how much the clock of the measurements is ahead of that of the commands [s]. Positions cannot
     #: tell it from latency.
     clock_offset: float = 0.0
-    physics_hz: float = 1.0 / FIT_DT  #: physics steps in a second; a fit with as many finds the truth best
+    #: physics steps in a second; a fit with as many finds the truth best
+    physics_hz: Annotated[float, Within(MIN_PHYSICS_HZ)] = 1.0 / FIT_DT
 
     def __post_init__(self) -> None:
         """Refuse what no recorder does."""
-        if not 0.0 <= self.noise < 1.0:
-            raise InvalidValueError(f"noise is {self.noise}; it must be from 0 to below 1 rad")
-        if not 0.0 <= self.stall < 1.0:
-            raise InvalidValueError(f"stall is {self.stall}; it is a share of turns, from 0 to below 1")
-        for name in ("send_period", "read_period"):
-            if not 0.0 < getattr(self, name) <= STALLED_TURN:
-                raise InvalidValueError(
-                    f"{name} is {getattr(self, name):g} s; it must be up to {STALLED_TURN} s"
-                )
-        if not MIN_PHYSICS_HZ <= self.physics_hz < np.inf:
-            raise InvalidValueError(
-                f"physics_hz is {self.physics_hz:g}; it must be {MIN_PHYSICS_HZ:g} or more"
-            )
+        require_valid(self)
 
 
 PERFECT = RecorderCfg(noise=0.0, stall=0.0, read_period=FIT_DT)  # measures every physics step, without noise

@@ -179,33 +179,30 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
         group: tracking_errors(motions) if (motions := result.of(is_held_out)) else {}
         for group, is_held_out in (("held_out", True), ("fitted", False))
     }
+
+    def by_joint(contents: Iterable[Any]) -> Content:
+        return dict(zip(joints, contents, strict=True))
+
+    encoders, deviations = fit.encoders, fit.encoder_deviations
+    drifts = zip(result.of(is_held_out=False), encoders.drift, deviations.drift, strict=True)
     return {
         "robot": result.start.robot,
         "free": list(fit.free),
         "physics_dt": result.physics_dt,
         "tracking_error": {
-            group: {name: dict(zip(joints, values.tolist(), strict=True)) for name, values in found.items()}
+            group: {name: by_joint(values.tolist()) for name, values in found.items()}
             for group, found in errors.items()
         },
-        "parameters": {joint: _parameters(result, j) for j, joint in enumerate(joints)},
+        "parameters": by_joint(_parameters(result, j) for j in range(len(joints))),
         "ratios": {
-            ratio.name: {
-                joint: _interval(ratio.value[j], ratio.half_width[j]) for j, joint in enumerate(joints)
-            }
-            for ratio in ratios(fit)
+            ratio.name: by_joint(map(_interval, ratio.value, ratio.half_width)) for ratio in ratios(fit)
         },
         "not_identified": open_questions(fit),
         "worse_than_command": list(result.file.worse_than_command),
-        "play": {
-            joint: _plus_minus(fit.encoders.play[j], fit.encoder_deviations.play[j])
-            for j, joint in enumerate(joints)
-        },
+        "play": by_joint(map(_plus_minus, encoders.play, CONFIDENCE * deviations.play)),
         "drift": {
-            motion.recording.name: {
-                joint: _plus_minus(fit.encoders.drift[i, j], fit.encoder_deviations.drift[i, j])
-                for j, joint in enumerate(joints)
-            }
-            for i, motion in enumerate(result.of(is_held_out=False))
+            motion.recording.name: by_joint(map(_plus_minus, drift, CONFIDENCE * deviation))
+            for motion, drift, deviation in drifts
         },
         "recordings": [
             {
@@ -225,28 +222,27 @@ def _parameters(result: Identification, j: int) -> Content:
     widths = dict(zip(fit.free, half_widths(fit)[j], strict=True))
     found: Content = {}
     for name in PARAMETERS:
-        value, before = float(getattr(fit.dynamics, name)[j]), float(getattr(result.start.before, name)[j])
-        content: Content = {"value": value}
-        if name == "latency" and name in widths:
-            width = LATENCY_UNIT * widths[name]
-            content["interval"] = [max(0.0, value - width), value + width]
+        value, before = (float(getattr(each, name)[j]) for each in (fit.dynamics, result.start.before))
+        content: Content = {"value": value, "before": before}
+        if name in widths and name == "latency":
+            content |= _plus_minus(value, LATENCY_UNIT * widths[name], least=0.0)
         elif name in widths:
-            content = _interval(value, widths[name])
-        finite = {key: each if np.all(np.isfinite(each)) else None for key, each in content.items()}
-        found[name] = finite | {"before": before if np.isfinite(before) else None}
+            content |= _interval(value, widths[name])
+        found[name] = {key: each if np.all(np.isfinite(each)) else None for key, each in content.items()}
     return found
 
 
-def _plus_minus(value: float, deviation: float) -> Content:
+def _plus_minus(value: float, half_width: float, least: float = -np.inf) -> Content:
     """A value that has an interval itself."""
-    width = CONFIDENCE * float(deviation)
-    return {"value": float(value), "interval": [float(value) - width, float(value) + width]}
+    return {
+        "value": float(value),
+        "interval": [max(float(value - half_width), least), float(value + half_width)],
+    }
 
 
 def _interval(value: float, half_width: float) -> Content:
     """A value whose logarithm has an interval."""
-    factor = float(np.exp(half_width))
-    return {"value": float(value), "interval": [float(value) / factor, float(value) * factor]}
+    return {"value": float(value), "interval": [float(value * np.exp(way * half_width)) for way in (-1, 1)]}
 
 
 def joint_picture(motion: Motion, column: int) -> bytes:
