@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from mutation import changed_bytes, changed_json
 
+from mutation import changed_bytes, changed_json
 from pixel2catch.deployment.control_loop import read_prompt
 from pixel2catch.deployment.operator import _is_status
 from pixel2catch.errors import DeploymentError

@@ -10,9 +10,9 @@ import av
 import cv2
 import numpy as np
 import torch
-from mutation import changed_bytes, changed_csv, changed_json, changed_npz, changed_yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from mutation import changed_bytes, changed_csv, changed_json, changed_npz, changed_yaml
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison.plan import ComparisonFolder
