@@ -43,9 +43,8 @@ class PhysxCfg:
     #: Whether contacts are kept from step to step (PCM, likewise). Some overlaps are then noticed at 8 mm.
     keeps_contacts: bool = False
     contact_offset: float = 1e-3  #: Distance from a surface at which contacts begin [m].
-    bounce_speed: float = (
-        0.1  #: Below this speed nothing bounces [m/s]; at 120 Hz a step of free fall is 0.08.
-    )
+    #: Below this speed nothing bounces [m/s]; at 120 Hz a step of free fall is 0.08.
+    bounce_speed: float = 0.1
     position_iterations: int = 16  #: Iterations of the solver for positions.
     velocity_iterations: int = 1  #: Iterations of the solver for speeds.
 
