@@ -26,7 +26,7 @@ from pixel2catch.errors import (
     PolicyMismatchError,
 )
 from pixel2catch.learning.config import TrainCfg
-from pixel2catch.learning.log import CsvLog
+from pixel2catch.learning.log import CsvLog, TrainingLog
 from pixel2catch.learning.train import train
 from pixel2catch.policy import AgentContract, Policy, PolicyContract
 
@@ -238,6 +238,16 @@ class FillingEnv(ReachingEnv):
         resource = pytest.importorskip("resource")
         resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))
         return super().step(actions)
+
+
+def test_a_value_network_that_is_lost_is_said_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A constant has a loss of 2, the default scale: 60 updates above, one below, 250 above."""
+    with TrainingLog(TrainCfg(), tmp_path, 0, is_silent=False) as log:
+        for number, loss in enumerate([3.0] * 60 + [1.9] + [3.3] * 250):
+            log.write({"transitions": number, "transitions_per_second": 1.0, "value_loss/arm": loss})
+            assert ("the values of 'arm'" in capsys.readouterr().out) == (number == 160)
 
 
 def test_full_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

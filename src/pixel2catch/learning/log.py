@@ -3,6 +3,7 @@
 import csv
 import importlib
 import io
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,9 @@ from pixel2catch.progress import ProgressBar
 
 METRICS_FILE = "metrics.csv"
 WANDB_FILE = "wandb.id"  #: Which run of Weights & Biases a run folder has, to go on with it.
+LOST_UPDATES = (
+    100  #: Updates for which a value network is worse than a constant until that is said. Source: ours.
+)
 Row = dict[str, int | float]  #: Metrics of one update by name; `transitions` is the abscissa.
 
 
@@ -28,6 +32,8 @@ class TrainingLog:
     def __init__(self, cfg: TrainCfg, folder: Path, transitions: int, *, is_silent: bool) -> None:
         """Begin to show and write, after some transitions; if silent, neither, since another process does."""
         self._console = Console(highlight=False, quiet=is_silent)
+        self._loss_of_constant = cfg.value_loss_scale  # of standardised returns, whose variance is 1
+        self._lost = Counter[str]()
         self._bar = ProgressBar(
             "training",
             cfg.transitions,
@@ -56,7 +62,7 @@ class TrainingLog:
         self._bar.__exit__()
 
     def write(self, row: Row) -> None:
-        """Show and write a row of metrics."""
+        """Show and write a row of metrics; say which value networks are lost."""
         self._bar.show(row["transitions"], f"{row['transitions'] / 1e6:.2f} M transitions · {describe(row)}")
         if self._csv is not None:
             self.attempt("metrics", partial(self._csv.write, row))
@@ -64,6 +70,16 @@ class TrainingLog:
             self.attempt("TensorBoard events", partial(_add_scalars, self._tensorboard, row))
         if self._wandb is not None:
             self.attempt("metrics to Weights & Biases", partial(self._wandb.write, row))
+
+        for name in (name for name in row if name.startswith("value_loss/")):
+            self._lost[name] = self._lost[name] + 1 if row[name] > self._loss_of_constant else 0
+            if self._lost[name] == LOST_UPDATES:
+                agent = name.removeprefix("value_loss/")
+                self.say(
+                    f"warning: for {LOST_UPDATES} updates the values of '{agent}' have been worse than a "
+                    f"constant (value loss {row[name]:.1f}): it learns little and may end in NaN; begin anew "
+                    "with another --seed or a lower --learning-rate"
+                )
 
     def attempt(self, what: str, write: Callable[[], None]) -> None:
         """Write something; if that fails, say so and go on."""
