@@ -117,9 +117,7 @@ def test_the_guide_s_commands_find_the_twin_and_train_for_it(tmp_path: Path, mon
             assert low <= value <= high, (name, joint)
     lag = (found.damping / found.stiffness) / (true.damping / true.stiffness)
     assert lag == pytest.approx(np.ones(6), abs=0.01)
-    scale = (
-        found.stiffness / true.stiffness
-    )  # by the inertia of the links; of wrists 2 and 3, by torque limits
+    scale = found.stiffness / true.stiffness  # by the links' inertia; of wrists 2 and 3, by torque limits
     assert scale[:4] == pytest.approx(np.ones(4), abs=0.03)
     assert scale[4:] == pytest.approx(np.ones(2), abs=0.2)
     assert WIRE[0] < (found.latency - true.latency).min()

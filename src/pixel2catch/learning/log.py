@@ -20,9 +20,7 @@ from pixel2catch.progress import ProgressBar
 
 METRICS_FILE = "metrics.csv"
 WANDB_FILE = "wandb.id"  #: Which run of Weights & Biases a run folder has, to go on with it.
-LOST_UPDATES = (
-    100  #: Updates for which a value network is worse than a constant until that is said. Source: ours.
-)
+LOST_UPDATES = 100  #: Updates for which values are worse than a constant until that is said. Source: ours.
 Row = dict[str, int | float]  #: Metrics of one update by name; `transitions` is the abscissa.
 
 
@@ -70,14 +68,19 @@ class TrainingLog:
             self.attempt("TensorBoard events", partial(_add_scalars, self._tensorboard, row))
         if self._wandb is not None:
             self.attempt("metrics to Weights & Biases", partial(self._wandb.write, row))
+        self._say_lost(row)
 
-        for name in (name for name in row if name.startswith("value_loss/")):
-            self._lost[name] = self._lost[name] + 1 if row[name] > self._loss_of_constant else 0
+    def _say_lost(self, row: Row) -> None:
+        """Say once of which agent the values have long been worse than a constant."""
+        for name, loss in row.items():
+            if not name.startswith("value_loss/"):
+                continue
+            self._lost[name] = self._lost[name] + 1 if loss > self._loss_of_constant else 0
             if self._lost[name] == LOST_UPDATES:
                 agent = name.removeprefix("value_loss/")
                 self.say(
                     f"warning: for {LOST_UPDATES} updates the values of '{agent}' have been worse than a "
-                    f"constant (value loss {row[name]:.1f}): it learns little and may end in NaN; begin anew "
+                    f"constant (value loss {loss:.1f}): it learns little and may end in NaN; begin anew "
                     "with another --seed or a lower --learning-rate"
                 )
 

@@ -118,10 +118,8 @@ class BackgroundSubtraction(Segmenter):
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
         if blob is not None and not _overlap(mask := blob.mask(), motion.unknown):
-            is_told = maybe is not None and bool(
-                (mask == maybe).all()
-            )  # the box, whose area is not the object's
-            if not (is_told or _is_cut(mask)):
+            is_box = maybe is not None and np.array_equal(mask, maybe)  # its area is not the object's
+            if not (is_box or _is_cut(mask)):
                 self._resize(blob, self._track.num_seen)
             self._later = partial(self._learn, motion, mask, grown(mask, GAP))
         return replace(segmentation, doubt=motion.doubt)
