@@ -12,9 +12,9 @@ from torch import nn
 from torch.distributions import Normal
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
-from pixel2catch.learning import gradient_step
 from pixel2catch.learning.config import PRESETS, TrainCfg, preset
-from pixel2catch.learning.mappo import Mappo, mini_batches
+from pixel2catch.learning.gradient_step import mini_batches
+from pixel2catch.learning.mappo import Mappo
 from pixel2catch.mdp.masks import assign
 from pixel2catch.policy import Policy
 
@@ -189,8 +189,8 @@ def test_fused_agents_learn_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_captured_steps_equal_eager_ones(recurrent: int, monkeypatch: pytest.MonkeyPatch) -> None:
     cfg = dataclasses.replace(SMALL, device="cuda", recurrent=recurrent)
     outcomes = []
-    for num_eager_steps in (3, 10**9):
-        monkeypatch.setattr(gradient_step, "NUM_EAGER_STEPS", num_eager_steps)
+    for num_eager_calls in (1, 10**9):
+        monkeypatch.setattr("pixel2catch.learning.mappo.NUM_EAGER_CALLS", num_eager_calls)
         torch.manual_seed(0)
         mappo, env = Mappo(cfg, ReachingEnv(cfg), CONTRACT), ReachingEnv(cfg)
         for progress in (0.0, 0.5):

@@ -134,6 +134,27 @@ def test_forward_makes_what_was_written_current_and_leaves_the_rest(simulation):
     assert torch.equal(after[1:], before[1:])
 
 
+def test_what_touches_goes_on_touching_where_others_are_masked(simulation):
+    """Objects in the palm do the same, whether another one is taken out of it or not."""
+    found = simulation.model.sensor("object_any").adr[0]
+    copies.place(simulation, (0.44, 0.1333, 1.41))
+    simulation.forward(ONLY_FIRST)
+    simulation.step()
+    undisturbed = copies.object_pos(simulation).clone()
+    assert (simulation.bind("sensordata")[:, found] > 0).all()  # the masked one is found again
+    copies.restart(simulation)
+    copies.place(simulation, (0.44, 0.1333, 1.41))
+    simulation.bind("qpos")[0, TABLE.indices.qpos] = torch.tensor([*copies.IN_THE_AIR, 1, 0, 0, 0]).to(
+        simulation.bind("qpos")
+    )
+    simulation.forward(ONLY_FIRST)
+    simulation.step()
+    assert (simulation.bind("sensordata")[:, found] > 0).tolist() == [False, True, True, True]
+    torch.testing.assert_close(copies.object_pos(simulation)[1:], undisturbed[1:], atol=1e-6, rtol=0)
+    fallen = copies.IN_THE_AIR[2] - GRAVITY * PHYSICS_DT**2  # nothing that it no longer touches holds it
+    assert copies.object_pos(simulation)[0, 2].item() == pytest.approx(fallen, abs=1e-5)
+
+
 def test_forward_does_not_advance(simulation):
     simulation.bind("qvel")[:] = 0.1
     before = {name: simulation.bind(name).clone() for name in ("qpos", "qvel", "time")}

@@ -1,11 +1,6 @@
-"""One gradient step of PPO on a mini-batch, replayed as a CUDA graph where there is CUDA.
+"""One gradient step of PPO on a mini-batch, what a mini-batch is, and how long a step is."""
 
-The step is some two hundred small kernels. Launched one by one they keep the GPU waiting for the host most of
-the time (8,192 environments x 16 steps on one H100: 180 ms an update, of which the GPU works 65;
-as graphs 74 ms).
-"""
-
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -15,10 +10,8 @@ from torch import Tensor, nn
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.networks import ActorCritic, recall_all
-from pixel2catch.sim.graphs import GraphedFunction
 
-NUM_EAGER_STEPS = 3
-"""Steps before the graph is captured: libraries set themselves up in the first. Source: torch's manual."""
+HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
 
 
 class Batch(NamedTuple):
@@ -64,7 +57,6 @@ class GradientStep:
         #: How far the policy follows a teacher instead of its rewards, to be changed in place.
         self.teacher_weight = torch.zeros((), device=cfg.device)
         self._policy_weight = torch.ones((), device=cfg.device)
-        self.close()
 
     @property
     def learning_rate(self) -> Tensor:
@@ -77,7 +69,14 @@ class GradientStep:
 
     def take(self, indices: Tensor) -> None:
         """Take one step on some of the rollout, whose values and returns are standardised; nothing waits."""
-        self._step(indices)
+        objective, losses = self._losses(indices)
+        objective.backward()
+        parameters = [each for each in self._networks.parameters() if each.grad is not None]
+        self._workers.average([*(p.grad for p in parameters if p.grad is not None), losses])
+        nn.utils.clip_grad_norm_(parameters, self._cfg.gradient_clip)
+        self.optimizer.step()
+        self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
+        self.totals += losses
 
     def rest_policy(self) -> None:
         """Let the value network alone learn, until `wake_policy`."""
@@ -98,24 +97,6 @@ class GradientStep:
         self.optimizer.load_state_dict(state)
         for group in self.optimizer.param_groups:
             group["capturable"] = self._is_cuda
-        self.close()
-
-    def close(self) -> None:
-        """Release the graph: a process group does not end while a graph holds a collective of it."""
-        step, device = self._eager_step, self.totals.device
-        self._step = (
-            GraphedFunction(step, device=device, num_eager_calls=NUM_EAGER_STEPS) if self._is_cuda else step
-        )
-
-    def _eager_step(self, indices: Tensor) -> None:
-        objective, losses = self._losses(indices)
-        objective.backward()
-        parameters = [each for each in self._networks.parameters() if each.grad is not None]
-        self._workers.average([*(p.grad for p in parameters if p.grad is not None), losses])
-        nn.utils.clip_grad_norm_(parameters, self._cfg.gradient_clip)
-        self.optimizer.step()
-        self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
-        self.totals += losses
 
     def _losses_of(self, indices: Tensor) -> tuple[Tensor, Tensor]:
         """What the step makes smaller; and policy loss, value loss and KL divergence.
@@ -140,3 +121,21 @@ class GradientStep:
             objective = torch.lerp(objective, imitation, self.teacher_weight)
         losses = torch.stack((policy_loss, value_loss, (ratio - 1.0 - log_ratio).mean())).detach()
         return self._policy_weight * objective + value_loss, losses
+
+
+def mini_batches(cfg: TrainCfg) -> Sequence[Tensor]:
+    """Random transitions of a rollout, or environments of recurrent networks: together all, each once."""
+    num = cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
+    return torch.randperm(num, device=cfg.device).chunk(cfg.mini_batches)
+
+
+def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:
+    """Return the learning rate after an epoch with this KL divergence.
+
+    Source: release (skrl: factor 1.5 where the divergence is twice or half of the target).
+    """
+    if kl > 2.0 * cfg.kl_target:
+        return max(rate / 1.5, cfg.final_learning_rate)
+    if kl < 0.5 * cfg.kl_target:
+        return min(rate * 1.5, HIGHEST_LEARNING_RATE)
+    return rate

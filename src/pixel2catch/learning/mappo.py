@@ -4,8 +4,9 @@ Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and va
 standardised inputs and values. Ours: imitation of a teacher, resting policies, several processes.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import torch
@@ -15,15 +16,16 @@ from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.environment import Environment, Observation, Step
-from pixel2catch.learning.gradient_step import NUM_EAGER_STEPS, Batch, GradientStep
+from pixel2catch.learning.gradient_step import Batch, GradientStep, adapted_rate, mini_batches
 from pixel2catch.learning.networks import EPSILON, ActorCritic
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.sim.graphs import GraphedFunction
 
-HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
-
 ADOPTED_SAMPLES = 1e7
 """Samples that the input statistics of a policy count for where a training goes on from it. Source: ours."""
+
+NUM_EAGER_CALLS = 1
+"""Epochs and control steps before one is recorded: libraries set themselves up in the first. Source: ours."""
 
 METRICS = ("policy_loss", "value_loss", "kl", "action_std", "learning_rate")
 """What `update` tells of every agent."""
@@ -100,17 +102,29 @@ class Mappo:
         self._streams = {
             agent: torch.cuda.Stream(cfg.device) if is_alone_on_cuda else None for agent in self.agents
         }
-        self._draw = {agent: self._recorded(networks.act) for agent, networks in self.networks.items()}
+        self._draw: dict[str, Callable[..., Any]] = {
+            agent: self._recorded(torch.compile(networks.act, dynamic=False)) if cfg.fuse else networks.act
+            for agent, networks in self.networks.items()
+        }
+        self._record_epochs()
+
+    def _record_epochs(self) -> None:
+        """Let the next epochs be recorded anew, the first one of an update and all others apart."""
+        self._epochs = {
+            (agent, is_first): self._recorded(partial(self._epoch, agent, is_first=is_first))
+            for agent in self.agents
+            for is_first in (True, False)
+        }
 
     def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function by as few launches as the device allows, if steps are fused; else as it is."""
-        if not self.cfg.fuse:
-            return function
-        function = torch.compile(function, dynamic=False)
+        """The function by a single launch, on a CUDA device; else as it is.
+
+        Else its small kernels, two hundred in a gradient step, keep the GPU waiting for the host.
+        """
         if not self.cfg.device.startswith("cuda"):
             return function
         device = torch.device(self.cfg.device)
-        return GraphedFunction(function, device=device, num_eager_calls=NUM_EAGER_STEPS)
+        return GraphedFunction(function, device=device, num_eager_calls=NUM_EAGER_CALLS)
 
     def begin(self) -> None:
         """Forget what recurrent networks have seen: new episodes begin everywhere."""
@@ -203,18 +217,23 @@ class Mappo:
         self._estimate_advantages(agent)
         epochs = []
         for epoch in range(cfg.epochs):
-            step.totals.zero_()
-            for indices in mini_batches(cfg):
-                if epoch == 0:
-                    batch = step.batch(indices)
-                    networks.observation_scale.learn(batch.observations)
-                    networks.state_scale.learn(batch.states)
-                step.take(indices)
-            epochs.append(step.totals / cfg.mini_batches)
+            epochs.append(self._epochs[agent, epoch == 0]().clone())
             if cfg.schedule == "kl":
                 step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), epochs[-1][2].item()))
         std = networks.log_std.detach().exp().mean()
         return torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
+
+    def _epoch(self, agent: str, *, is_first: bool) -> Tensor:
+        """Pass over the rollout, in the first epoch of an update for the scale, too; return mean losses."""
+        step, networks = self.steps[agent], self.networks[agent]
+        step.totals.zero_()
+        for indices in mini_batches(self.cfg):
+            if is_first:
+                batch = step.batch(indices)
+                networks.observation_scale.learn(batch.observations)
+                networks.state_scale.learn(batch.states)
+            step.take(indices)
+        return step.totals / self.cfg.mini_batches
 
     @torch.no_grad()
     def _estimate_advantages(self, agent: str) -> None:
@@ -292,11 +311,11 @@ class Mappo:
         for agent in self.agents:
             self.networks[agent].load_state_dict(state[agent]["networks"])
             self.steps[agent].load_state_dict(state[agent]["optimizer"])
+        self._record_epochs()
 
     def close(self) -> None:
-        """Release what would keep the process group from ending."""
-        for step in self.steps.values():
-            step.close()
+        """Release what would keep the process group from ending: recordings that hold a collective of it."""
+        self._record_epochs()
 
 
 def _load_teacher(cfg: TrainCfg, contract: PolicyContract) -> Policy:
@@ -329,24 +348,6 @@ def discounted_returns(
         advantage = rewards[t] - values[t] + cfg.discount * ~is_done[t] * ahead
         returns[t], last_values = advantage + values[t], values[t]
     return returns
-
-
-def mini_batches(cfg: TrainCfg) -> Sequence[Tensor]:
-    """Random transitions of a rollout, or environments of recurrent networks: together all, each once."""
-    num = cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
-    return torch.randperm(num, device=cfg.device).chunk(cfg.mini_batches)
-
-
-def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:
-    """Return the learning rate after an epoch with this KL divergence.
-
-    Source: release (skrl: factor 1.5 where the divergence is twice or half of the target).
-    """
-    if kl > 2.0 * cfg.kl_target:
-        return max(rate / 1.5, cfg.final_learning_rate)
-    if kl < 0.5 * cfg.kl_target:
-        return min(rate * 1.5, HIGHEST_LEARNING_RATE)
-    return rate
 
 
 @contextmanager

@@ -73,7 +73,10 @@ class Simulation(ABC):
 
     @abstractmethod
     def forward(self, mask: Bool[Tensor, " num_envs"] | None = None) -> None:
-        """Make the bound fields current after writes to the state of the masked environments, or of all."""
+        """Make the bound fields current after writes to the state of the masked environments, or of all.
+
+        What masked ones touch may be found in the next step only, as if they touched nothing until then.
+        """
 
     @abstractmethod
     def ray(
