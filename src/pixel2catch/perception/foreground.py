@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 
 from pixel2catch.perception.image_track import GAP, SPECK, Blob, find_blobs
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt
+from pixel2catch.perception.steadiness import Shift, shift_between, shifted
 
 MEMORY = 100
 """Images that the background is the mean of. Source: ours: 3 s at 30 Hz."""
@@ -83,6 +84,7 @@ class Foreground:
         self._num_images = 0
         self._later: partial[None] | None = None
         self._kept: Mask | None = None
+        self._shift: Shift = (0.0, 0.0)
         self._light: deque[float] = deque(maxlen=FLICKER_IMAGES + 1)
 
     @property
@@ -104,6 +106,8 @@ class Foreground:
         if ignored is not None:
             counted[grown(ignored, SMOOTHED)] = 0
         smooth = self._lit(smooth, counted)
+        shift = shift_between(smooth, self._background, (counted * self._num_seen).view(bool))
+        smooth, self._shift = shifted(smooth, (-shift[0], -shift[1])), (round(shift[0]), round(shift[1]))
         first = counted * (self._num_seen == 0)
         _replace(self._mean, smooth, first)
         _replace(self._background, smooth, first)
@@ -116,10 +120,10 @@ class Foreground:
         self._later = partial(self._learn, smooth, difference, differs & known, counted)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
         return Motion(
-            image=smooth,
-            difference=difference,
-            moving=moving,
-            unknown=unknown,
+            image=shifted(smooth, self._shift),
+            difference=shifted(difference, self._shift),
+            moving=shifted(moving, self._shift),
+            unknown=shifted(unknown, self._shift),
             ignored=ignored,
             doubt=self.weakness or "",
         )
@@ -132,7 +136,7 @@ class Foreground:
 
     def keep(self, mask: Mask | None) -> None:
         """The object's pixels in the last image, which stay foreground however long it stands still."""
-        self._kept = None if mask is None else grown(mask, GAP)
+        self._kept = None if mask is None else grown(self._steadied(mask), GAP)
 
     def reveal(self, motion: Motion, prompt: Prompt) -> Motion:
         """The motion in the last image, unknown where a person's box holds what was background so far."""
@@ -142,8 +146,12 @@ class Foreground:
         if motion.moving[inside].sum() >= LEAST_MOVING * inside.sum():
             return motion
         self.settle()
-        self._num_seen[maybe] = 0
+        self._num_seen[self._steadied(maybe)] = 0
         return replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
+
+    def _steadied(self, mask: Mask) -> Mask:
+        """A mask of the last image, where the background is."""
+        return shifted(mask, (-self._shift[0], -self._shift[1]))
 
     def _begin(self, image: Image) -> None:
         shape = image.shape[:2]
