@@ -30,6 +30,10 @@ hide a part of it, any times smaller. Source: ours."""
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
 
+LEAST_OWN = 0.5
+"""Share of the object that has colours of its own if what moves without them is something else. Source:
+ours."""
+
 LARGEST_RATIO = 4.0
 """Largest factor between the area of what was lost and of a flight that is taken for it, either way.
 Source: ours: half or twice as far from the camera."""
@@ -160,7 +164,7 @@ class BackgroundSubtraction(Segmenter):
         self, track: ImageTrack, blobs: list[Blob], motion: Motion, least: float, *, is_alike: bool
     ) -> Blob | None:
         """The likeliest region that fits; where colours of its own are missing, only where it should be."""
-        anywhere = is_alike or self._appearance.own_share < LEAST_KNOWN
+        anywhere = is_alike or self._appearance.own_share < LEAST_OWN
         likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
         return next((blob for blob in likely if self._fits(blob, motion.unknown, least)), None)
 
@@ -254,11 +258,11 @@ def _prompted_size(box: tuple[float, float, float, float]) -> Size:
 
 def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> tuple[slice, slice]:
     """Rows and columns within reach of places, or of the points of the image nearest to them [px]."""
-    edge = np.array((image.shape[1] - 1, image.shape[0] - 1))
-    points = np.clip(np.array(places), 0, edge)
-    first = np.maximum(points.min(axis=0) - reach, 0).astype(int)
-    last = (points.max(axis=0) + reach).astype(int) + 1
-    return slice(first[1], last[1]), slice(first[0], last[0])
+    ends = (
+        sorted(min(max(place[axis], 0.0), image.shape[1 - axis] - 1.0) for place in places) for axis in (1, 0)
+    )
+    rows, columns = (slice(max(int(low - reach), 0), int(high + reach) + 1) for low, high in ends)
+    return rows, columns
 
 
 def _is_cut(mask: Mask) -> bool:
@@ -268,7 +272,7 @@ def _is_cut(mask: Mask) -> bool:
 
 def _overlap(mask: Mask, other: Mask) -> bool:
     """Whether a mask touches another."""
-    return bool((mask & grown(other, SPECK)).any())
+    return bool(other.any() and (mask & grown(other, SPECK)).any())
 
 
 def _extended(mask: Mask, more: Mask) -> Mask:

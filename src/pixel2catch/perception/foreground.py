@@ -32,8 +32,8 @@ Source: ours: 20 images, and 10 s, in which a place that never rests gets to say
 a thing passes."""
 
 DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
-"""Levels between which a pixel tells the light's gain, and how many pixels tell it. Source: ours: no noise,
-and not saturated with a sixth more."""
+"""Levels between which a pixel tells the light's gain, and how many pixels tell it. Source: ours: no
+noise, and not saturated with a sixth more."""
 
 LEAST_GAIN = 0.004  #: Change of the light that is left as it is: a level in 255.
 FLICKER, FLICKER_IMAGES = 0.01, 10
@@ -48,6 +48,10 @@ EDGE = 0.3
 """Share of the difference inside a thing at which its edge is. Source: ours: more than what compression adds
 around it, and no more than half, where the edge of a blurred thing is."""
 BRIGHT = 80.0  #: Percentile of the differences in a region that is that inside: its rim is less.
+
+RIM, LEAST_PART = 0.125, 0.2
+"""Share of a thing's width and height that is its rim at most, and of its area that another thing beside it
+has at least. Source: ours: four pixels of thirty; a ball and the hand that throws it."""
 
 INNER = 0.8
 """Share of the width and height of a prompted box in which the object surely is. Source: ours."""
@@ -166,7 +170,7 @@ class Foreground:
         every = slice(None, None, SAMPLING), slice(None, None, SAMPLING)
         now, before = image[every].astype(np.float32), self._mean[every]
         told = (now > DARKEST) & (now < BRIGHTEST) & (before > DARKEST) & (before < BRIGHTEST)
-        told &= (counted[every] * (self._num_seen[every] > 0)).view(bool)[..., None]
+        told &= (counted[every] * self._num_seen[every]).view(bool)[..., None]
         ratios = now[told] / before[told]
         gain = float(np.median(ratios)) if len(ratios) >= LEAST_SAMPLES else 1.0
         self._light.append(log(gain))
@@ -190,17 +194,28 @@ class Foreground:
         cv2.accumulateWeighted(difference, self._usual, BUSY_WEIGHT, mask=free * differs)
         cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
         self._last = image  # and what the next image is compared with, before it comes
-        self._background = cv2.convertScaleAbs(self._mean)
-        self._tolerance = cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS)
+        cv2.convertScaleAbs(self._mean, dst=self._background)
+        cv2.convertScaleAbs(self._usual, dst=self._tolerance, alpha=DEVIATIONS)
 
 
 def sharpened(motion: Motion, window: tuple[slice, slice]) -> Mask:
-    """What moves in a part of the image, each thing up to where it differs much less than inside."""
+    """What moves in a part of the image, each thing up to where it differs much less than inside.
+
+    That is a rim, as wide on either side. What a thing would lose more of on one side, unless it falls apart,
+    is nearly as bright as the background: there it loses no more than the widest rim.
+    """
     difference, sharp = motion.difference[window], np.zeros_like(motion.moving[window])
     for blob in regions(motion.moving[window]):
         inside = blob.mask()
         level = EDGE * float(np.percentile(difference[inside], BRIGHT))
-        sharp |= inside & (difference >= level)
+        bright = inside & (difference >= level)
+        first, *others = regions(bright)
+        size = np.array((blob.width, blob.height))
+        is_uneven = bool((np.abs(np.subtract(first.center, blob.center)) > 0.5 * RIM * size).any())
+        if is_uneven and sum(each.area for each in others) < LEAST_PART * first.area:
+            width, height = (2 * np.rint(RIM * size).astype(int) + 1).tolist()
+            bright |= cv2.erode(inside.view(np.uint8), np.ones((height, width), np.uint8)) > 0
+        sharp |= bright
     return closed(sharp)
 
 

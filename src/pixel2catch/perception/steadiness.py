@@ -41,20 +41,17 @@ def shift_between(image: Image, before: Image, known: Mask) -> Shift:
     Returns:
         The shift; (0, 0) where none is known that explains the differences.
     """
-    green, rim = before[..., 1], LARGEST_SHIFT + 1
-    rows, columns = np.mgrid[rim : known.shape[0] - rim : SPACING, rim : known.shape[1] - rim : SPACING]
-    rows, columns = rows[known[rows, columns]], columns[known[rows, columns]]
-    slopes = 0.5 * np.stack(
-        [
-            green[rows, columns + 1] - green[rows, columns - 1].astype(float),
-            green[rows + 1, columns] - green[rows - 1, columns].astype(float),
-        ]
-    )
-    steep = np.abs(slopes).max(axis=0) >= LEAST_SLOPE
-    rows, columns, slopes = rows[steep], columns[steep], slopes[:, steep]
+    rim, (height, width) = LARGEST_SHIFT + 1, known.shape
+
+    def at(du: int, dv: int, image: np.ndarray = before[..., 1]) -> np.ndarray:
+        return image[rim + dv : height - rim + dv : SPACING, rim + du : width - rim + du : SPACING]
+
+    slopes = 0.5 * np.stack([at(1, 0).astype(float) - at(-1, 0), at(0, 1).astype(float) - at(0, -1)])
+    rows, columns = np.nonzero((np.abs(slopes).max(axis=0) >= LEAST_SLOPE) & at(0, 0, known))
+    slopes, rows, columns = slopes[:, rows, columns], rim + SPACING * rows, rim + SPACING * columns
     if len(rows) < LEAST_SAMPLES:
         return 0.0, 0.0
-    there, shift, medians = green[rows, columns].astype(float), np.zeros(2), []
+    there, shift, medians = before[rows, columns, 1].astype(float), np.zeros(2), []
     for _ in range(NUM_ROUNDS):
         du, dv = whole = np.clip(np.rint(shift), -LARGEST_SHIFT, LARGEST_SHIFT).astype(int)
         difference = image[rows + dv, columns + du, 1] - there
