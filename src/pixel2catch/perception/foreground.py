@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from pixel2catch.perception.image_track import GAP, SPECK, Blob, find_blobs
+from pixel2catch.perception.image_track import GAP, SPECK, Blob, Window, find_blobs
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt
 from pixel2catch.perception.steadiness import Shift, shift_between, shifted
 
@@ -187,18 +187,19 @@ class Foreground:
             same = (_difference(image[part], self._last[part]) <= 2 * LEAST_DIFFERENCE) & differs[part]
             num_still[part] = cv2.add(self._num_still[part], same.view(np.uint8)) * same
             _replace(self._mean, image, free * (num_still >= LEARNING_IMAGES))
+            busy = free[part] * differs[part]
+            cv2.accumulateWeighted(difference[part], self._usual[part], BUSY_WEIGHT, mask=busy)
         self._num_still = num_still
         learned = free * ~differs
         cv2.accumulateWeighted(image, self._mean, 1.0 / min(self._num_images, MEMORY), mask=learned)
         cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
-        cv2.accumulateWeighted(difference, self._usual, BUSY_WEIGHT, mask=free * differs)
         cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
         self._last = image  # and what the next image is compared with, before it comes
         cv2.convertScaleAbs(self._mean, dst=self._background)
         cv2.convertScaleAbs(self._usual, dst=self._tolerance, alpha=DEVIATIONS)
 
 
-def sharpened(motion: Motion, window: tuple[slice, slice]) -> Mask:
+def sharpened(motion: Motion, window: Window) -> Mask:
     """What moves in a part of the image, each thing up to where it differs much less than inside.
 
     That is a rim, as wide on either side. What a thing would lose more of on one side, unless it falls apart,
@@ -229,9 +230,9 @@ def prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask
     return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)
 
 
-def regions(mask: Mask) -> list[Blob]:
-    """The regions of a mask, with small gaps closed."""
-    return find_blobs(closed(mask))
+def regions(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
+    """The regions of a mask, with small gaps closed: see `find_blobs`."""
+    return find_blobs(closed(mask), window, shape)
 
 
 def closed(mask: Mask) -> Mask:
