@@ -77,6 +77,7 @@ CASES: dict[str, Case] = {
     "few background images": Case(num_empty=FEW),
     "grey, flicker 6 %": Case(thing=GREY, fault=flicker),
     "grey, shake 2 px": Case(thing=GREY, fault=shake),
+    "tumbling, shake 2 px": Case(thing=TUMBLING, fault=shake),
     "tumbling, few background images": Case(thing=TUMBLING, num_empty=FEW),
 }
 

@@ -137,16 +137,32 @@ def test_a_background_that_was_known_before_a_robot_came_is_known_after_it():
     assert np.abs(painted.box_of(moving) - painted.box_of(disc.mask(num_steps - 1))).max() <= 2
 
 
+def motion_of(difference: np.ndarray) -> Motion:
+    """What moves where an image differs at all from its background."""
+    moving, image = difference > 0, np.zeros((*difference.shape, 3), dtype=np.uint8)
+    return Motion(image=image, difference=difference, moving=moving, unknown=np.zeros_like(moving))
+
+
+def test_the_side_of_a_thing_that_is_nearly_as_bright_as_the_wall_is_no_rim():
+    """Of 32 rows the lower 12 differ by 6 levels, a quarter of the others' 24: an eighth, 4, may be rim."""
+    difference = np.zeros((60, 60), dtype=np.uint8)
+    difference[10:30, 10:42], difference[30:42, 10:42] = 24, 6
+    box = painted.box_of(sharpened(motion_of(difference), (slice(0, 60), slice(0, 60))))
+    assert box.tolist() == [10.0, 10.0, 42.0, 38.0]
+
+
+def test_a_thing_beside_another_is_parted_from_it_where_both_differ_little():
+    """A ball and, below, a hand that differ by 24 levels, and by 6 between them."""
+    difference = np.zeros((60, 60), dtype=np.uint8)
+    difference[10:50, 20:32] = 6
+    difference[10:20, 20:32], difference[28:50, 20:32] = 24, 24
+    sharp = sharpened(motion_of(difference), (slice(0, 60), slice(0, 60)))
+    assert np.flatnonzero(sharp[:, 25]).tolist() == [*range(10, 20), *range(28, 50)]
+
+
 def test_a_thing_that_a_thin_line_parts_is_sharpened_as_one():
     """Half of it is brighter than the wall, half darker: along a line it differs in nothing."""
     difference = np.zeros((40, 40), dtype=np.uint8)
     difference[10:19, 10:30], difference[21:30, 10:30] = 40, 40
-    moving = difference > 0
-    motion = Motion(
-        image=np.zeros((40, 40, 3), np.uint8),
-        difference=difference,
-        moving=moving,
-        unknown=np.zeros_like(moving),
-    )
-    sharp = sharpened(motion, (slice(0, 40), slice(0, 40)))
+    sharp = sharpened(motion_of(difference), (slice(0, 40), slice(0, 40)))
     assert sharp[10:30, 15:25].all()

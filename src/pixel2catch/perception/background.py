@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from pixel2catch.perception.color import Appearance
 from pixel2catch.perception.foreground import INNER, LEARNING_IMAGES, grown, prompted, regions, sharpened
-from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack
+from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack, Window
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
@@ -29,6 +29,10 @@ hide a part of it, any times smaller. Source: ours."""
 
 LEAST_KNOWN = 0.2
 """Share of a region that has the object's colours if the rest of it is an unseen side. Source: ours."""
+
+LEAST_OWN = 0.5
+"""Share of the object that has colours of its own if what moves without them is something else. Source:
+ours."""
 
 LARGEST_RATIO = 4.0
 """Largest factor between the area of what was lost and of a flight that is taken for it, either way.
@@ -111,7 +115,8 @@ class BackgroundSubtraction(Segmenter):
         maybe = None
         if isinstance(prompt, BoxPrompt):
             inside, maybe = prompted(prompt.box, motion.image)
-            self._size = None if _is_cut(maybe) else _prompted_size(prompt.box)
+            is_cut = any(blob.is_cut for blob in regions(maybe))
+            self._size = None if is_cut else _prompted_size(prompt.box)
             self._learn(motion, inside, maybe)
         blobs, blob = self._object(motion, self._track, maybe)
         self._track, segmentation = self._track.advanced(blobs, blob)
@@ -119,7 +124,7 @@ class BackgroundSubtraction(Segmenter):
         self._num_still = 0 if is_moving else self._num_still + 1
         if blob is not None and not _overlap(mask := blob.mask(), motion.unknown):
             is_box = maybe is not None and np.array_equal(mask, maybe)  # its area is not the object's
-            if not (is_box or _is_cut(mask)):
+            if not (is_box or blob.is_cut):
                 self._resize(blob, self._track.num_seen)
             self._later = partial(self._learn, motion, mask, grown(mask, GAP))
         return replace(segmentation, doubt=motion.doubt)
@@ -131,8 +136,9 @@ class BackgroundSubtraction(Segmenter):
 
         A whole thing that moves, its part with the object's and new colours, or with the object's alone:
         that is taken which continues the size, so that no hand is added and no blurred rim cut off; one that
-        is far off, where another thing of this size may move, only if none is near. Where a person's box is
-        all that is known, the object may fill little of it, as a cross does.
+        is far off, where another thing of this size may move, only if none is near. Looked at is what is in
+        reach, or may be in the next image, and is known for another thing then. Where a person's box is all
+        that is known, the object may fill little of it, as a cross does.
 
         Args:
             motion: What moves in the image.
@@ -142,25 +148,29 @@ class BackgroundSubtraction(Segmenter):
         Returns:
             The regions that were looked at, and which of them is the object; None if none is.
         """
-        alone, whole, alike = self._resembling(motion, track)
-        choices = (alone, whole, alike), (alike & (motion.moving | motion.unknown),), (motion.moving,)
+        window = _window((track.center, track.expected), track.reach + REACH, motion.image)
+        alone, whole, alike = self._resembling(motion, window)
+        surely = alike & (motion.moving[window] | motion.unknown[window])
+        shape = motion.moving.shape
+        everywhere = slice(0, shape[0]), slice(0, shape[1])
+        choices = ((alone, whole, alike), window), ((surely,), window), ((motion.moving,), everywhere)
         leasts = (LEAST_SHARE, LEAST_KNOWN) if track.num_seen == 1 else (LEAST_SHARE,)
-        for least, masks in product(leasts, choices):
+        for least, (masks, place) in product(leasts, choices):
             found = []
             for mask in masks:
-                blobs = regions(mask if within is None else mask & within)
-                blob = self._first(track, blobs, motion, least, is_alike=mask is not motion.moving)
+                blobs = regions(mask if within is None else mask & within[place], place, shape)
+                blob = self._first(track, blobs, motion, least, is_alike=place is window)
                 found += [(blobs, blob)] if blob else []
             if found:
                 return min(found, key=lambda each: (track.is_far(each[1]), self._change(each[1])))
-        blobs = regions(alike if within is None else within)
+        blobs = regions(alike, window, shape) if within is None else regions(within)
         return blobs, None if within is None else next(iter(blobs), None)
 
     def _first(
         self, track: ImageTrack, blobs: list[Blob], motion: Motion, least: float, *, is_alike: bool
     ) -> Blob | None:
         """The likeliest region that fits; where colours of its own are missing, only where it should be."""
-        anywhere = is_alike or self._appearance.own_share < LEAST_KNOWN
+        anywhere = is_alike or self._appearance.own_share < LEAST_OWN
         likely = (blob for blob in track.candidates(blobs) if anywhere or track.leads_to(blob))
         return next((blob for blob in likely if self._fits(blob, motion.unknown, least)), None)
 
@@ -189,26 +199,18 @@ class BackgroundSubtraction(Segmenter):
         if self._size is None:
             return True
         share = blob.area / float(self._size[2])
-        mask = blob.mask()
-        return share <= LARGEST_GROWTH and (share >= least or _is_cut(mask) or _overlap(mask, unknown))
+        return share <= LARGEST_GROWTH and (share >= least or blob.is_cut or _overlap(blob.mask(), unknown))
 
-    def _resembling(self, motion: Motion, track: ImageTrack) -> tuple[Mask, Mask, Mask]:
-        """Things that move and have the object's colours; these with new colours; these alone.
+    def _resembling(self, motion: Motion, window: Window) -> tuple[Mask, Mask, Mask]:
+        """In a window, things that move and have the object's colours; these with new colours; these alone.
 
-        In reach of where the object should be and a little further: what is out of reach now may be in reach
-        in the next image, and is known for another thing then. What differs in nothing from a background that
-        is known is not the object.
+        What differs in nothing from a background that is known is not the object.
         """
-        alone, whole, alike = (np.zeros_like(motion.moving) for _ in range(3))
-        reach = track.reach + REACH
-        window = _window((track.center, track.expected), reach, motion.image)
         has_colors, is_new = self._appearance.compare(motion.image[window])
         sharp = sharpened(motion, window)
         extended = _extended(has_colors, is_new & motion.moving[window])
         changed = sharp | motion.unknown[window]
-        alone[window] = _extended(has_colors & sharp, sharp)
-        whole[window], alike[window] = extended & changed, has_colors & changed
-        return alone, whole, alike
+        return _extended(has_colors & sharp, sharp), extended & changed, has_colors & changed
 
     def _resembles(self, image: Image, box: tuple[float, float, float, float]) -> bool:
         """Whether what fills a box has the size of what was followed, and its colours if it has any."""
@@ -252,23 +254,18 @@ def _prompted_size(box: tuple[float, float, float, float]) -> Size:
     return np.array((width, height, 0.25 * pi * width * height))
 
 
-def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> tuple[slice, slice]:
+def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image) -> Window:
     """Rows and columns within reach of places, or of the points of the image nearest to them [px]."""
-    edge = np.array((image.shape[1] - 1, image.shape[0] - 1))
-    points = np.clip(np.array(places), 0, edge)
-    first = np.maximum(points.min(axis=0) - reach, 0).astype(int)
-    last = (points.max(axis=0) + reach).astype(int) + 1
-    return slice(first[1], last[1]), slice(first[0], last[0])
-
-
-def _is_cut(mask: Mask) -> bool:
-    """Whether a mask touches the edge of the image, beyond which it may go on."""
-    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+    ends = (
+        sorted(min(max(place[axis], 0.0), image.shape[1 - axis] - 1.0) for place in places) for axis in (1, 0)
+    )
+    rows, columns = (slice(max(int(low - reach), 0), int(high + reach) + 1) for low, high in ends)
+    return rows, columns
 
 
 def _overlap(mask: Mask, other: Mask) -> bool:
     """Whether a mask touches another."""
-    return bool((mask & grown(other, SPECK)).any())
+    return bool(other.any() and (mask & grown(other, SPECK)).any())
 
 
 def _extended(mask: Mask, more: Mask) -> Mask:

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from pixel2catch.perception.image_track import GAP, SPECK, Blob, find_blobs
+from pixel2catch.perception.image_track import GAP, SPECK, Blob, Window, find_blobs
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt
+from pixel2catch.perception.steadiness import Shift, shift_between, shifted
 
 MEMORY = 100
 """Images that the background is the mean of. Source: ours: 3 s at 30 Hz."""
@@ -31,8 +32,8 @@ Source: ours: 20 images, and 10 s, in which a place that never rests gets to say
 a thing passes."""
 
 DARKEST, BRIGHTEST, LEAST_SAMPLES = 24, 232, 100
-"""Levels between which a pixel tells the light's gain, and how many pixels tell it. Source: ours: no noise,
-and not saturated with a sixth more."""
+"""Levels between which a pixel tells the light's gain, and how many pixels tell it. Source: ours: no
+noise, and not saturated with a sixth more."""
 
 LEAST_GAIN = 0.004  #: Change of the light that is left as it is: a level in 255.
 FLICKER, FLICKER_IMAGES = 0.01, 10
@@ -47,6 +48,10 @@ EDGE = 0.3
 """Share of the difference inside a thing at which its edge is. Source: ours: more than what compression adds
 around it, and no more than half, where the edge of a blurred thing is."""
 BRIGHT = 80.0  #: Percentile of the differences in a region that is that inside: its rim is less.
+
+RIM, LEAST_PART = 0.125, 0.2
+"""Share of a thing's width and height that is its rim at most, and of its area that another thing beside it
+has at least. Source: ours: four pixels of thirty; a ball and the hand that throws it."""
 
 INNER = 0.8
 """Share of the width and height of a prompted box in which the object surely is. Source: ours."""
@@ -83,6 +88,7 @@ class Foreground:
         self._num_images = 0
         self._later: partial[None] | None = None
         self._kept: Mask | None = None
+        self._shift: Shift = (0.0, 0.0)
         self._light: deque[float] = deque(maxlen=FLICKER_IMAGES + 1)
 
     @property
@@ -104,6 +110,8 @@ class Foreground:
         if ignored is not None:
             counted[grown(ignored, SMOOTHED)] = 0
         smooth = self._lit(smooth, counted)
+        shift = shift_between(smooth, self._background, (counted * self._num_seen).view(bool))
+        smooth, self._shift = shifted(smooth, (-shift[0], -shift[1])), (round(shift[0]), round(shift[1]))
         first = counted * (self._num_seen == 0)
         _replace(self._mean, smooth, first)
         _replace(self._background, smooth, first)
@@ -116,10 +124,10 @@ class Foreground:
         self._later = partial(self._learn, smooth, difference, differs & known, counted)
         unknown = ~known if ignored is None else ~known & ((counted > 0) | ignored)
         return Motion(
-            image=smooth,
-            difference=difference,
-            moving=moving,
-            unknown=unknown,
+            image=shifted(smooth, self._shift),
+            difference=shifted(difference, self._shift),
+            moving=shifted(moving, self._shift),
+            unknown=shifted(unknown, self._shift),
             ignored=ignored,
             doubt=self.weakness or "",
         )
@@ -132,7 +140,7 @@ class Foreground:
 
     def keep(self, mask: Mask | None) -> None:
         """The object's pixels in the last image, which stay foreground however long it stands still."""
-        self._kept = None if mask is None else grown(mask, GAP)
+        self._kept = None if mask is None else grown(self._steadied(mask), GAP)
 
     def reveal(self, motion: Motion, prompt: Prompt) -> Motion:
         """The motion in the last image, unknown where a person's box holds what was background so far."""
@@ -142,8 +150,12 @@ class Foreground:
         if motion.moving[inside].sum() >= LEAST_MOVING * inside.sum():
             return motion
         self.settle()
-        self._num_seen[maybe] = 0
+        self._num_seen[self._steadied(maybe)] = 0
         return replace(motion, unknown=motion.unknown | maybe, moving=motion.moving & ~maybe)
+
+    def _steadied(self, mask: Mask) -> Mask:
+        """A mask of the last image, where the background is."""
+        return shifted(mask, (-self._shift[0], -self._shift[1]))
 
     def _begin(self, image: Image) -> None:
         shape = image.shape[:2]
@@ -158,7 +170,7 @@ class Foreground:
         every = slice(None, None, SAMPLING), slice(None, None, SAMPLING)
         now, before = image[every].astype(np.float32), self._mean[every]
         told = (now > DARKEST) & (now < BRIGHTEST) & (before > DARKEST) & (before < BRIGHTEST)
-        told &= (counted[every] * (self._num_seen[every] > 0)).view(bool)[..., None]
+        told &= (counted[every] * self._num_seen[every]).view(bool)[..., None]
         ratios = now[told] / before[told]
         gain = float(np.median(ratios)) if len(ratios) >= LEAST_SAMPLES else 1.0
         self._light.append(log(gain))
@@ -175,24 +187,36 @@ class Foreground:
             same = (_difference(image[part], self._last[part]) <= 2 * LEAST_DIFFERENCE) & differs[part]
             num_still[part] = cv2.add(self._num_still[part], same.view(np.uint8)) * same
             _replace(self._mean, image, free * (num_still >= LEARNING_IMAGES))
+            busy = free[part] * differs[part]
+            cv2.accumulateWeighted(difference[part], self._usual[part], BUSY_WEIGHT, mask=busy)
         self._num_still = num_still
         learned = free * ~differs
         cv2.accumulateWeighted(image, self._mean, 1.0 / min(self._num_images, MEMORY), mask=learned)
         cv2.accumulateWeighted(difference, self._usual, USUAL_WEIGHT, mask=learned)
-        cv2.accumulateWeighted(difference, self._usual, BUSY_WEIGHT, mask=free * differs)
         cv2.add(self._num_seen, counted * ((free > 0) | (self._num_seen > 0)), self._num_seen)
         self._last = image  # and what the next image is compared with, before it comes
-        self._background = cv2.convertScaleAbs(self._mean)
-        self._tolerance = cv2.convertScaleAbs(self._usual, alpha=DEVIATIONS)
+        cv2.convertScaleAbs(self._mean, dst=self._background)
+        cv2.convertScaleAbs(self._usual, dst=self._tolerance, alpha=DEVIATIONS)
 
 
-def sharpened(motion: Motion, window: tuple[slice, slice]) -> Mask:
-    """What moves in a part of the image, each thing up to where it differs much less than inside."""
+def sharpened(motion: Motion, window: Window) -> Mask:
+    """What moves in a part of the image, each thing up to where it differs much less than inside.
+
+    That is a rim, as wide on either side. What a thing would lose more of on one side, unless it falls apart,
+    is nearly as bright as the background: there it loses no more than the widest rim.
+    """
     difference, sharp = motion.difference[window], np.zeros_like(motion.moving[window])
     for blob in regions(motion.moving[window]):
         inside = blob.mask()
         level = EDGE * float(np.percentile(difference[inside], BRIGHT))
-        sharp |= inside & (difference >= level)
+        bright = inside & (difference >= level)
+        first, *others = regions(bright)
+        size = np.array((blob.width, blob.height))
+        is_uneven = bool((np.abs(np.subtract(first.center, blob.center)) > 0.5 * RIM * size).any())
+        if is_uneven and sum(each.area for each in others) < LEAST_PART * first.area:
+            width, height = (2 * np.rint(RIM * size).astype(int) + 1).tolist()
+            bright |= cv2.erode(inside.view(np.uint8), np.ones((height, width), np.uint8)) > 0
+        sharp |= bright
     return closed(sharp)
 
 
@@ -206,9 +230,9 @@ def prompted(box: tuple[float, float, float, float], image: Image) -> tuple[Mask
     return inside, grown((np.abs(across) <= 1.0) & (np.abs(down) <= 1.0), GAP)
 
 
-def regions(mask: Mask) -> list[Blob]:
-    """The regions of a mask, with small gaps closed."""
-    return find_blobs(closed(mask))
+def regions(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
+    """The regions of a mask, with small gaps closed: see `find_blobs`."""
+    return find_blobs(closed(mask), window, shape)
 
 
 def closed(mask: Mask) -> Mask:

@@ -41,6 +41,9 @@ LONGEST_COAST = 3
 """Image intervals that an unseen object is taken to go on as before. Source: ours."""
 
 
+Window = tuple[slice, slice]  #: Rows and columns of a part of an image, from the first to before the last.
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blob:
     """A connected region of a mask.
@@ -51,9 +54,9 @@ class Blob:
         height: Of its box [px].
         center: Middle of its box [px].
         label: Its number among the regions of the mask.
-        labels: Number of the region that each pixel is in, in the part of the mask that holds all of them.
+        labels: Number of the region that each pixel is in, in the part of the image that holds all of them.
         window: That part: rows and columns.
-        shape: Height and width of the mask.
+        shape: Height and width of the image.
     """
 
     area: int
@@ -62,7 +65,7 @@ class Blob:
     center: tuple[float, float]
     label: int
     labels: Int32[np.ndarray, "rows columns"]
-    window: tuple[slice, slice]
+    window: Window
     shape: tuple[int, int]
 
     @property
@@ -76,6 +79,12 @@ class Blob:
         (u, v), x, y = self.center, 0.5 * self.width, 0.5 * self.height
         return u - x, v - y, u + x, v + y
 
+    @property
+    def is_cut(self) -> bool:
+        """Whether it touches the edge of the image, beyond which it may go on."""
+        xmin, ymin, xmax, ymax = self.box
+        return min(xmin, ymin) <= 0.0 or ymax >= self.shape[0] or xmax >= self.shape[1]
+
     def mask(self) -> Mask:
         """The pixels of the region."""
         mask = np.zeros(self.shape, dtype=bool)
@@ -87,15 +96,18 @@ class Blob:
         return hypot(self.center[0] - point[0], self.center[1] - point[1])
 
 
-def find_blobs(mask: Mask) -> list[Blob]:
-    """Return the connected regions of a mask, largest first."""
+def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
+    """Return the connected regions of a mask, of an image or a window of one of this shape; largest first."""
     pixels = mask.view(np.uint8)
     left, top, width, height = cv2.boundingRect(pixels)
     if not width:
         return []
+    pixels = pixels[top : top + height, left : left + width]
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels, connectivity=NUM_NEIGHBORS)
+    if window is not None:
+        top, left = top + window[0].start, left + window[1].start
     window = slice(top, top + height), slice(left, left + width)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels[window], connectivity=NUM_NEIGHBORS)
-    common = {"labels": labels, "window": window, "shape": mask.shape}
+    common = {"labels": labels, "window": window, "shape": shape or mask.shape}
     blobs = []
     for label, (x, y, w, h, area) in enumerate(stats.tolist()[1:], start=1):
         center = (left + x + 0.5 * w, top + y + 0.5 * h)
