@@ -97,7 +97,7 @@ def deployment(args: argparse.Namespace, out: Path) -> Iterator[subprocess.Popen
 def wait_for(node: Transport, profile: Profile, process: subprocess.Popen[bytes]) -> None:
     """Wait until the deployment and its servo are there."""
     statuses, end = node.subscription(profile.operator.status), time.monotonic() + START_TIME
-    while newest(statuses, {}).get("mode") != "idle":
+    while newest(statuses.take(), {}).get("mode") != "idle":
         if process.poll() is not None or time.monotonic() > end:
             raise SystemExit("the deployment did not start")
         node.wait(POLL)

@@ -1,4 +1,4 @@
-"""When work ends early: by Ctrl-C or a scheduler (once: in order; twice: at once), or with its parent."""
+"""When work ends early: by a signal (once: in order; twice: at once), or with its parent."""
 
 import os
 import signal
@@ -32,7 +32,7 @@ def _terminate(number: int, frame: FrameType | None) -> None:
 
 
 class StopRequest:
-    """Whether the user or the machine has asked to stop. Use as a context around the work."""
+    """Whether user, machine or a closed terminal has asked to stop. Use as a context around the work."""
 
     def __init__(self) -> None:
         """Nobody has asked yet."""
@@ -42,7 +42,9 @@ class StopRequest:
     def __enter__(self) -> "StopRequest":
         """Listen, if in the main thread; signals reach no other."""
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            is_heard = signal.getsignal(signal.SIGHUP) is signal.SIG_DFL  # else nohup has it ignored
+            closed = (signal.SIGHUP,) if is_heard else ()
+            for number in (signal.SIGINT, signal.SIGTERM, *closed):
                 self._previous[number] = signal.signal(number, self._request)
         return self
 

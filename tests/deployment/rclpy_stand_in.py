@@ -102,6 +102,7 @@ class TopicEndpointInfo:
     node_name: str
     topic_type: str
     qos_profile: QoSProfile
+    endpoint_gid: list[int]
 
 
 class Endpoint(Destroyable):
@@ -109,7 +110,8 @@ class Endpoint(Destroyable):
         self.topic, self._qos_profile = qos_profile.topic(msg_type, topic), qos_profile
 
     def info(self, node_name: str) -> TopicEndpointInfo:
-        return TopicEndpointInfo(node_name, self.topic.type, self._qos_profile)
+        gid = [*id(self).to_bytes(16)]
+        return TopicEndpointInfo(node_name, self.topic.type, self._qos_profile, gid)
 
 
 class Publisher(Endpoint):

@@ -23,8 +23,9 @@ from loop_lab import (
     surroundings,
 )
 
-from pixel2catch.deployment.control_loop import SILENCE, ControlLoop, read_prompt
+from pixel2catch.deployment.control_loop import SILENCE, ControlLoop
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
+from pixel2catch.deployment.operator_requests import read_prompt
 from pixel2catch.deployment.perception_thread import CallerExecutor
 from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.errors import DeploymentError
@@ -240,6 +241,34 @@ def test_stops_and_refusals_are_told_once_and_counted():
         summary = led.control_loop.statistics.summary()
         assert summary["stops"] == {"image stale, dead man": 1}
         assert summary["refusals"] == {"start pose": 1}
+
+
+def test_a_second_program_that_points_changes_nothing_and_is_told():
+    """It may point in the midst of a throw."""
+    with surroundings() as around:
+        led = LedLoop(around)
+        other = around.broker.node(around.clock).publisher(PROFILE.operator.prompt)
+        led.say(Mode.ARMED)
+        led.point(json.dumps({"box": BOX}))
+        around.show(picture())
+        assert led.step()["object"] == "seen"
+        other.publish(messages.text(json.dumps({"box": [0, 0, 9, 9]})))
+        status = led.step()
+        assert status["object"] == "seen"
+        assert "was refused" in status["message"]
+        assert sum(led.control_loop.statistics.refused_prompts.values()) == 1
+
+
+def test_who_asked_to_stop_is_told_until_it_is_armed_again():
+    with surroundings() as around:
+        led = LedLoop(around)
+        led.say(Mode.RUN)
+        around.broker.node(around.clock).publisher(PROFILE.operator.stop).publish(messages.boolean(True))
+        led.say(Mode.STOPPED, stopped_by=Fault.STOP_REQUEST)
+        said = [led.step()["message"], led.step()["message"]]
+        assert all(re.search(r"The stop was asked for by publisher \d+\.", each) for each in said)
+        led.say(Mode.ARMED)
+        assert "asked for" not in led.step()["message"]
 
 
 def test_a_recording_that_is_not_whole_is_said_whatever_else_there_is_to_say(tmp_path: Path):

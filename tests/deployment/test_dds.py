@@ -1,6 +1,8 @@
 """What DDS shows to others on the network, where ROS 2 looks; `test_transports` has the rest."""
 
 import multiprocessing
+import os
+import socket
 import subprocess
 import sys
 import time
@@ -42,6 +44,21 @@ def announced():
     participant = DomainParticipant(int(own_domain()))
     reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
     return {endpoint.topic_name: endpoint for endpoint in reader.take(N=100)}
+
+
+def test_a_publisher_is_known_by_its_node_process_and_machine(make):
+    node, program = (
+        make("node"),
+        DomainParticipant(int(own_domain()), Qos(Policy.EntityName("stranger\n" + 90 * "!"))),
+    )
+    writer = DataWriter(program, DdsTopic(program, "rt/joint_states", dds_type(STATES.type)))
+    make("driver").publisher(STATES)
+    end = time.monotonic() + PATIENCE
+    while len(found := {*node.other_publishers(STATES).values()}) < 2:
+        assert time.monotonic() < end
+    where = f"(process {os.getpid()} on {socket.gethostname()})"
+    assert found == {f"driver {where}", f"stranger{52 * '!'} {where}"}
+    assert writer is not None
 
 
 def test_publishers_have_the_names_types_and_hashes_of_ros_2(make):

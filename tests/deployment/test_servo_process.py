@@ -15,7 +15,7 @@ from pixel2catch.ros2.profile import Profile, StatusTopics
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import LoopEnd, ServoEnd
-from pixel2catch.servo.subscriptions import ARM_PAUSE
+from pixel2catch.servo.subscriptions import ARM_PAUSE, DEPTH
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
@@ -196,6 +196,28 @@ def test_the_operator_stops_and_goes_on(stage: Stage):
         yield from wait(ARM_TICKS)
         yield from stage.armed(80)
         assert stage.mode == Mode.RUN
+        raise Cut
+
+    stage.play(script())
+    assert stage.stopped_by == ("stop request",)
+
+
+@pytest.mark.parametrize("num", [DEPTH - 1, DEPTH, 3 * DEPTH])
+def test_nobody_hinders_a_request_to_stop(num: int, stage: Stage):
+    """Somebody else says within a tick, many times, that nothing is to stop; what is lost counts as one."""
+    lab, stop = stage.lab, stage.lab.profile.operator.stop
+    other = stage.broker.node(stage.clock).publisher(stop)
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(80)
+        lab.say(stop, messages.boolean(True))
+        for _ in range(num):
+            other.publish(messages.boolean(False))
+        yield from wait(2)
+        assert stage.mode == Mode.STOPPED
+        other.publish(messages.boolean(False))
+        yield from wait(STOP_TICKS)
+        assert stage.mode == Mode.STOPPED
         raise Cut
 
     stage.play(script())

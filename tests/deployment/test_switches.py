@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import chain, repeat
 from pathlib import Path
 
 import pytest
@@ -117,17 +118,16 @@ class Desk:
     def _wait(self, moment: float) -> None:
         self._clock.time = moment
 
-    def run(self, seconds: float) -> None:
-        """Operate for a while."""
-        end = self._clock.now() + seconds
-        operate_by_keys(
-            self._console,
-            self._switches,
-            Keys(),
-            self._clock,
-            lambda: self._clock.now() > end,
-            lambda *_: None,
-        )
+    def run(self, seconds: float, held_up: float = 0.0) -> None:
+        """Operate for a while, in a process that is held up for some time before its first look [s]."""
+        end = self._clock.now() + seconds + held_up
+        moments = chain([self._clock.now() + held_up], repeat(0.0))
+
+        def is_over() -> bool:
+            self._clock.time = max(self._clock.time, next(moments))
+            return self._clock.now() > end
+
+        operate_by_keys(self._console, self._switches, Keys(), self._clock, is_over, lambda *_: None)
 
     def heard(self) -> dict[str, list[bool]]:
         """What was heard since the last call."""
@@ -166,6 +166,26 @@ def test_keys_arm_and_stop_once_and_a_stop_comes_first(device: Device, switches:
     device.press(STOP)
     desk.run(0.05)
     assert desk.heard() == {"dead_man": [], "arm": [], "stop": [True]}
+
+
+def test_after_a_hold_up_the_switch_must_be_pressed_anew_and_nothing_arms(device: Device, switches: Switches):
+    """What was pressed meanwhile is told as if it were pressed now; a stop is a stop."""
+    desk = Desk(switches)
+
+    device.press(HOLD)
+    desk.run(0.05)
+    assert desk.heard()["dead_man"] == [True, True, False]
+    for key in (ARM, STOP):
+        device.press(key)
+        device.release(key)
+    desk.run(0.05, held_up=1.0)
+    assert desk.heard() == {"dead_man": [], "arm": [], "stop": [True]}
+    desk.run(0.05)
+    assert desk.heard()["dead_man"] == []
+    device.release(HOLD)
+    device.press(HOLD)
+    desk.run(0.05)
+    assert desk.heard()["dead_man"] == [True, True, False]
 
 
 def test_without_the_device_the_switch_is_let_go(device: Device, switches: Switches):
@@ -215,6 +235,23 @@ def until(queue: Subscription, num: int) -> list[bool]:
 
 
 LISTS = '"stopped_by": [], "refused": [], "found": []'
+
+
+def test_where_several_programs_say_the_status_none_is_believed():
+    """Such as a second deployment, which is idle, while the robot runs."""
+    clock, broker = StepClock(lambda _: None), Broker()
+    console = OperatorConsole(broker.node(clock), PROFILE.operator, clock)
+    nodes = [broker.node(clock) for _ in range(2)]
+    publishers = [node.publisher(PROFILE.operator.status) for node in nodes]
+    lists = {"message": "", "stopped_by": [], "refused": [], "found": []}
+    for publisher, mode in zip(publishers, ("run", "idle"), strict=True):
+        publisher.publish(messages.text(json.dumps(lists | {"mode": mode})))
+        console.watch()
+        assert console.mode == "several"
+    nodes[1].close()
+    publishers[0].publish(messages.text(json.dumps(lists | {"mode": "run"})))
+    console.watch()
+    assert console.mode == "run"
 
 
 @pytest.mark.parametrize(

@@ -119,6 +119,26 @@ def test_other_publishers_are_counted_and_own_ones_are_not(make: MakeNode):
         publishers[-1].publish(messages.number(0.0))
 
 
+def test_publishers_of_others_are_named_and_messages_say_which_of_them_sent_them(make: MakeNode):
+    """As far as the network tells: rclpy does not tell who sent a message."""
+    mine, other, third = make("mine"), make("other"), make("third")
+    heard = mine.subscription(NUMBER, depth=2)
+    mine.publisher(NUMBER)
+    senders = [node.publisher(NUMBER) for node in (other, third)]
+    wait_until(lambda: len(mine.other_publishers(NUMBER)) == 2)
+    names, found = mine.other_publishers(NUMBER), set[int]()
+    assert len({*names.values()}) == 2
+    for sender in senders:
+        sender.publish(messages.number(1.0))
+        assert mine.wait(PATIENCE)
+        (message,) = heard.take()
+        found.add(message.sender)
+    assert found == ({0} if "Ros" in type(mine).__name__ else {*names})
+    third.close()
+    wait_until(lambda: len(mine.other_publishers(NUMBER)) == 1)
+    assert mine.other_publishers(NUMBER).items() <= names.items()
+
+
 def test_subscribers_are_counted_but_for_those_that_only_watch(make: MakeNode):
     mine, other, third, watcher = (make(name) for name in ("mine", "other", "third", "pixel2catch"))
     publisher = mine.publisher(NUMBER)

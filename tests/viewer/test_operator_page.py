@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import numpy as np
@@ -56,13 +56,13 @@ class Desk:
             name: self.node.subscription(getattr(OPERATOR, name), depth=1000)
             for name in ("dead_man", "arm", "stop", "prompt")
         }
-        self._status = self.node.publisher(OPERATOR.status)
+        self.status = self.node.publisher(OPERATOR.status)
 
     def _wait(self, moment: float) -> None:
         self.clock.time = moment
 
     def tell(self, **status: Any) -> None:
-        self._status.publish(messages.text(json.dumps(WAITS | status)))
+        self.status.publish(messages.text(json.dumps(WAITS | status)))
 
     def go_on(self, seconds: float = 0.02) -> dict[str, Any]:
         """What the page says a moment later."""
@@ -157,6 +157,10 @@ def test_a_stop_is_sent_at_once_and_again_until_it_is_heard(desk: Desk):
         desk.tell(mode="run", found=[])
         assert desk.go_on()["num_heard"] == 0
         desk.tell(mode="stopped", stopped_by=["stop request"])
+        with closing(desk.node.broker.node(desk.clock)) as other:  # such as a second deployment
+            other.publisher(OPERATOR.status)
+            assert desk.go_on()["num_heard"] == 0
+        desk.tell(mode="stopped", stopped_by=["stop request"])
         state = desk.go_on()
         assert (state["num_heard"], state["tone"]) == (1, "stopped")
         assert state["headline"] == "stopped: somebody asked to stop"
@@ -237,8 +241,9 @@ def test_words_follow_the_statuses(desk: Desk):
 
 def test_garbage_shows_nothing(desk: Desk):
     garbage = b"\x00\x01\x00\x00garbage"
-    for topic in (PROFILE.camera.image, PROFILE.robots[0].state_topic, OPERATOR.status):
+    for topic in (PROFILE.camera.image, PROFILE.robots[0].state_topic):
         desk.node.publisher(topic).publish(garbage)
+    desk.status.publish(garbage)
     desk.go_on(0.1)
     desk.tell(latency_ms=[1])
     assert desk.go_on(0.1)["tone"] == "absent"

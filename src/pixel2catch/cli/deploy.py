@@ -144,6 +144,6 @@ def lines(summary: dict[str, Any]) -> Iterator[str]:
     ages = [f"{name} {values['p50']:.1f}" for name, values in summary["stages_ms"].items() if values]
     if ages:
         yield f"age of an image [ms], in the median: {', '.join(ages)}"
-    for name in ("stops", "refusals", "clamps"):
+    for name in ("stops", "refusals", "clamps", "stop_requests", "refused_prompts"):
         for reason, count in summary[name].items():
-            yield f"{name}: {reason}: {count}"
+            yield f"{name.replace('_', ' ')}: {reason}: {count}"

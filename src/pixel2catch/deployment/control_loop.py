@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from pixel2catch.deployment.image_subscriber import ImageSubscriber
+from pixel2catch.deployment.operator_requests import OperatorRequests
 from pixel2catch.deployment.perception_thread import ConcurrentPerception, PerceptionResult
 from pixel2catch.deployment.policy_pipeline import PolicyPipeline
 from pixel2catch.deployment.recorder import ORDERS, Connection
 from pixel2catch.deployment.statistics import ACTIVE, RunStatistics
 from pixel2catch.errors import DeploymentError, NonFiniteError
 from pixel2catch.perception.extractor import CameraFrame, Extraction
-from pixel2catch.perception.segmenter import BoxPrompt, Prompt
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.scene.constants import CONTROL_DT
@@ -94,7 +94,7 @@ class ControlLoop:
         self._pipeline, self._images = pipeline, images
         self._connection, self._clock = connection, connection.clock
         self._recording = connection.recording
-        self._prompts = connection.transport.subscription(topics.prompt)
+        self._requests = OperatorRequests(connection.transport, topics, self.statistics)
         self._status = connection.transport.publisher(topics.status)
         self._joint_pos = np.full(pipeline.num_joints, np.nan)
         self._mode = int(Mode.IDLE)
@@ -102,7 +102,7 @@ class ControlLoop:
         self._look: PerceptionResult | None = None
         self._seen: Extraction | None = None
         self._sent: PolicyCommand | None = None
-        self._message, self._timer = "", DecisionTimer(connection.clock.now())
+        self._timer = DecisionTimer(connection.clock.now())
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
         """Go from control step to control step, with the status of each, until it is over.
@@ -158,13 +158,10 @@ class ControlLoop:
             self._joint_pos = servo_status.joint_pos
             if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
                 self._perception.begin(None)
+                self._requests.stopped_by = ""
             self._mode = servo_status.mode
-        for message in self._prompts.take():
-            try:
-                self._perception.begin(read_prompt(message.data))
-                self._message = ""
-            except DeploymentError as error:
-                self._message = str(error)
+        for prompt in self._requests.take():
+            self._perception.begin(prompt)
 
     def _show_servo(self, frame: CameraFrame) -> None:
         """Tell the servo of an image at once: how old the newest one is does not depend on decisions."""
@@ -197,9 +194,10 @@ class ControlLoop:
             self.statistics.count_stages(look.frame.stamp, times)
         trouble = self._recording.trouble if self._recording else ""
         of_image = self._images.message or (seen.message if seen else "")
-        message = self._message or self._problem or of_image or complaint
+        message = self._requests.complaint or self._problem or of_image or complaint
         sight = self._pipeline.sight
-        message = " ".join(filter(None, (self._images.take_notice() or message, trouble)))
+        message = self._images.take_notice() or message
+        message = " ".join(filter(None, (self._requests.stopped_by, message, trouble)))
         status = self.statistics.status(seen, message, sight.at(end), end - sight.box_stamp)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
@@ -225,20 +223,3 @@ class ControlLoop:
         self.statistics.note_command(policy_command)
         newest, is_sound = min(self._images.stamp, now), not self._problem
         return replace(policy_command, image_stamp=newest, is_perception_sound=is_sound), ""
-
-
-def read_prompt(data: bytes) -> Prompt:
-    """Read where the operator points.
-
-    Raises:
-        DeploymentError: It is no box of an image.
-    """
-    try:
-        xmin, ymin, xmax, ymax = map(float, messages.read_json(data)["box"])
-    except (DeploymentError, ValueError, TypeError, KeyError, OverflowError) as error:
-        raise DeploymentError(
-            f'a prompt is not {{"box": [xmin, ymin, xmax, ymax]}} in pixels ({error}).'
-        ) from error
-    if not (-inf < xmin < xmax < inf and -inf < ymin < ymax < inf):
-        raise DeploymentError(f"the prompt's box {xmin:g} {ymin:g} {xmax:g} {ymax:g} is empty, or endless.")
-    return BoxPrompt(box=(xmin, ymin, xmax, ymax))

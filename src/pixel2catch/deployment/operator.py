@@ -10,7 +10,7 @@ from pixel2catch.deployment.switches import Keys, Press, Switches
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
-from pixel2catch.ros2.transport import Clock, Subscription, Transport
+from pixel2catch.ros2.transport import Clock, Message, Transport
 
 SWITCH_TIME = 0.04
 """Time between two messages of the dead-man's switch [s]. Source: ours, a fifth of what the servo waits."""
@@ -18,6 +18,10 @@ SWITCH_TIME = 0.04
 FARTHEST = 1e6  #: Distance from the image's corner at which no box is [px], and a latency that is none [ms].
 SHOWN_LATENCIES = ("p50", "p90", "p99")  #: What is shown of the latency.
 DEPTH = 64  #: Messages that are kept from one look to the next.
+SEVERAL = {"mode": "several", "message": "", "stopped_by": [], "refused": [], "found": []}
+"""The status while several programs say what the deployment does: nobody knows which of them is right."""
+
+HELD_UP = 0.2  #: Time between two looks at the keys after which what they tell is old [s]. Source: ours.
 
 
 class OperatorConsole:
@@ -29,6 +33,7 @@ class OperatorConsole:
         self._switch, self._arm, self._stop, self._prompt = (
             transport.publisher(topic) for topic in (topics.dead_man, topics.arm, topics.stop, topics.prompt)
         )
+        self._transport, self._status_topic = transport, topics.status
         self._statuses = transport.subscription(topics.status, DEPTH)
         self._said, self._next_switch = False, -inf
         self.holds = False  #: Whether the dead-man's switch is held.
@@ -57,13 +62,16 @@ class OperatorConsole:
         if self.holds != self._said or (self.holds and now >= self._next_switch):
             self._switch.publish(messages.boolean(self.holds))
             self._said, self._next_switch = self.holds, now + SWITCH_TIME
-        said = newest(self._statuses, self.status)
+        arrived = self._statuses.take()
+        said = newest(arrived, self.status)
+        if arrived and self._transport.num_other_publishers(self._status_topic) > 1:
+            said = dict(SEVERAL)  # another one's word that it stands still is not that of the robot
         self.status = said if _is_status(said) else self.status
 
 
-def newest(subscription: Subscription, known: dict[str, Any]) -> dict[str, Any]:
+def newest(arrived: list[Message], known: dict[str, Any]) -> dict[str, Any]:
     """The newest message of a topic of JSON that is one; the known one before where there is none."""
-    for message in reversed(subscription.take()):
+    for message in reversed(arrived):
         with suppress(DeploymentError):
             return messages.read_json(message.data)
     return known
@@ -110,9 +118,13 @@ def operate_by_keys(
         DeploymentError: The device is gone.
     """
     try:
+        looked = clock.now()
         while not is_over():
-            presses = switches.poll()
+            presses, before, looked = switches.poll(), looked, clock.now()
             down = {press.code for press in presses if press.is_down}
+            if looked - before > HELD_UP:  # this program hung: who holds or asks to arm must press anew
+                switches.pressed.clear()
+                down.difference_update(keys.arm)
             console.holds = not switches.pressed.isdisjoint(keys.hold)
             console.watch()
             if not down.isdisjoint(keys.stop):

@@ -68,6 +68,9 @@ class RunStatistics:
     refusals: Counter[str] = field(default_factory=Counter)
     #: Servo ticks in which a command was held back, by what.
     clamps: Counter[str] = field(default_factory=Counter)
+    stop_requests: Counter[str] = field(default_factory=Counter)  #: Messages that asked to stop, by who sent.
+    #: Prompts that were not heeded, by who sent.
+    refused_prompts: Counter[str] = field(default_factory=Counter)
     num_ticks: int = 0  #: Servo ticks heard of.
     num_late_ticks: int = 0  #: Servo ticks that came more than a tick late.
     _latencies: Histogram = field(default_factory=Histogram)
@@ -157,4 +160,6 @@ class RunStatistics:
             "stops": dict(self.stops),
             "refusals": dict(self.refusals),
             "clamps": dict(self.clamps),
+            "stop_requests": dict(self.stop_requests),
+            "refused_prompts": dict(self.refused_prompts),
         }

@@ -56,6 +56,11 @@ ABSENT = StatusWords(
 RESTING = StatusWords(tone="moving", headline="resting: goes on when the object is seen again")
 MODES = {
     "": ABSENT,
+    "several": StatusWords(
+        tone="stopped",
+        headline="several programs say what the deployment does, and nobody knows which is right",
+        advice=("End all but one; a program that was killed counts for 10 s.",),
+    ),
     "starting": StatusWords(tone="waiting", headline="starting: the servo process comes up"),
     "armed": StatusWords(
         tone="armed", headline="armed: holds its pose until the object is seen", advice=("Point at it.",)

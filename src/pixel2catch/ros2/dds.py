@@ -5,11 +5,12 @@ does. They arrive between two calls of `take`; the sender's time says when, and 
 """
 
 import os
+from collections.abc import Collection
 from functools import cache
 from typing import Any, final
 
 import numpy as np
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
+from cyclonedds import builtin
 from cyclonedds.core import (
     DDSException,
     Entity,
@@ -180,6 +181,8 @@ NEW = SampleState.NotRead | ViewState.Any | InstanceState.Alive
 
 
 THERE = SampleState.Any | ViewState.Any | InstanceState.Alive  #: Who has not left.
+LONGEST_NAME = 60  #: Characters of what somebody else calls himself that are shown. Source: ours.
+HANDLES = 2**64  #: Handles are counted up to it by messages, and from minus a half of it on by entities.
 MOST_ENDPOINTS = 10_000  #: Endpoints that are listed at the most; a laboratory has some hundreds.
 
 
@@ -187,6 +190,15 @@ def _only_watches(qos: Qos) -> bool:
     """Whether a subscription says of itself that it does not count."""
     said: Any = qos[Policy.Userdata]
     return said is not None and ONLY_WATCHES.encode() in said.data
+
+
+def _in_words(qos: Collection[Any]) -> str:
+    """What a participant says of itself: its name, or its program's, the process, and the machine."""
+    told = {each.key: each.value for each in qos if isinstance(each, Policy.Property)}
+    own = next((each.name for each in qos if isinstance(each, Policy.EntityName)), "")
+    words = (own or told.get("__ProcessName", "?"), told.get("__Pid", "?"), told.get("__Hostname", "?"))
+    name, process, machine = ("".join(filter(str.isprintable, text))[:LONGEST_NAME] for text in words)
+    return f"{name} (process {process} on {machine})"
 
 
 def _ros_type(name: str) -> str:
@@ -235,7 +247,8 @@ class DdsTransport(Transport):
         if network != ANY:
             _configured_domain(number, network)
         try:
-            self._participant = DomainParticipant(number, Qos(Policy.Userdata(b"enclave=/;")))
+            qos = Qos(Policy.Userdata(b"enclave=/;"), Policy.EntityName(node_name))
+            self._participant = DomainParticipant(number, qos)
         except DDSException as error:
             raise DeploymentError(
                 f"DDS cannot join domain {number} ({error}); look at the network interfaces, at "
@@ -245,6 +258,7 @@ class DdsTransport(Transport):
         self._news = WaitSet(self._participant)
         self._kept: list[Publisher | Subscription] = []  # the library takes off the network what nobody holds
         self._watchers: dict[Topic, DataReader] = {}
+        self._names: dict[Topic, dict[int, str]] = {}
         self._announcement = NodeAnnouncement.of(self._participant, node_name)
 
     def publisher(self, topic: Topic) -> Publisher:
@@ -271,24 +285,37 @@ class DdsTransport(Transport):
 
         One that was killed counts for 10 s more; one that has just come is found within some 0.1 s.
         """
-        if topic not in self._watchers:
-            self._watchers[topic] = self._reader(topic, 1, Policy.IgnoreLocal.Participant, only_watches=True)
-        return len(self._watchers[topic].get_matched_publications())
+        return len(self._watcher(topic).get_matched_publications())
+
+    def other_publishers(self, topic: Topic) -> dict[int, str]:
+        """See `Transport.other_publishers`."""
+        handles = self._watcher(topic).get_matched_publications()
+        known = self._names.get(topic, {})  # what a publisher says of itself is read once
+        self._names[topic] = {each: known.get(each) or self._name_of(topic, each) for each in handles}
+        return {each % HANDLES: name for each, name in self._names[topic].items()}
+
+    def _name_of(self, topic: Topic, publisher: int) -> str:
+        """What a publisher's participant says of itself, in words."""
+        found = self._watcher(topic).get_matched_publication_data(publisher)
+        participants = {each.key: each.qos for each in self._listed(builtin.BuiltinTopicDcpsParticipant)}
+        return _in_words(participants.get(found.participant_key, ()) if found else ())
 
     def endpoints(self) -> list[Endpoint]:
         """See `Transport.endpoints`."""
         found = []
-        for builtin, is_publisher in (
-            (BuiltinTopicDcpsPublication, True),
-            (BuiltinTopicDcpsSubscription, False),
-        ):
-            reader = BuiltinDataReader(self._participant, builtin)
-            for each in reader.read(MOST_ENDPOINTS, ReadCondition(reader, THERE)):
+        for kind in (builtin.BuiltinTopicDcpsPublication, builtin.BuiltinTopicDcpsSubscription):
+            is_publisher = kind is builtin.BuiltinTopicDcpsPublication
+            for each in self._listed(kind):
                 is_other = each.participant_key != self._participant.guid
                 if is_other and each.topic_name.startswith("rt/") and not _only_watches(each.qos):
-                    name, kind = each.topic_name.removeprefix("rt"), _ros_type(each.type_name)
-                    found.append(Endpoint(topic=name, type=kind, is_publisher=is_publisher))
+                    name, type_name = each.topic_name.removeprefix("rt"), _ros_type(each.type_name)
+                    found.append(Endpoint(topic=name, type=type_name, is_publisher=is_publisher))
         return found
+
+    def _listed(self, kind: Any) -> list[Any]:
+        """What DDS lists of a kind, and has not left."""
+        reader = builtin.BuiltinDataReader(self._participant, kind)
+        return reader.read(MOST_ENDPOINTS, ReadCondition(reader, THERE))
 
     def wait(self, seconds: float) -> bool:
         """See `Transport.wait`."""
@@ -297,6 +324,12 @@ class DdsTransport(Transport):
     def close(self) -> None:
         """Leave the network."""
         self._participant.__del__()  # the library has no other way while somebody holds a publisher
+
+    def _watcher(self, topic: Topic) -> DataReader:
+        """What finds the publishers of others; its messages are not taken."""
+        if topic not in self._watchers:
+            self._watchers[topic] = self._reader(topic, 1, Policy.IgnoreLocal.Participant, only_watches=True)
+        return self._watchers[topic]
 
     def _reader(self, topic: Topic, depth: int, *policies: object, only_watches: bool) -> DataReader:
         """Best effort hears every publisher; latched messages must be asked for reliably."""
@@ -346,9 +379,10 @@ class _DdsSubscription(Subscription):
         now, before = self._clock.now(), self._taken
         self._taken = now
         ages = [self._clock.age(each.sample_info.source_timestamp) for each in samples]
+        senders = [each.sample_info.publication_handle for each in samples]
         return [
-            Message(data=sample.cdr, arrival=min(max(now - age, before), now), age=age)
-            for sample, age in zip(samples, ages, strict=True)
+            Message(data=sample.cdr, arrival=min(max(now - age, before), now), age=age, sender=sender)
+            for sample, age, sender in zip(samples, ages, senders, strict=True)
         ]
 
 

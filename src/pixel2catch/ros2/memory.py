@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator
+from itertools import count
 from threading import Condition, RLock
 from typing import NamedTuple, final
 
@@ -18,10 +19,10 @@ class MessageQueue(Subscription):
         self._clock, self._arrived = clock, arrived
         self._waiting: deque[Message] = deque(maxlen=depth)
 
-    def put(self, data: bytes, age: float = 0.0) -> None:
+    def put(self, data: bytes, age: float = 0.0, sender: int = 0) -> None:
         """Keep a message that has just arrived, some time [s] after it was sent; any thread may call this."""
         with self._arrived:
-            self._waiting.append(Message(data=data, arrival=self._clock.now(), age=age))
+            self._waiting.append(Message(data=data, arrival=self._clock.now(), age=age, sender=sender))
             self._arrived.notify_all()
 
     def take(self) -> list[Message]:
@@ -62,7 +63,7 @@ class Broker:
 
     def __init__(self) -> None:
         """Begin without nodes."""
-        self.lock = RLock()
+        self.lock, self.numbers = RLock(), count(1)
         self.nodes: list[MemoryTransport] = []
 
     def node(self, clock: Clock) -> "MemoryTransport":
@@ -97,14 +98,18 @@ class MemoryTransport(Transport):
             self.listeners.append(_Listener(topic, queue, only_watches))
             for publisher in (each for node in self.broker.nodes for each in node.publishers):
                 if publisher.last is not None and topic.is_latched and _fits(publisher.topic, topic):
-                    queue.put(publisher.last)
+                    queue.put(publisher.last, sender=publisher.number)
         return queue
 
     def num_other_publishers(self, topic: Topic) -> int:
         """See `Transport.num_other_publishers`."""
+        return len(self.other_publishers(topic))
+
+    def other_publishers(self, topic: Topic) -> dict[int, str]:
+        """See `Transport.other_publishers`."""
         with self.broker.lock:
             others = (each for node in self.broker.nodes if node is not self for each in node.publishers)
-            return sum(_is_same(publisher.topic, topic) for publisher in others)
+            return {each.number: f"publisher {each.number}" for each in others if _is_same(each.topic, topic)}
 
     def endpoints(self) -> list[Endpoint]:
         """See `Transport.endpoints`."""
@@ -138,6 +143,7 @@ class _Listener(NamedTuple):
 class _MemoryPublisher(Publisher):
     def __init__(self, node: MemoryTransport, topic: Topic) -> None:
         self._node, self.topic = node, topic
+        self.number = next(node.broker.numbers)
         self.last: bytes | None = None
 
     def publish(self, data: bytes) -> None:
@@ -147,7 +153,7 @@ class _MemoryPublisher(Publisher):
                 raise DeploymentError(f"{self.topic.name} cannot be sent: its node is closed.")
             self.last = data
             for listener in self._listeners():
-                listener.queue.put(data)
+                listener.queue.put(data, sender=self.number)
 
     def num_subscribers(self) -> int:
         with self._node.broker.lock:

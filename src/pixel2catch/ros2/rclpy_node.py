@@ -101,6 +101,12 @@ class RosTransport(Transport):
         """How many publishers of a topic there are besides those of this node."""
         return max(0, self._node.count_publishers(topic.name) - self._num_own.get(topic.name, 0))
 
+    def other_publishers(self, topic: Topic) -> dict[int, str]:
+        """See `Transport.other_publishers`; messages do not tell which of them sent one."""
+        found = self._node.get_publishers_info_by_topic(topic.name)
+        others = (each for each in found if each.node_name != self._node.get_name())
+        return {int.from_bytes(bytes(each.endpoint_gid)): f"node {each.node_name}" for each in others}
+
     def endpoints(self) -> list[Endpoint]:
         """See `Transport.endpoints`."""
         node, found = self._node, []

@@ -78,6 +78,7 @@ class Message:
     data: bytes  #: CDR, with its header of four bytes.
     arrival: float  #: When it was received, `Clock.now` [s].
     age: float = 0.0  #: How long before it was sent, by the sender's clock [s]; 0 where that is not told.
+    sender: int = 0  #: Its publisher, a key of `Transport.other_publishers`; 0 where that is not told.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +128,10 @@ class Transport(ABC):
     @abstractmethod
     def num_other_publishers(self, topic: Topic) -> int:
         """How many publishers of a topic there are besides those of this node."""
+
+    @abstractmethod
+    def other_publishers(self, topic: Topic) -> dict[int, str]:
+        """Those publishers, in words as far as the network tells: program, process and machine."""
 
     @abstractmethod
     def endpoints(self) -> list[Endpoint]:

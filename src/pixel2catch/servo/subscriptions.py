@@ -14,7 +14,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.joint_states import JointStateReader
 from pixel2catch.ros2.messages import JointReading
 from pixel2catch.ros2.profile import Columns, OperatorTopics, Profile, RobotPart
-from pixel2catch.ros2.transport import Publisher, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import Message, Publisher, Subscription, Topic, Transport
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.watchdogs import ServoInputs
@@ -64,7 +64,7 @@ class JointStates:
     def hear(self) -> None:
         """Take what has arrived."""
         for topic in self._topics:
-            for (ids, stamp), arrival in _read(topic.subscription, partial(self._merge, topic)):
+            for (ids, stamp), arrival in _read(topic.subscription.take(), partial(self._merge, topic)):
                 self._sent[ids], self.joint_stamp[ids] = stamp, arrival
 
     def _merge(self, topic: "_JointTopic", data: bytes) -> tuple[np.ndarray, float]:
@@ -118,7 +118,7 @@ class _Said(Generic[T]):
 
     def hear(self, now: float) -> None:
         """Take what has arrived up to now [s]."""
-        for value, arrival in _read(self._subscription, self._read):
+        for value, arrival in _read(self._subscription.take(), self._read):
             self.value, self._stamp = value, arrival
         if now - self._stamp > self._longest:
             self.value = None
@@ -206,15 +206,17 @@ class _OperatorRequests:
         )
 
     def hear(self) -> None:
-        for is_held, arrival in _read(self._dead_man, messages.read_boolean, self._operator_age):
+        for is_held, arrival in _read(self._dead_man.take(), messages.read_boolean, self._operator_age):
             if is_held and arrival - self.dead_man_stamp > self._operator_age:
                 self.pressed_stamp = arrival
             self.dead_man_stamp = arrival if is_held else -np.inf
-        for asks, arrival in _read(self._arm, messages.read_boolean, self._operator_age):
+        for asks, arrival in _read(self._arm.take(), messages.read_boolean, self._operator_age):
             if asks and arrival - self._last_arm > ARM_PAUSE:
                 self.arm_stamp = arrival
             self._last_arm = arrival if asks else self._last_arm
-        self.is_stop_requested = any(asks for asks, _ in _read(self._stop, messages.read_boolean))
+        stops = self._stop.take()
+        is_any_lost = len(stops) >= DEPTH  # and what is lost may have asked to
+        self.is_stop_requested = is_any_lost or any(asks for asks, _ in _read(stops, messages.read_boolean))
 
 
 class ServoSubscriptions:
@@ -284,13 +286,13 @@ def _rows(**values: float) -> dict[str, np.ndarray]:
 
 
 def _read(
-    subscription: Subscription, read: Callable[[bytes], T], longest: float = np.inf
+    arrived: list[Message], read: Callable[[bytes], T], longest: float = np.inf
 ) -> Iterator[tuple[T, float]]:
     """What has arrived and can be read, with its time of arrival [s].
 
     Left out is what has more than `MOST_BYTES`, or was under way for longer than the longest time [s].
     """
-    for message in subscription.take():
+    for message in arrived:
         if abs(message.age) > longest or len(message.data) > MOST_BYTES:
             continue
         try:

@@ -59,7 +59,7 @@ class RehearsalOperator:
 
     def watch(self) -> None:
         """Look at the network, and go on holding the switch, if it is held."""
-        self.truth = newest(self._states, self.truth)
+        self.truth = newest(self._states.take(), self.truth)
         before = self.mode
         self.console.watch()
         if self.mode == "stopped" and before != "stopped":

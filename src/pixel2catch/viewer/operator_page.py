@@ -34,7 +34,7 @@ SILENCE = 1.0  #: Time after which a deployment, or a camera, that says nothing 
 REFUSAL_TIME = 6.0  #: For how long it is said why arming was refused [s].
 LEAST_SIDE = 3.0  #: Of a box with which somebody points at something [px].
 
-ACTIVE = ("armed", "ramp", "run")  #: Modes in which the robot moves, or may.
+ACTIVE = ("armed", "ramp", "run", "several")  #: Modes in which the robot moves, or may.
 REQUESTS = "stop, arm, press, hold, let_go, point"  #: What every page may ask for.
 
 

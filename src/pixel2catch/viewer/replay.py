@@ -68,7 +68,7 @@ class RecordingPage(PlayingPage):
             while not player.is_over and self.playback.wait(CONTROL_DT):
                 self._clock.time += CONTROL_DT
                 player.play(self._clock.time)
-                status = newest(self._statuses, status)
+                status = newest(self._statuses.take(), status)
                 self._show(status)
                 self.time_text.content = f"**{self._clock.time - player.start:.1f} s**"
 

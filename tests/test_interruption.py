@@ -1,0 +1,34 @@
+"""Signals that ask a command to end."""
+
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from pixel2catch.interruption import StopRequest
+
+
+@pytest.fixture
+def closed_terminal() -> Iterator[None]:
+    """What a command does about a closed terminal is what the system does, not what nohup asked for."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("closed_terminal")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_asks_to_stop_in_order(number: signal.Signals):
+    """Such as to end a recording properly."""
+    with StopRequest() as stop:
+        assert not stop.is_set
+        signal.raise_signal(number)
+        assert stop.is_set
+
+
+@pytest.mark.usefixtures("closed_terminal")
+def test_who_goes_on_without_a_terminal_is_let():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with StopRequest() as stop:
+        signal.raise_signal(signal.SIGHUP)
+        assert not stop.is_set
