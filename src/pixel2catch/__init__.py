@@ -10,7 +10,11 @@ Everything is imported where it is first used: `import pixel2catch` alone loads 
 """
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
+
+# PyTorch's threads sleep while they have nothing to do: spinning, they take the cores from physics.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
     from pixel2catch.agents import AgentSpec, agents_of, sharing, together

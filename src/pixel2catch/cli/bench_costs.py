@@ -29,6 +29,7 @@ STEPS_AT_ONCE = 10  #: Control steps between two looks at the clock, which wait 
 WARM_UPDATES = 2
 """Updates of the training before it is measured: libraries set themselves up, graphs are recorded."""
 
+TRAIN_THREADS = torch.get_num_threads()  #: PyTorch's own number, as `train` has it, not that of `prepare`.
 LEAST_UPDATES = 3  #: Updates that are measured at least.
 
 
@@ -191,6 +192,7 @@ def _training(cfg: TrainCfg, env: CatchEnv, policy: Policy, num_steps: int) -> t
     It is a training as `pixel2catch train` does it, from the policy on, of so many steps at least; what its
     networks do not take of a rollout is the environment's.
     """
+    torch.set_num_threads(TRAIN_THREADS)
     updates = max(LEAST_UPDATES, num_steps // cfg.rollout_steps)
     watch, step = Stopwatch(env.device), env.step
     setattr(env, "step", watch.timed(step))  # noqa: B010 (a method)
