@@ -9,6 +9,8 @@ READY := $(VENV)/.ready
 PINS := requirements.txt requirements-dev.txt pyproject.toml
 
 MAKEFLAGS += --no-print-directory
+# Bytecode is kept whatever the shell says; else each worker and each command of a test compiles everything anew.
+unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .PHONY: setup catch test check docs wheel format help
 .DELETE_ON_ERROR:

@@ -1,3 +1,4 @@
+import gc
 import os
 from collections.abc import Iterator
 from itertools import count
@@ -23,7 +24,7 @@ install_import_hook(
 )
 
 CHECKED_STEPS = (
-    3  # Control steps of a test with checks, which take longer than the step; shapes stay as they are.
+    2  # Control steps of a test with checks, which take longer than the step; shapes stay as they are.
 )
 
 # Shared machines are too uneven for a deadline per example; the same examples in every run.
@@ -38,6 +39,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("gpu"):
             item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays: a test that collects garbage need not look through it."""
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

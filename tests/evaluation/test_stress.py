@@ -6,6 +6,7 @@ import os
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 import torch
@@ -148,9 +149,22 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+@pytest.fixture(scope="module")
+def measured(
+    policies: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, CompletedProcess[str]]:
+    """A folder of results, and what the command said of it."""
+    folder = tmp_path_factory.mktemp("measured")
+    return folder, pixel2catch(*arguments(policies, folder, "--json"))
+
+
+def test_the_command_end_to_end(
+    policies: list[str],
+    measured: tuple[Path, CompletedProcess[str]],
+    capsys: pytest.CaptureFixture[str],
+):
     """Four cells and a report; then nothing to do; other throws are refused; a lost cell is made again."""
-    printed = pixel2catch(*arguments(policies, tmp_path, "--json"))
+    folder, printed = measured
     table = json.loads(printed.stdout)
     assert len([line for line in printed.stderr.splitlines() if " of 4: " in line]) == 4
     assert {name: each["method"] for name, each in table["policies"].items()} == {
@@ -159,7 +173,7 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pyt
     }
     assert list(table["settings"]) == ["nominal", "edge_noise-10"]
     assert "not asked for" in table["reality"]["sentence"]
-    before = files(tmp_path)
+    before = files(folder)
     cells = {f"cells/{policy}/{name}.json" for policy in table["policies"] for name in table["settings"]}
     assert set(before) == cells | {"table.json", "table.csv", "table.md", "table.tex", "heatmap.png"}
     assert json.loads(before["table.json"]) == table
@@ -170,34 +184,35 @@ def test_the_command_end_to_end(policies: list[str], tmp_path: Path, capsys: pyt
     ]
     assert before["heatmap.png"].startswith(b"\x89PNG")
 
-    assert main(arguments(policies, tmp_path, "--json")) == 0
+    assert main(arguments(policies, folder, "--json")) == 0
     again = capsys.readouterr()
     assert " of 4: " not in again.err
     assert again.out == printed.stdout
-    assert main(arguments(policies, tmp_path, "--num-envs", "4")) == 2
+    assert main(arguments(policies, folder, "--num-envs", "4")) == 2
     refusal = capsys.readouterr().err
     assert "evaluation.num_envs: 3 there, 4 now" in refusal
     assert "--out" in refusal
-    assert files(tmp_path) == before
+    assert files(folder) == before
 
-    (tmp_path / "cells/first/edge_noise-10.json").unlink()
-    assert main(arguments(policies, tmp_path)) == 0
+    (folder / "cells/first/edge_noise-10.json").unlink()
+    assert main(arguments(policies, folder)) == 0
     mended = capsys.readouterr()
     assert "3 of 4: first, edge noise 10 px" in mended.err
     assert mended.err.count(" of 4: ") == 1
     assert "| edge noise 10 px |" in mended.out
-    assert files(tmp_path) == before  # the same throws, the same result
+    assert files(folder) == before  # the same throws, the same result
 
 
 def test_cells_do_not_depend_on_the_number_of_processes(
-    policies: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    policies: list[str],
+    measured: tuple[Path, CompletedProcess[str]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ):
     """One after the other, and two at once: the same files."""
-    assert main(arguments(policies, tmp_path / "one")) == 0
-    capsys.readouterr()
-    assert main(arguments(policies, tmp_path / "two", "--jobs", "2")) == 0
+    assert main(arguments(policies, tmp_path, "--jobs", "2")) == 0
     assert capsys.readouterr().err.count(" of 4: ") == 4
-    assert files(tmp_path / "one") == files(tmp_path / "two")
+    assert files(tmp_path) == files(measured[0])
 
 
 def test_physics_of_a_process_among_others_takes_one_processor(monkeypatch: pytest.MonkeyPatch):

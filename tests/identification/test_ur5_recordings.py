@@ -5,7 +5,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from recorded import clean, position, rows, speed
+from ur5_recordings import read_ur5
+
+from pixel2catch.errors import RecordingError
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "ur5_recordings.py"
 
@@ -42,6 +46,5 @@ def test_error_names_the_log(tmp_path: Path):
     folder = write_logs(tmp_path / "run")
     lines = (folder / "log_q_actual.csv").read_text().splitlines()
     (folder / "log_q_actual.csv").write_text("\n".join([*lines[:7], lines[7][:-10], *lines[8:]]))
-    result = check(folder)
-    assert result.returncode == 1
-    assert "log_q_actual.csv, line 8: 6 columns instead of 7" in result.stderr
+    with pytest.raises(RecordingError, match=r"log_q_actual\.csv, line 8: 6 columns instead of 7"):
+        read_ur5(folder)

@@ -5,6 +5,7 @@ episode as far as its calibration leaves it open.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from pixel2catch.camera.pinhole import Projection, back_project, nominal_projection
 from pixel2catch.mdp.sensing import ASSUMED_AGE, SensingCfg
-from pixel2catch.mdp.throws import Amount, Throw, drawn, random_directions
+from pixel2catch.mdp.throws import Throw, drawn, random_directions
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 
 
@@ -67,10 +68,7 @@ def sample_camera_errors(cfg: SensingCfg, throw: Throw, generator: torch.Generat
     num_envs = len(throw.pos)
     offset, turn = (random_directions(num_envs, generator) for _ in range(2))
     chance = torch.rand(num_envs, 5, generator=generator, device=generator.device)
-
-    def amount(value: Amount) -> Float[Tensor, " num_envs"]:
-        return drawn(value, num_envs, generator)
-
+    amount = partial(drawn, num_envs=num_envs, generator=generator)
     zoom = 1.0 + amount(cfg.focal_error) * _sign(chance[:, 0])
     spec = cfg.camera.camera
     camera = cfg.camera.sample(num_envs, generator) if is_uncertain else nominal_projection(spec, offset)

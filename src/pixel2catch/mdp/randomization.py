@@ -4,6 +4,7 @@ Source: paper, Table I; release (object friction, biases).
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TypeVar
 
 import torch
@@ -122,10 +123,7 @@ def sample_parameters(
     device, num_joints = generator.device, len(action_bias)
     offset = ((-cfg.initial_joint_noise, cfg.initial_joint_noise),) * num_joints
     scalars = uniform((cfg.mass_scale, cfg.restitution, cfg.friction), num_envs, generator)
-
-    def normal() -> Tensor:
-        return torch.randn(num_envs, num_joints, generator=generator, device=device)
-
+    normal = partial(torch.randn, num_envs, num_joints, generator=generator, device=device)
     object_id = object_ids[torch.randint(len(object_ids), (num_envs,), generator=generator, device=device)]
     stiffness_scale = uniform(cfg.gains.stiffness_scale, num_envs, generator)
     damping_scale = uniform(cfg.gains.damping_scale, num_envs, generator)

@@ -1,6 +1,7 @@
 """Model files of robots, looked at before MuJoCo reads them: what is too large, deep or grows is refused."""
 
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from xml.parsers import expat
 
@@ -58,6 +59,7 @@ def _find_mesh(name: str, folder: Path) -> Path:
     raise InvalidValueError(f"there is no mesh '{name}' in {folder} or above")
 
 
+@lru_cache(maxsize=8)  # a scene of each object has the same robots
 def _require_simple(content: bytes) -> str:
     """The name of the outermost element."""
     depth = num_elements = 0
