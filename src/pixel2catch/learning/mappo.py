@@ -102,10 +102,7 @@ class Mappo:
         self._streams = {
             agent: torch.cuda.Stream(cfg.device) if is_alone_on_cuda else None for agent in self.agents
         }
-        self._draw: dict[str, Callable[..., Any]] = {
-            agent: self._recorded(torch.compile(networks.act, dynamic=False)) if cfg.fuse else networks.act
-            for agent, networks in self.networks.items()
-        }
+        self._draw = {agent: self._fused(networks.act) for agent, networks in self.networks.items()}
         self._record_epochs()
 
     def _record_epochs(self) -> None:
@@ -115,6 +112,10 @@ class Mappo:
             for agent in self.agents
             for is_first in (True, False)
         }
+
+    def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function as one launch of few kernels, if steps are fused; else as it is."""
+        return self._recorded(torch.compile(function, dynamic=False)) if self.cfg.fuse else function
 
     def _recorded(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function by a single launch, on a CUDA device; else as it is.
