@@ -98,10 +98,9 @@ class Mappo:
         }
         self._num_steps = 0
         is_alone_on_cuda = cfg.device.startswith("cuda") and self.workers.size == 1
+        stream = partial(torch.cuda.Stream, cfg.device) if is_alone_on_cuda else lambda: None
         #: On which each agent is updated: side by side, but in one order where processes exchange gradients.
-        self._streams = {
-            agent: torch.cuda.Stream(cfg.device) if is_alone_on_cuda else None for agent in self.agents
-        }
+        self._streams = {agent: stream() for agent in self.agents}
         self._draw = {agent: self._fused(networks.act) for agent, networks in self.networks.items()}
         self._record_epochs()
 
