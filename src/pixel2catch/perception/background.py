@@ -11,7 +11,16 @@ from jaxtyping import Float
 
 from pixel2catch.perception.color import Appearance
 from pixel2catch.perception.foreground import INNER, LEARNING_IMAGES, grown, prompted, regions, sharpened
-from pixel2catch.perception.image_track import GAP, REACH, SPECK, Blob, ImageTrack, Window
+from pixel2catch.perception.image_track import (
+    GAP,
+    REACH,
+    SPECK,
+    Blob,
+    ImageTrack,
+    Window,
+    grown_window,
+    window_of,
+)
 from pixel2catch.perception.segmenter import (
     NOT_FOUND,
     BoxPrompt,
@@ -122,7 +131,8 @@ class BackgroundSubtraction(Segmenter):
         self._track, segmentation = self._track.advanced(blobs, blob)
         is_moving = blob is not None and prompt is None and hypot(*self._track.velocity) >= LEAST_SPEED
         self._num_still = 0 if is_moving else self._num_still + 1
-        if blob is not None and not _overlap(mask := blob.mask(), motion.unknown):
+        if blob is not None and not _touches(blob, motion.unknown):
+            mask = blob.mask()
             is_box = maybe is not None and np.array_equal(mask, maybe)  # its area is not the object's
             if not (is_box or blob.is_cut):
                 self._resize(blob, self._track.num_seen)
@@ -199,7 +209,7 @@ class BackgroundSubtraction(Segmenter):
         if self._size is None:
             return True
         share = blob.area / float(self._size[2])
-        return share <= LARGEST_GROWTH and (share >= least or blob.is_cut or _overlap(blob.mask(), unknown))
+        return share <= LARGEST_GROWTH and (share >= least or blob.is_cut or _touches(blob, unknown))
 
     def _resembling(self, motion: Motion, window: Window) -> tuple[Mask, Mask, Mask]:
         """In a window, things that move and have the object's colours; these with new colours; these alone.
@@ -228,14 +238,10 @@ class BackgroundSubtraction(Segmenter):
         That is what is ignored, what else moves, and, unless the object moves, what stands beside it.
         """
         image, ignored = motion.image, motion.ignored
-        left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
-        if not width:
+        box = window_of(mask)
+        if not mask[box].size:
             return
-        box, ends = (
-            (slice(top, top + height), slice(left, left + width)),
-            ((left, top), (left + width - 1, top + height - 1)),
-        )
-        far, near = _window(ends, REACH, image), _window(ends, NEAR, image)
+        far, near = grown_window(box, REACH), grown_window(box, NEAR)
         others = [image[far][motion.moving[far] & ~maybe[far]]]
         if ignored is not None:
             others.append(image[::THINNING, ::THINNING][ignored[::THINNING, ::THINNING]])
@@ -263,9 +269,10 @@ def _window(places: tuple[tuple[float, float], ...], reach: float, image: Image)
     return rows, columns
 
 
-def _overlap(mask: Mask, other: Mask) -> bool:
-    """Whether a mask touches another."""
-    return bool(other.any() and (mask & grown(other, SPECK)).any())
+def _touches(blob: Blob, mask: Mask) -> bool:
+    """Whether a region touches a mask."""
+    place = grown_window(blob.place, 1)
+    return bool((grown(blob.pixels(place), SPECK) & mask[place]).any())
 
 
 def _extended(mask: Mask, more: Mask) -> Mask:

@@ -10,7 +10,15 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from pixel2catch.perception.image_track import GAP, SPECK, Blob, Window, find_blobs
+from pixel2catch.perception.image_track import (
+    GAP,
+    SPECK,
+    Blob,
+    Window,
+    find_blobs,
+    grown_window,
+    window_of,
+)
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt
 from pixel2catch.perception.steadiness import Shift, shift_between, shifted
 
@@ -180,10 +188,8 @@ class Foreground:
         """Learn what does not differ, and what has stood still for long."""
         differs = grown(differs, SPECK)
         free = counted if self._kept is None else counted * ~self._kept
-        left, top, width, height = cv2.boundingRect(differs.view(np.uint8))
-        part = slice(top, top + height), slice(left, left + width)
-        num_still = np.zeros_like(self._num_still)
-        if width:
+        part, num_still = window_of(differs), np.zeros_like(self._num_still)
+        if differs[part].size:
             same = (_difference(image[part], self._last[part]) <= 2 * LEAST_DIFFERENCE) & differs[part]
             num_still[part] = cv2.add(self._num_still[part], same.view(np.uint8)) * same
             _replace(self._mean, image, free * (num_still >= LEARNING_IMAGES))
@@ -205,18 +211,18 @@ def sharpened(motion: Motion, window: Window) -> Mask:
     That is a rim, as wide on either side. What a thing would lose more of on one side, unless it falls apart,
     is nearly as bright as the background: there it loses no more than the widest rim.
     """
-    difference, sharp = motion.difference[window], np.zeros_like(motion.moving[window])
-    for blob in regions(motion.moving[window]):
-        inside = blob.mask()
-        level = EDGE * float(np.percentile(difference[inside], BRIGHT))
-        bright = inside & (difference >= level)
-        first, *others = regions(bright)
+    moving, sharp = motion.moving[window], np.zeros_like(motion.moving[window])
+    for blob in regions(moving):
+        place = grown_window(blob.place, len(GAP) // 2 + 1)
+        inside, difference = blob.pixels(place), motion.difference[window][place]
+        bright = inside & (difference >= EDGE * _percentile(difference[inside], BRIGHT))
+        first, *others = regions(bright, place, moving.shape)
         size = np.array((blob.width, blob.height))
         is_uneven = bool((np.abs(np.subtract(first.center, blob.center)) > 0.5 * RIM * size).any())
         if is_uneven and sum(each.area for each in others) < LEAST_PART * first.area:
             width, height = (2 * np.rint(RIM * size).astype(int) + 1).tolist()
             bright |= cv2.erode(inside.view(np.uint8), np.ones((height, width), np.uint8)) > 0
-        sharp |= bright
+        sharp[place] |= bright
     return closed(sharp)
 
 
@@ -237,11 +243,17 @@ def regions(mask: Mask, window: Window | None = None, shape: tuple[int, int] | N
 
 def closed(mask: Mask) -> Mask:
     """The mask without small gaps; only the part is looked at in which there is anything."""
-    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
-    rim, whole = len(GAP) // 2 + 1, np.zeros_like(mask)
-    part = slice(max(top - rim, 0), top + height + rim), slice(max(left - rim, 0), left + width + rim)
+    part, whole = grown_window(window_of(mask), len(GAP) // 2 + 1), np.zeros_like(mask)
     whole[part] = cv2.morphologyEx(mask[part].view(np.uint8), cv2.MORPH_CLOSE, GAP) > 0
     return whole
+
+
+def _percentile(values: np.ndarray, percent: float) -> float:
+    """What `np.percentile` returns, five times as fast for a few hundred values."""
+    rank = 0.01 * percent * (len(values) - 1)
+    low = int(rank)
+    pair = np.partition(values, (low, min(low + 1, len(values) - 1)))[low : low + 2].astype(float)
+    return float(pair[0] + (rank - low) * (pair[-1] - pair[0]))
 
 
 def _replace(image: np.ndarray, other: Image, mask: np.ndarray) -> None:

@@ -85,10 +85,22 @@ class Blob:
         xmin, ymin, xmax, ymax = self.box
         return min(xmin, ymin) <= 0.0 or ymax >= self.shape[0] or xmax >= self.shape[1]
 
+    @property
+    def place(self) -> Window:
+        """Rows and columns of its box."""
+        xmin, ymin, xmax, ymax = map(int, self.box)
+        return slice(ymin, ymax), slice(xmin, xmax)
+
     def mask(self) -> Mask:
         """The pixels of the region."""
-        mask = np.zeros(self.shape, dtype=bool)
-        mask[self.window] = self.labels == self.label
+        return self.pixels((slice(0, self.shape[0]), slice(0, self.shape[1])))
+
+    def pixels(self, part: Window) -> Mask:
+        """The pixels of the region in a part of the image that holds all of it."""
+        ends = [(rows.start, min(rows.stop, length)) for rows, length in zip(part, self.shape, strict=True)]
+        mask = np.zeros([stop - start for start, stop in ends], dtype=bool)
+        labels = self.labels[_relative(self.place, self.window)]
+        mask[_relative(self.place, part)] = labels == self.label
         return mask
 
     def distance(self, point: tuple[float, float]) -> float:
@@ -98,21 +110,40 @@ class Blob:
 
 def find_blobs(mask: Mask, window: Window | None = None, shape: tuple[int, int] | None = None) -> list[Blob]:
     """Return the connected regions of a mask, of an image or a window of one of this shape; largest first."""
-    pixels = mask.view(np.uint8)
-    left, top, width, height = cv2.boundingRect(pixels)
-    if not width:
+    part = window_of(mask)
+    if not mask[part].size:
         return []
-    pixels = pixels[top : top + height, left : left + width]
+    pixels = mask[part].view(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels, connectivity=NUM_NEIGHBORS)
-    if window is not None:
-        top, left = top + window[0].start, left + window[1].start
-    window = slice(top, top + height), slice(left, left + width)
+    window = part if window is None else _relative(part, window, sign=-1)
+    top, left = (each.start for each in window)
     common = {"labels": labels, "window": window, "shape": shape or mask.shape}
     blobs = []
     for label, (x, y, w, h, area) in enumerate(stats.tolist()[1:], start=1):
         center = (left + x + 0.5 * w, top + y + 0.5 * h)
         blobs.append(Blob(label=label, area=area, width=w, height=h, center=center, **common))
     return sorted(blobs, key=lambda blob: -blob.area)
+
+
+def window_of(mask: Mask) -> Window:
+    """The part of an image that holds all of a mask; an empty one if it is empty."""
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    return slice(top, top + height), slice(left, left + width)
+
+
+def grown_window(window: Window, rim: float) -> Window:
+    """A part of an image with a rim, up to its first row and column [px]."""
+    rows, columns = (slice(max(each.start - round(rim), 0), each.stop + round(rim)) for each in window)
+    return rows, columns
+
+
+def _relative(window: Window, part: Window, *, sign: int = 1) -> Window:
+    """A window as it is called within a part of the image that begins there; with a sign of -1 back."""
+    rows, columns = (
+        slice(each.start - sign * whole.start, each.stop - sign * whole.start)
+        for each, whole in zip(window, part, strict=True)
+    )
+    return rows, columns
 
 
 @dataclass(frozen=True, kw_only=True)
