@@ -2,6 +2,7 @@
 
 import math
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -20,7 +21,10 @@ def executor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(cluster, "CLUSTER", "local")
     monkeypatch.setattr(cluster, "LOOK_SECONDS", 0.05)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
-    return Cluster(launcher="slurm", slurm=("timeout_min=5", "slurm_partition=any")).executor(tmp_path)
+    # By which it cancels jobs; what a script starts in the background ignores it, and so would they.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield Cluster(launcher="slurm", slurm=("timeout_min=5", "slurm_partition=any")).executor(tmp_path)
+    signal.signal(signal.SIGINT, before)
 
 
 def job(folder: Path, name: str, *after: str, script: str) -> Job:
