@@ -99,11 +99,12 @@ def terminate(theatre: Theatre) -> None:
 
 @pytest.mark.parametrize("end", [leave, terminate])
 def test_however_it_ends_it_stops_the_robot_first(end: Callable[[Theatre], None], theatre: Theatre):
-    """Armed and run; Ctrl-C is not for it; the control loop goes, or it is to terminate itself."""
+    """Armed and run; Ctrl-C and Ctrl-Z are not for it; the control loop goes, or it is to end."""
     process, lab = theatre.servo.process, theatre.lab
     theatre.run(lambda: lab.joint_pos[0] > HOME[0] + 0.03)
     assert process.pid is not None
-    os.kill(process.pid, signal.SIGINT)
+    for number in (signal.SIGINT, signal.SIGTSTP):
+        os.kill(process.pid, number)
     theatre.run(lambda: lab.joint_pos[0] > HOME[0] + 0.06)
     num_sent = len(lab.commands["arm"])
     end(theatre)

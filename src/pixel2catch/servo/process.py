@@ -242,8 +242,9 @@ def start_servo(
 
 
 def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
-    """Be the servo process, until the link is closed or on SIGTERM or SIGHUP."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Be the servo process, until the link is closed or on SIGTERM or SIGHUP, not by Ctrl-C or Ctrl-Z."""
+    for number in (signal.SIGINT, signal.SIGTSTP):
+        signal.signal(number, signal.SIG_IGN)
     set_niceness(SERVO)
     set_real_time(SERVO_PRIORITY)
     clock = RealClock(clock_rate)
