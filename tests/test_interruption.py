@@ -23,7 +23,7 @@ def test_a_signal_asks_to_stop_in_order(number: signal.Signals):
     with StopRequest() as stop:
         assert not stop.is_set
         signal.raise_signal(number)
-        assert stop.is_set
+        assert (stop.is_set, stop.by) == (True, number.name)
 
 
 @pytest.mark.usefixtures("closed_terminal")

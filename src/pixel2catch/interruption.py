@@ -37,6 +37,7 @@ class StopRequest:
     def __init__(self) -> None:
         """Nobody has asked yet."""
         self.is_set = False
+        self.by = ""  #: Name of the signal that asked, such as SIGTERM.
         self._previous: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> "StopRequest":
@@ -55,7 +56,7 @@ class StopRequest:
             signal.signal(number, handler)
 
     def _request(self, number: int, frame: FrameType | None) -> None:
-        self.is_set = True
+        self.is_set, self.by = True, signal.Signals(number).name
         self.__exit__()
 
 

@@ -14,9 +14,10 @@ from rosbags.highlevel import AnyReader
 from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
 from pixel2catch.deployment import recorder
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
-from pixel2catch.errors import DeploymentError
+from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.identification.importers import Names, read_rosbag
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock, Topic
@@ -169,4 +170,7 @@ sys.stdin.read()
         assert process.stdout
         assert process.stdout.readline() == "written\n"
         process.kill()
-    assert (tmp_path / "throw" / "throw.mcap").stat().st_size > 9 * 480 * 640 * 3
+    (file,) = (tmp_path / "throw").iterdir()
+    assert file.stat().st_size > 9 * 480 * 640 * 3
+    with pytest.raises(PerceptionError, match="'mcap recover' for a file that was cut off"), opened_bag(file):
+        pass
