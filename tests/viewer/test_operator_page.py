@@ -73,8 +73,8 @@ class Desk:
         return self.page.state
 
     def until(self, is_true: Callable[[], Any]) -> None:
-        """Go on until something is true; the machine may be slow."""
-        until(is_true, self.go_on)
+        """Go on until something is true, no faster than real time, in which a browser answers."""
+        until(is_true, lambda: self.go_on(0.001))
 
     def taken(self, name: str) -> list[Any]:
         read = messages.read_json if name == "prompt" else messages.read_boolean

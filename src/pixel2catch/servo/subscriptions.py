@@ -14,7 +14,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.joint_states import JointStateReader
 from pixel2catch.ros2.messages import JointReading
 from pixel2catch.ros2.profile import Columns, OperatorTopics, Profile, RobotPart
-from pixel2catch.ros2.transport import Message, Publisher, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import Message, Publisher, Topic, Transport
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.watchdogs import ServoInputs
@@ -59,18 +59,14 @@ class JointStates:
         for number, part in enumerate(profile.robots):
             numbers.setdefault(part.state_topic, []).append(number)
         self._topics = [
-            _JointTopic(
-                subscription=transport.subscription(topic, DEPTH),
-                read=JointStateReader().read,
-                order=lru_cache(DEPTH)(partial(_joint_order, {n: profile.robots[n] for n in of_topic})),
-            )
+            (transport.subscription(topic, DEPTH), _reader({n: profile.robots[n] for n in of_topic}))
             for topic, of_topic in numbers.items()
         ]
 
     def hear(self) -> None:
         """Take what has arrived."""
-        for topic in self._topics:
-            for (reading, order), arrival in _read(topic.subscription.take(), topic.in_order):
+        for subscription, read in self._topics:
+            for (reading, order), arrival in _read(subscription.take(), read):
                 self._merge(reading, order, arrival)
 
     def _merge(self, reading: JointReading, order: "_JointOrder", arrival: float) -> None:
@@ -93,15 +89,15 @@ class _JointOrder(NamedTuple):
     held: list[tuple[int, Columns, Columns]]  #: Number of a part, columns and places of joints that it holds.
 
 
-class _JointTopic(NamedTuple):
-    subscription: Subscription
-    read: Callable[[bytes], JointReading]
-    order: Callable[[tuple[str, ...]], _JointOrder]
+def _reader(parts: Mapping[int, RobotPart]) -> Callable[[bytes], tuple[JointReading, _JointOrder]]:
+    """What reads a joint state, and where it has the joints of parts, by their numbers."""
+    read, order_of = JointStateReader().read, lru_cache(DEPTH)(partial(_joint_order, parts))
 
-    def in_order(self, data: bytes) -> tuple[JointReading, _JointOrder]:
-        """A joint state, and where it has what is listened to."""
-        reading = self.read(data)
-        return reading, self.order(reading.names)
+    def read_in_order(data: bytes) -> tuple[JointReading, _JointOrder]:
+        reading = read(data)
+        return reading, order_of(reading.names)
+
+    return read_in_order
 
 
 def _joint_order(parts: Mapping[int, RobotPart], names: tuple[str, ...]) -> _JointOrder:
