@@ -14,6 +14,7 @@ from rosbags.highlevel import AnyReader
 from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
 from pixel2catch.deployment import recorder
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
+from pixel2catch.deployment.stepped import StepClock
 from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.identification.importers import Names, read_rosbag
 from pixel2catch.ros2 import messages
@@ -147,6 +148,22 @@ def test_a_full_disk_is_said_and_stops_nothing(tmp_path: Path):
     )
     with pytest.raises(DeploymentError, match=r"lacks [0-9]+ messages .*File too large.* record anew"):
         recording.require_whole()
+
+
+def test_a_recording_of_a_program_that_was_held_up_may_lack_messages(tmp_path: Path):
+    """Before its first look nothing was to be recorded."""
+    clock = StepClock(lambda _: None)
+    with BagRecorder(tmp_path / "throw") as bag:
+        profile, node = Profile.load("ur5e_allegro_v4"), Broker().node(clock)
+        recording = DeploymentRecorder(bag, node, profile, clock, images="none")
+        for moment in (3.0, 3.4, 3.8):
+            clock.time = moment
+            recording.record_messages()
+            recording.require_whole()
+        clock.time = 4.4
+        recording.record_messages()
+        with pytest.raises(DeploymentError, match="was held up: end others, and record anew"):
+            recording.require_whole()
 
 
 def test_after_a_kill_all_but_the_last_chunk_is_on_the_disk(tmp_path: Path):
