@@ -204,33 +204,24 @@ def test_who_says_what_no_page_says_is_cut_off(desk: Desk):
 
 def test_what_cannot_be_done_is_said_to_who_asked(desk: Desk):
     with desk.visitor() as visitor:
-        for asked in (
-            {"do": None},
-            {"do": 5},
-            {"do": "point", "box": [1, 2, 3]},
-            {"do": "fly"},
-            {"do": "hold"},
-        ):
-            ask(visitor, **asked)
+        for do in (None, 5, "point", "fly", "hold"):
+            ask(visitor, do, box=[1, 2, 3])
             assert "too late" not in error_of(visitor)
 
 
 @pytest.mark.parametrize("heard", [-0.7, 1e9, None, "now"])
 def test_presses_that_waited_neither_hold_nor_arm_but_stop(heard: Any, desk: Desk):
     """Of a tab that slept, or from while this program hung; the browser's own clock is not asked."""
-    desk.go_on()
     with desk.visitor() as visitor:
         for do in ("press", "hold", "arm", "point"):
             ask(visitor, do, heard, box=[0, 0, 9, 9])
             assert "too late" in error_of(visitor)
-        assert not desk.page.is_held
-        assert desk.taken("arm") == desk.taken("prompt") == []
+        assert (desk.page.is_held, desk.taken("arm"), desk.taken("prompt")) == (False, [], [])
         ask(visitor, "press", desk.go_on()["time"])
         desk.until(lambda: desk.console.holds)
-        ask(visitor, "let_go", heard)
-        desk.until(lambda: not desk.console.holds)
-        ask(visitor, "stop", heard)
-        desk.until(lambda: desk.taken("stop"))
+        for do, is_done in (("let_go", lambda: not desk.console.holds), ("stop", lambda: desk.taken("stop"))):
+            ask(visitor, do, heard)
+            desk.until(is_done)
 
 
 @pytest.mark.parametrize(
