@@ -89,12 +89,12 @@ class CommandPublisher:
         """Announce the commands, and encode each once: the first time takes as long as eight ticks."""
         self._clock = clock
         parts = () if setup.is_dry_run else setup.profile.robots
-        self._drivers = [(part, transport.publisher(part.command_topic)) for part in parts]
-        self._periods = [max(round(1.0 / (part.rate_hz * setup.limits.dt)), 1) for part in parts]
+        self.publishers = [transport.publisher(part.command_topic) for part in parts]
+        periods = [max(round(1.0 / (part.rate_hz * setup.limits.dt)), 1) for part in parts]
+        self._drivers = [*zip(parts, self.publishers, periods, strict=True)]
         self._tick, self._held_step = 0, HELD_SPEED * setup.limits.dt
         self._held = [part.held_angles for part in parts]
         self._is_kept = [True for _ in parts]
-        self.publishers = [publisher for _, publisher in self._drivers]
         for part in parts:
             part.command(np.zeros(setup.limits.num_joints))
 
@@ -107,7 +107,7 @@ class CommandPublisher:
         if np.isnan(command).any():
             self._tick = 0
             return
-        for number, ((part, publisher), period) in enumerate(zip(self._drivers, self._periods, strict=True)):
+        for number, (part, publisher, period) in enumerate(self._drivers):
             if self._tick == 0:
                 self._held[number] = np.where(np.isfinite(held[number]), held[number], part.held_angles)
                 self._is_kept[number] = False
