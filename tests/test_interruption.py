@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pixel2catch.interruption import StopRequest
+from pixel2catch.interruption import StopRequest, Terminated, raise_on_termination
 
 
 @pytest.fixture
@@ -23,12 +23,19 @@ def test_a_signal_asks_to_stop_in_order(number: signal.Signals):
     with StopRequest() as stop:
         assert not stop.is_set
         signal.raise_signal(number)
-        assert stop.is_set
+        assert (stop.is_set, stop.by) == (True, number.name)
+
+
+@pytest.mark.usefixtures("closed_terminal")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_termination_unwinds_so_that_no_process_that_was_started_stays(number: signal.Signals):
+    with pytest.raises(Terminated), raise_on_termination():
+        signal.raise_signal(number)
 
 
 @pytest.mark.usefixtures("closed_terminal")
 def test_who_goes_on_without_a_terminal_is_let():
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    with StopRequest() as stop:
+    with raise_on_termination(), StopRequest() as stop:
         signal.raise_signal(signal.SIGHUP)
         assert not stop.is_set

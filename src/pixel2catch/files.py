@@ -192,7 +192,7 @@ def parse_yaml(text: str) -> Any:
     except InvalidValueError:
         raise
     except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
-        raise InvalidValueError(f"it is no YAML ({error})") from error
+        raise InvalidValueError(f"it is no YAML ({' '.join(str(error).split())})") from error
 
 
 def _unique(pairs: Any) -> dict[Any, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 
 
 class Terminated(KeyboardInterrupt):
-    """A scheduler or another user asked this process to end (SIGTERM): as Ctrl-C, by another name."""
+    """A scheduler, a user or a closed terminal asked this process to end: as Ctrl-C, by another name."""
 
 
 @contextmanager
@@ -20,11 +20,18 @@ def raise_on_termination() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    previous = signal.signal(signal.SIGTERM, _terminate)
+    previous = {number: signal.signal(number, _terminate) for number in _terminations()}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _terminations() -> list[signal.Signals]:
+    """Signals that ask to end, beside Ctrl-C's; nohup has a closed terminal's ignored."""
+    is_heard = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
+    return [signal.SIGTERM, signal.SIGHUP] if is_heard else [signal.SIGTERM]
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
@@ -37,14 +44,13 @@ class StopRequest:
     def __init__(self) -> None:
         """Nobody has asked yet."""
         self.is_set = False
+        self.by = ""  #: Name of the signal that asked, such as SIGTERM.
         self._previous: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> "StopRequest":
         """Listen, if in the main thread; signals reach no other."""
         if threading.current_thread() is threading.main_thread():
-            is_heard = signal.getsignal(signal.SIGHUP) is signal.SIG_DFL  # else nohup has it ignored
-            closed = (signal.SIGHUP,) if is_heard else ()
-            for number in (signal.SIGINT, signal.SIGTERM, *closed):
+            for number in (signal.SIGINT, *_terminations()):
                 self._previous[number] = signal.signal(number, self._request)
         return self
 
@@ -55,7 +61,7 @@ class StopRequest:
             signal.signal(number, handler)
 
     def _request(self, number: int, frame: FrameType | None) -> None:
-        self.is_set = True
+        self.is_set, self.by = True, signal.Signals(number).name
         self.__exit__()
 
 

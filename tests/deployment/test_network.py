@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from domains import own_domain
+from domains import PATIENCE, own_domain
 from pixel2catch.cli.deploy import Deploy
 from pixel2catch.cli.link import Link, Network
 from pixel2catch.cli.main import main
@@ -86,3 +86,14 @@ def test_only_the_twin_needs_no_identified_dynamics():
     for link in (Link(network=ANY), Link(transport="ros")):
         assert not link.is_twin
         assert (link.limits(profile).joints.speed < twin.speed).all()
+
+
+def test_time_passes_while_the_machine_is_suspended():
+    """As Linux tells it in a namespace whose clock of it is 1,000 s ahead."""
+    script = "from pixel2catch.ros2.transport import RealClock; print(RealClock(0.5).now())"
+    ahead = ["unshare", "--time", "--boottime", "1000", sys.executable, "-c", script]
+    before = RealClock(0.5).now()
+    found = subprocess.run(ahead, capture_output=True, text=True)
+    if found.returncode:
+        pytest.skip(f"no namespaces of time here: {found.stderr}")
+    assert 500.0 <= float(found.stdout) - before < 500.0 + PATIENCE

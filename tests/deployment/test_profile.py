@@ -220,6 +220,16 @@ MISTAKES = [
 ]
 
 
+def test_a_file_that_is_half_written_is_refused_in_a_line_or_lacks_a_part(tmp_path: Path):
+    """One without the hand's part takes no policy of a hand: `Profile.require`."""
+    text, path = (PROFILES / "ur5e_allegro_v4.yaml").read_text(), tmp_path / "half.yaml"
+    for end in range(0, len(text) - 80, 83):
+        path.write_text(text[:end])
+        with pytest.raises(DeploymentError) as error:
+            Profile.load(str(path)).require(NAMES)
+        assert "\n" not in str(error.value)
+
+
 @pytest.mark.parametrize(("keys", "value", "message"), MISTAKES)
 def test_a_mistake_is_named_with_its_file_its_key_and_the_fix(tmp_path: Path, keys: str, value, message: str):
     def change(content):

@@ -14,9 +14,11 @@ from rosbags.highlevel import AnyReader
 from paper_robot import ARM_JOINTS, HAND_JOINTS, JOINTS
 from pixel2catch.deployment import recorder
 from pixel2catch.deployment.recorder import BagRecorder, DeploymentRecorder
-from pixel2catch.errors import DeploymentError
+from pixel2catch.deployment.stepped import StepClock
+from pixel2catch.errors import DeploymentError, PerceptionError
 from pixel2catch.identification.importers import Names, read_rosbag
 from pixel2catch.ros2 import messages
+from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import RealClock, Topic
@@ -148,6 +150,22 @@ def test_a_full_disk_is_said_and_stops_nothing(tmp_path: Path):
         recording.require_whole()
 
 
+def test_a_recording_of_a_program_that_was_held_up_may_lack_messages(tmp_path: Path):
+    """Before its first look nothing was to be recorded."""
+    clock = StepClock(lambda _: None)
+    with BagRecorder(tmp_path / "throw") as bag:
+        profile, node = Profile.load("ur5e_allegro_v4"), Broker().node(clock)
+        recording = DeploymentRecorder(bag, node, profile, clock, images="none")
+        for moment in (3.0, 3.4, 3.8):
+            clock.time = moment
+            recording.record_messages()
+            recording.require_whole()
+        clock.time = 4.4
+        recording.record_messages()
+        with pytest.raises(DeploymentError, match="was held up: end others, and record anew"):
+            recording.require_whole()
+
+
 def test_after_a_kill_all_but_the_last_chunk_is_on_the_disk(tmp_path: Path):
     script = """
 import sys, time, numpy as np
@@ -169,4 +187,7 @@ sys.stdin.read()
         assert process.stdout
         assert process.stdout.readline() == "written\n"
         process.kill()
-    assert (tmp_path / "throw" / "throw.mcap").stat().st_size > 9 * 480 * 640 * 3
+    (file,) = (tmp_path / "throw").iterdir()
+    assert file.stat().st_size > 9 * 480 * 640 * 3
+    with pytest.raises(PerceptionError, match="'mcap recover' for a file that was cut off"), opened_bag(file):
+        pass

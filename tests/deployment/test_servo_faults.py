@@ -1,5 +1,6 @@
 """What goes wrong in a laboratory on the wire, and the one reason that the servo gives for its stop."""
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -203,3 +204,42 @@ def test_nothing_is_sent_against_somebody_else_who_commands(stage: Stage):
 
     stage.play(script())
     assert stage.stopped_by == ("other publisher",)
+
+
+def test_joint_states_that_come_twice_or_too_late_change_nothing(stage: Stage):
+    """As from a second network, or of a recording that is played beside the robot, while joints move."""
+    lab, said = stage.lab, deque[messages.JointReading](maxlen=200)
+    lab.change = lambda reading: said.append(reading) or reading
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(60)
+        lab.target = HOME + 0.2
+        for tick in range(60):
+            for reading in (said[0], said[-1], said[-2], said[-30]) if tick % 2 else ():
+                state = messages.joint_state(reading.names, reading.position, reading.stamp)
+                lab.say(lab.profile.robots[0].state_topic, state)
+            yield
+        assert stage.mode == Mode.RUN
+        raise Cut
+
+    stage.play(script())
+    steps = np.diff([each.joint_pos[0] for each in lab.servo_statuses[-60:]])
+    assert steps.min() >= 0.0
+    assert steps.sum() > 0.005
+
+
+def test_a_driver_whose_clock_is_set_is_heard_again(stage: Stage):
+    """Set ahead, nothing happens. Set back, its positions count as old for 0.1 s: it stops."""
+    lab = stage.lab
+
+    def script() -> Iterator[None]:
+        yield from stage.armed(60)
+        for seconds, mode in ((1.0, Mode.RUN), (0.0, Mode.STOPPED)):
+            lab.change = lambda reading, ahead=seconds: replace(reading, stamp=reading.stamp + ahead)
+            yield from wait(2 * STOP_TICKS)
+            assert stage.mode == mode
+        yield from stage.pressed_anew()
+        yield from stage.armed()
+
+    stage.play(script())
+    assert stage.stopped_by == ("joints stale",)

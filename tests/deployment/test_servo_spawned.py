@@ -1,11 +1,13 @@
 """The servo as the process that it is, over DDS, against a laboratory in this process."""
 
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,11 +101,14 @@ def terminate(theatre: Theatre) -> None:
 
 @pytest.mark.parametrize("end", [leave, terminate])
 def test_however_it_ends_it_stops_the_robot_first(end: Callable[[Theatre], None], theatre: Theatre):
-    """Armed and run; Ctrl-C is not for it; the control loop goes, or it is to terminate itself."""
+    """Armed and run; Ctrl-C and Ctrl-Z are not for it; the control loop goes, or it is to end."""
     process, lab = theatre.servo.process, theatre.lab
     theatre.run(lambda: lab.joint_pos[0] > HOME[0] + 0.03)
     assert process.pid is not None
     os.kill(process.pid, signal.SIGINT)
+    ignored = re.search(r"SigIgn:\s*(\w+)", Path(f"/proc/{process.pid}/status").read_text())
+    assert ignored
+    assert int(ignored[1], 16) >> (signal.SIGTSTP - 1) & 1
     theatre.run(lambda: lab.joint_pos[0] > HOME[0] + 0.06)
     num_sent = len(lab.commands["arm"])
     end(theatre)

@@ -13,7 +13,7 @@ from networks import MakeNode, dds_nodes, memory_nodes, ros_nodes
 from domains import PATIENCE, own_domain
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.transport import Subscription, Topic, Transport
+from pixel2catch.ros2.transport import RealClock, Subscription, Topic, Transport
 
 NUMBER = Topic(name="/number", type=messages.NUMBER)
 MODE = Topic(name="/mode", type=messages.SAFETY_MODE, is_latched=True)
@@ -223,11 +223,13 @@ def test_packets_say_when_they_arrived_though_they_are_taken_late(make: MakeNode
     subscription, publisher = receiver.subscription(NUMBER, depth=5), sender.publisher(NUMBER)
     moments = []
     for value in range(4):
-        moments.append(time.monotonic())
+        moments.append(RealClock().now())
         publisher.publish(messages.number(value))
         time.sleep(0.02)
     arrivals = [message.arrival for message in subscription.take()]
     assert len(arrivals) == 4
     assert arrivals == sorted(arrivals)
-    for moment, next_moment, arrival in zip(moments, [*moments[1:], time.monotonic()], arrivals, strict=True):
+    for moment, next_moment, arrival in zip(
+        moments, [*moments[1:], RealClock().now()], arrivals, strict=True
+    ):
         assert moment - 1e-3 < arrival < next_moment

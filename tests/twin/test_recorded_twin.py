@@ -4,12 +4,14 @@ import json
 import re
 import resource
 import shlex
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from paper_robot import JOINTS
+from pixel2catch.cli import record
 from pixel2catch.cli.main import main
 from pixel2catch.identification.importers import Names, read_recording
 from pixel2catch.identification.recording import Trajectory
@@ -75,6 +77,23 @@ def test_a_recording_of_the_twin_is_its_dynamics_behind_the_wire(
     errors = np.sqrt(((simulated - motion.measured) ** 2).mean(axis=(1, 2)))
     assert errors.min() < 1e-4
     assert np.ptp(read.q_cmd, axis=0).min() > 0.1
+
+
+def test_who_ended_a_recording_too_early_is_said_and_it_fails(
+    truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    motion = swing(tmp_path / "swing.npz")
+
+    def is_ended(by: str) -> None:
+        out = tmp_path / by
+        assert main(["record", str(motion), "--out", str(out), "--lockstep", str(truth)]) == 2
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert last == f"pixel2catch: error: {out} ends before {motion} does, by {by}: record anew."
+
+    monkeypatch.setattr(record, "PATIENCE", -2.5)
+    is_ended("a limit of time")
+    monkeypatch.setattr(record, "in_words", lambda _: signal.raise_signal(signal.SIGTERM) or "")
+    is_ended("SIGTERM")
 
 
 @pytest.mark.slow

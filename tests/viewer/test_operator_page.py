@@ -73,8 +73,8 @@ class Desk:
         return self.page.state
 
     def until(self, is_true: Callable[[], Any]) -> None:
-        """Go on until something is true; the machine may be slow."""
-        until(is_true, self.go_on)
+        """Go on until something is true, no faster than real time, in which a browser answers."""
+        until(is_true, lambda: self.go_on(0.001))
 
     def taken(self, name: str) -> list[Any]:
         read = messages.read_json if name == "prompt" else messages.read_boolean
@@ -108,8 +108,15 @@ def consume(visitor: Connection) -> None:
         visitor.recv(PATIENCE)
 
 
-def ask(visitor: Connection, do: str, **more: Any) -> None:
-    visitor.send(json.dumps({"do": do, **more}))
+def ask(visitor: Connection, do: Any, heard: Any = 0.0, **more: Any) -> None:
+    visitor.send(json.dumps({"do": do, "heard": heard, **more}))
+
+
+def error_of(visitor: Connection) -> str:
+    """The next one that the page is told of."""
+    while not (error := json.loads(visitor.recv(PATIENCE)).get("error")):
+        pass
+    return error
 
 
 @pytest.fixture
@@ -181,7 +188,7 @@ def test_a_page_beside_a_pedal_has_no_switch():
     desk = Desk(has_switch=False)
     with desk.visitor() as visitor:
         ask(visitor, "press")
-        until(lambda: "error" in json.loads(visitor.recv(PATIENCE)), lambda: None)
+        assert "is none of" in error_of(visitor)
         assert not desk.page.is_held
         assert not desk.go_on()["has_switch"]
     desk.page.close()
@@ -197,9 +204,24 @@ def test_who_says_what_no_page_says_is_cut_off(desk: Desk):
 
 def test_what_cannot_be_done_is_said_to_who_asked(desk: Desk):
     with desk.visitor() as visitor:
-        for asked in ({}, {"do": 5}, {"do": "point", "box": [1, 2, 3]}, {"do": "fly"}, {"do": "hold"}):
-            visitor.send(json.dumps(asked))
-            until(lambda: "error" in json.loads(visitor.recv(PATIENCE)), lambda: None)
+        for do in (None, 5, "point", "fly", "hold"):
+            ask(visitor, do, box=[1, 2, 3])
+            assert "too late" not in error_of(visitor)
+
+
+@pytest.mark.parametrize("heard", [-0.7, 1e9, None, "now"])
+def test_presses_that_waited_neither_hold_nor_arm_but_stop(heard: Any, desk: Desk):
+    """Of a tab that slept, or from while this program hung; the browser's own clock is not asked."""
+    with desk.visitor() as visitor:
+        for do in ("press", "hold", "arm", "point"):
+            ask(visitor, do, heard, box=[0, 0, 9, 9])
+            assert "too late" in error_of(visitor)
+        assert (desk.page.is_held, desk.taken("arm"), desk.taken("prompt")) == (False, [], [])
+        ask(visitor, "press", desk.go_on()["time"])
+        desk.until(lambda: desk.console.holds)
+        for do, is_done in (("let_go", lambda: not desk.console.holds), ("stop", lambda: desk.taken("stop"))):
+            ask(visitor, do, heard)
+            desk.until(is_done)
 
 
 @pytest.mark.parametrize(

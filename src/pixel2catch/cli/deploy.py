@@ -57,7 +57,8 @@ class Deploy:
     """Catch with a robot: camera images and joint states in, joint commands out. See docs/deployment.md.
 
     The robot stays where it is until an operator arms it on /pixel2catch/arm and holds the dead-man's switch
-    on /pixel2catch/dead_man; whatever goes wrong stops it until it is armed again. It runs until Ctrl-C.
+    on /pixel2catch/dead_man; whatever goes wrong stops it until it is armed again. It runs until Ctrl-C, and
+    says what has ended it; the exit status is 0 if the recording is whole and nothing else has ended it.
     """
 
     #: Folder of a policy or of its training run, an ONNX file, or a shipped name. Default: catch_alone+fit.
@@ -97,18 +98,19 @@ class Deploy:
                 connection.transport, profile.camera, camera, clock, assumes_age=pipeline.knows_age
             )
             control_loop = ControlLoop(pipeline, images, connection, profile.operator, executor)
-            self._loop(control_loop, clock)
+            ended_by = self._loop(control_loop, clock)
+        summary = control_loop.statistics.summary()
         print(
-            json_text({"summary": control_loop.statistics.summary()}, indent=None)
+            json_text({"summary": summary, "ended_by": ended_by}, indent=None)
             if self.json
-            else "\n".join([*lines(control_loop.statistics.summary()), ""]),
+            else "\n".join([*lines(summary), f"ended by {ended_by}", ""]),
             end="",
         )
         if connection.recording:
             connection.recording.require_whole()
 
-    def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> None:
-        """Run until Ctrl-C or the time is over, and say when something changes."""
+    def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> str:
+        """Run until a signal, which is returned, or the time is over, and say when something changes."""
         from pixel2catch.cli.console import say
         from pixel2catch.deployment.status_words import sentence
         from pixel2catch.interruption import StopRequest
@@ -128,6 +130,7 @@ class Deploy:
         with StopRequest() as stop:
             end = begin + (inf if self.seconds is None else self.seconds)
             control_loop.run(lambda: stop.is_set or clock.now() > end, report)
+        return stop.by or "--seconds"
 
 
 def lines(summary: dict[str, Any]) -> Iterator[str]:

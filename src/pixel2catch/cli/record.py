@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
 from pixel2catch.cli.link import Link
+from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ class Record:
     """Let a robot, or its twin, follow a trajectory that `excite` wrote; the recording is for `identify`.
 
     As with `deploy`, an operator arms and holds the dead-man's switch, and the same servo guards the robot.
-    Put the robot near the start pose before; it goes there within the first second.
+    Put the robot near the start pose before; it goes there within the first second. The exit status is 0 if
+    the trajectory was followed to its end and the recording is whole; else the last line says what ended it.
     """
 
     trajectory: Positional[Annotated[Path, InputFile()]]  #: File of the trajectory.
@@ -67,11 +69,13 @@ class Record:
             say(f"{trajectory.duration:.0f} s of motion; waiting to be armed")
             limit = connection.clock.now() + trajectory.duration + PATIENCE
             is_over = (lambda: connection.clock.now() > limit) if self.lockstep else (lambda: False)
-            self._follow(follower, is_over)
+            ended_by = self._follow(follower, is_over)
         if connection.recording:
             connection.recording.require_whole()
-        done = "followed to its end" if follower.is_done else "not followed to its end"
-        print(f"{self.trajectory}: {done}; wrote {self.out}. Identify several such recordings:")
+        if not follower.is_done:
+            by = ended_by or "a limit of time"
+            raise DeploymentError(f"{self.out} ends before {self.trajectory} does, by {by}: record anew.")
+        print(f"{self.trajectory}: followed to its end; wrote {self.out}. Identify several such recordings:")
         for part in profile.robots:
             if {*part.joints} & {*trajectory.joints}:
                 print(self._next_command(profile, part))
@@ -107,8 +111,8 @@ class Record:
         twin = recorded_in_step(trajectory.workcell, self.lockstep, limits, self.out)
         return stack.enter_context(twin)
 
-    def _follow(self, follower: "TrajectoryFollower", is_over: "Callable[[], bool]") -> None:
-        """Follow until the end, until it is over, or Ctrl-C, and say when something changes."""
+    def _follow(self, follower: "TrajectoryFollower", is_over: "Callable[[], bool]") -> str:
+        """Follow until the end, until it is over, or a signal, which is returned; say what changes."""
         from pixel2catch.cli.console import say
         from pixel2catch.interruption import StopRequest
 
@@ -122,6 +126,7 @@ class Record:
 
         with StopRequest() as stop:
             follower.run(lambda: stop.is_set or is_over(), report)
+        return stop.by
 
 
 def in_words(status: dict[str, Any]) -> str:

@@ -125,6 +125,8 @@ ORDERS = Topic(
     name="/pixel2catch/policy_command", type=messages.FLOAT_ARRAY
 )  #: Its orders, `PolicyCommand.row`.
 DEPTH = 512  #: Messages that are kept between two control steps.
+LONGEST = 0.5  #: Time between two looks after which messages may be lost [s]. Source: ours, half of `DEPTH`.
+HELD_UP = "the recording may lack messages, as this program was held up: end others, and record anew."
 RESOLUTION = 1e-6  #: Least time between two messages of a topic [s]: readers of bags sort by it.
 Images = Literal["jpeg", "raw", "none"]  #: How images are recorded; raw ones are 27 MB a second.
 
@@ -139,6 +141,7 @@ class DeploymentRecorder:
         self._recorder, self._clock = recorder, clock
         self._profile, self._images = profile, images
         self._last: dict[Topic, float] = {}
+        self._looked, self._has_gaps = np.inf, False
         topics = profile.told | {part.command_topic for part in profile.robots}
         topics |= {*vars(profile.operator).values()}
         self._subscriptions = [
@@ -150,7 +153,7 @@ class DeploymentRecorder:
         """What keeps the recording from being whole, in words; empty if nothing does."""
         recorder, num_lost = self._recorder, sum(self._recorder.num_dropped.values())
         if not (num_lost or recorder.problem):
-            return ""
+            return HELD_UP if self._has_gaps else ""
         reason = recorder.problem or "the disk is too slow, or a message is damaged"
         return (
             f"the recording lacks {num_lost} messages ({reason}): free or change the disk, and record anew."
@@ -166,7 +169,10 @@ class DeploymentRecorder:
             raise DeploymentError(self.trouble)
 
     def record_messages(self) -> None:
-        """Record what has arrived since the last call."""
+        """Record what has arrived since the last call, which must not be longer ago than `LONGEST`."""
+        now = self._clock.now()
+        self._has_gaps |= now - self._looked > LONGEST
+        self._looked = now
         for topic, subscription in self._subscriptions:
             for message in subscription.take():
                 self._write(topic, message.data, message.arrival)

@@ -56,7 +56,8 @@ def opened_bag(
         raise known if isinstance(known, error) else error(f"{path}: {known}.") from known
     except Exception as damage:
         reason = str(damage)[:LONGEST_REASON]
-        raise error(f"{path}: not a readable rosbag2 ({reason}); try 'ros2 bag reindex'.") from damage
+        fix = "try 'mcap recover' for a file that was cut off, 'ros2 bag reindex' for a folder"
+        raise error(f"{path}: not a readable rosbag2 ({reason}); {fix}.") from damage
 
 
 def _require_files(path: Path) -> None:

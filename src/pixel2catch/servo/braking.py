@@ -49,13 +49,11 @@ class WorkspaceBrake:
 
         The recent positions are those that count in a command beside the present one, oldest first.
         """
-        longest = np.ceil(np.abs(motion.velocity) / self._arm.change).max(axis=-1) + len(recent)
-        ticks = np.arange(int(longest.max()) + 1)
+        longest = np.ceil(np.abs(motion.velocity) / self._arm.change).max()
+        ticks = np.arange(int(longest) + len(recent) + 1)
         path = np.concatenate((recent, braked(motion, self._arm, ticks[:, None, None])))
         commands = np.zeros((len(ticks), *motion.position.shape))
         for first, share in enumerate(self._arm.weights):
             commands += share * path[first : first + len(ticks)]
-        is_braking = ticks[:, None] <= longest
-        is_outside = np.zeros(is_braking.shape, dtype=np.bool_)
-        is_outside[is_braking] = ~self._workspace.contains(commands[is_braking])
-        return ~np.logical_or.reduce(is_outside, axis=0)
+        is_inside = self._workspace.contains(commands.reshape(-1, commands.shape[-1]))
+        return np.logical_and.reduce(is_inside.reshape(len(ticks), -1), axis=0)

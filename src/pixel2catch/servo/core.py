@@ -118,16 +118,14 @@ class ServoState:
             used_press=np.full(num_rows, -np.inf),
         )
 
-    def is_in(self, first: Mode, last: Mode | None = None) -> Flags:
-        """Which rows are in a mode, or in one of those from the first to the last."""
-        if last is None:
-            return self.mode == int(first)
-        return (self.mode >= int(first)) & (self.mode <= int(last))
+    def is_in(self, mode: Mode) -> Flags:
+        """Which rows are in a mode."""
+        return self.mode == int(mode)
 
     @cached_property
     def is_driven(self) -> Flags:
         """Which rows the policy moves, in the ramp or after it."""
-        return self.is_in(Mode.RAMP, Mode.RUN)
+        return (self.mode >= int(Mode.RAMP)) & (self.mode <= int(Mode.RUN))
 
     @property
     def is_left_to_others(self) -> Flags:
@@ -137,7 +135,7 @@ class ServoState:
     @cached_property
     def is_active(self) -> Flags:
         """Which rows a fault stops."""
-        return self.is_in(Mode.ARMED, Mode.RUN)
+        return (self.mode >= int(Mode.ARMED)) & (self.mode <= int(Mode.RUN))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -387,13 +385,14 @@ class ServoCore:
         moved = self._brake.kept_inside(motion, state.recent, wanted, state.mode != int(Mode.IDLE))
         recent = np.concatenate((state.recent[1:], moved.position[None]))
         command = averaged(recent, limits)
+        followed = np.minimum(limits.dt / found.track.lag, 1.0) * (command - state.expected)
         moved_state = replace(
             state,
             motion=moved,
             recent=recent,
             command=command,
             interpolator=way,
-            expected=found.track.expected(state.expected, command, self.limits),
+            expected=state.expected + followed,
         )
         is_fast, is_sudden = np.abs(wish) > limits.speed, np.abs(wish - motion.velocity) > self._sudden
         return moved_state, (is_fast, is_sudden, moved.velocity != wanted.velocity)

@@ -89,12 +89,12 @@ class CommandPublisher:
         """Announce the commands, and encode each once: the first time takes as long as eight ticks."""
         self._clock = clock
         parts = () if setup.is_dry_run else setup.profile.robots
-        self._drivers = [(part, transport.publisher(part.command_topic)) for part in parts]
-        self._periods = [max(round(1.0 / (part.rate_hz * setup.limits.dt)), 1) for part in parts]
+        self.publishers = [transport.publisher(part.command_topic) for part in parts]
+        periods = [max(round(1.0 / (part.rate_hz * setup.limits.dt)), 1) for part in parts]
+        self._drivers = [*zip(parts, self.publishers, periods, strict=True)]
         self._tick, self._held_step = 0, HELD_SPEED * setup.limits.dt
         self._held = [part.held_angles for part in parts]
         self._is_kept = [True for _ in parts]
-        self.publishers = [publisher for _, publisher in self._drivers]
         for part in parts:
             part.command(np.zeros(setup.limits.num_joints))
 
@@ -107,7 +107,7 @@ class CommandPublisher:
         if np.isnan(command).any():
             self._tick = 0
             return
-        for number, ((part, publisher), period) in enumerate(zip(self._drivers, self._periods, strict=True)):
+        for number, (part, publisher, period) in enumerate(self._drivers):
             if self._tick == 0:
                 self._held[number] = np.where(np.isfinite(held[number]), held[number], part.held_angles)
                 self._is_kept[number] = False
@@ -242,8 +242,9 @@ def start_servo(
 
 
 def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
-    """Be the servo process, until the link is closed or on SIGTERM or SIGHUP."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Be the servo process, until the link is closed or on SIGTERM or SIGHUP, not by Ctrl-C or Ctrl-Z."""
+    for number in (signal.SIGINT, signal.SIGTSTP):
+        signal.signal(number, signal.SIG_IGN)
     set_niceness(SERVO)
     set_real_time(SERVO_PRIORITY)
     clock = RealClock(clock_rate)

@@ -14,7 +14,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.joint_states import JointStateReader
 from pixel2catch.ros2.messages import JointReading
 from pixel2catch.ros2.profile import Columns, OperatorTopics, Profile, RobotPart
-from pixel2catch.ros2.transport import Message, Publisher, Subscription, Topic, Transport
+from pixel2catch.ros2.transport import Message, Publisher, Topic, Transport
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.servo.watchdogs import ServoInputs
@@ -25,6 +25,12 @@ MOST_BYTES = 2**14
 
 ARM_PAUSE = 0.5
 """Time without a request to arm after which the next one counts [s]: not one of many. Source: ours."""
+
+ORDER_TIME = 0.1
+"""Time without new positions of a joint after which older ones count: of a clock that was set [s].
+
+Source: ours; twice the age from which they stop the robot.
+"""
 
 POLL_TIME = 0.2  #: Time between two counts of publishers, subscribers or cameras [s]. Source: ours.
 SCALING_DIGITS = 3  #: Digits of a share of the speed: the driver multiplies two fractions. Source: ours.
@@ -38,8 +44,8 @@ T = TypeVar("T")
 class JointStates:
     """The newest position of each joint, by name, from any number of senders.
 
-    Positions are in joint order [rad]. Their stamps are of the first arrival [s]: a message that repeats its
-    stamp is an old one.
+    Positions are in joint order [rad]. Their stamps are of the arrival [s]: a message that repeats its stamp,
+    or has an older one, was there before, or is of a recording that is played beside the robot.
     """
 
     def __init__(self, transport: Transport, profile: Profile, num_joints: int) -> None:
@@ -48,34 +54,31 @@ class JointStates:
         self.joint_stamp = np.full(num_joints, -np.inf)
         #: Where the joints of each part are that are none of ours [rad]; NaN where that is not said.
         self.held = [np.full(len(part.held), np.nan) for part in profile.robots]
-        self._sent = np.full(num_joints, np.nan)
+        self._sent = np.full(num_joints, -np.inf)
         numbers: dict[Topic, list[int]] = {}
         for number, part in enumerate(profile.robots):
             numbers.setdefault(part.state_topic, []).append(number)
         self._topics = [
-            _JointTopic(
-                subscription=transport.subscription(topic, DEPTH),
-                read=JointStateReader().read,
-                order=lru_cache(DEPTH)(partial(_joint_order, {n: profile.robots[n] for n in of_topic})),
-            )
+            (transport.subscription(topic, DEPTH), _reader({n: profile.robots[n] for n in of_topic}))
             for topic, of_topic in numbers.items()
         ]
 
     def hear(self) -> None:
         """Take what has arrived."""
-        for topic in self._topics:
-            for (ids, stamp), arrival in _read(topic.subscription.take(), partial(self._merge, topic)):
-                self._sent[ids], self.joint_stamp[ids] = stamp, arrival
+        for subscription, read in self._topics:
+            for (reading, order), arrival in _read(subscription.take(), read):
+                self._merge(reading, order, arrival)
 
-    def _merge(self, topic: "_JointTopic", data: bytes) -> tuple[np.ndarray, float]:
-        """Note the positions; return the joints of which they are new, and when they were measured."""
-        reading = topic.read(data)
-        order = topic.order(reading.names)
-        self.joint_pos[order.ids] = reading.position[order.columns]
+    def _merge(self, reading: JointReading, order: "_JointOrder", arrival: float) -> None:
+        """Note the positions that are new."""
+        sent, is_old = self._sent[order.ids], arrival - self.joint_stamp[order.ids] > ORDER_TIME
+        is_new = (reading.stamp > sent) | (is_old & (reading.stamp < sent))
+        ids = order.ids[is_new]
+        self.joint_pos[ids] = reading.position[order.columns[is_new]]
+        self._sent[ids], self.joint_stamp[ids] = reading.stamp, arrival
         for number, columns, places in order.held:
             measured, held = reading.position[columns], self.held[number]
             held[places] = np.where(np.isfinite(measured), measured, held[places])
-        return order.ids[self._sent[order.ids] != reading.stamp], reading.stamp
 
 
 class _JointOrder(NamedTuple):
@@ -86,10 +89,15 @@ class _JointOrder(NamedTuple):
     held: list[tuple[int, Columns, Columns]]  #: Number of a part, columns and places of joints that it holds.
 
 
-class _JointTopic(NamedTuple):
-    subscription: Subscription
-    read: Callable[[bytes], JointReading]
-    order: Callable[[tuple[str, ...]], _JointOrder]
+def _reader(parts: Mapping[int, RobotPart]) -> Callable[[bytes], tuple[JointReading, _JointOrder]]:
+    """What reads a joint state, and where it has the joints of parts, by their numbers."""
+    read, order_of = JointStateReader().read, lru_cache(DEPTH)(partial(_joint_order, parts))
+
+    def read_in_order(data: bytes) -> tuple[JointReading, _JointOrder]:
+        reading = read(data)
+        return reading, order_of(reading.names)
+
+    return read_in_order
 
 
 def _joint_order(parts: Mapping[int, RobotPart], names: tuple[str, ...]) -> _JointOrder:

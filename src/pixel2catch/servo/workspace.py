@@ -157,7 +157,8 @@ class Workspace:
         """The same of one arm with its hand."""
         frames = arm.link_frames(arm_pos)
         middle, lower, upper = arm.hand_box(frames[-1])
-        is_inside = np.logical_and.reduce((lower >= self.lower) & (upper <= self.upper), axis=-1)
+        least, most = self._corners
+        is_inside = np.logical_and.reduce((lower >= least) & (upper <= most), axis=-1)
         capsules = (frames[arm.shape.links] @ arm.shape.ends[:, None])[:, :, :3]
         is_inside &= arm.is_hand_apart(frames[-1], capsules[arm.shape.reached])
         near, far, top = self._sides
@@ -200,6 +201,11 @@ class Workspace:
         enter, leave = crossed(start[:2], way[:2], near, far)
         lowest = start[2] + np.minimum(enter * way[2], leave * way[2])
         return ((enter > leave) | (lowest >= top + radii)).all(axis=0)
+
+    @cached_property
+    def _corners(self) -> Float64[np.ndarray, "2 3"]:
+        """Lowest and highest corner of the space for the hands [m]."""
+        return np.array((self.lower, self.upper))
 
     @cached_property
     def _sides(self) -> tuple[np.ndarray, np.ndarray, float]:

@@ -48,7 +48,7 @@ def drawing_process(scene: SceneCfg, seed: int) -> Iterator[Callable[[Exposure],
     """
     find_gl_backend()
     with ProcessPoolExecutor(1, get_context("spawn"), _open, (scene, seed)) as process:
-        process.submit(_is_open).result()
+        process.submit(bool).result()  # its view is open
         yield lambda exposure: process.submit(_draw, exposure)
 
 
@@ -59,10 +59,6 @@ def _open(scene: SceneCfg, seed: int) -> None:
     obey_parent(SECOND)
     torch.set_num_threads(1)
     _VIEWS.append(RoomCamera(scene, seed))
-
-
-def _is_open() -> bool:
-    return bool(_VIEWS)
 
 
 def _draw(exposure: Exposure) -> Image:

@@ -32,6 +32,10 @@ PICTURE_TIME = (
 )  #: Time between two images and moves of the scene [s]. Source: ours, light on the machine.
 SILENCE = 1.0  #: Time after which a deployment, or a camera, that says nothing is gone [s]. Source: ours.
 REFUSAL_TIME = 6.0  #: For how long it is said why arming was refused [s].
+REQUEST_AGE = 0.5
+"""How long ago a page may have heard what it answers with a request [s]. Source: ours, the pause between two
+requests to arm; what waits in a page that sleeps, or before a program that hangs, is older."""
+
 LEAST_SIDE = 3.0  #: Of a box with which somebody points at something [px].
 
 ACTIVE = ("armed", "ramp", "run", "several")  #: Modes in which the robot moves, or may.
@@ -159,6 +163,7 @@ class OperatorPage:
             "message": status.get("message", ""),
             "is_active": status.get("mode") in ACTIVE,
             "num_heard": self._num_heard,
+            "time": round(now, 1),
             "has_switch": self._button is not None,
             "is_held": self._console.holds,
             "size": (self._camera.width, self._camera.height),
@@ -171,7 +176,14 @@ class OperatorPage:
         }
 
     def _heed(self, visitor: Visitor, asked: dict[str, Any]) -> None:
-        """Do what a browser asks for."""
+        """Do what a browser asks for: to stop at any time, all else if it has just heard of us."""
+        heard = asked.pop("heard", None)
+        is_recent = isinstance(heard, int | float) and abs(self._clock.now() - heard) <= REQUEST_AGE
+        if not is_recent and asked.get("do") not in ("stop", "let_go"):
+            raise DeploymentError("what was pressed came too late, and does not count: press again")
+        self._do(visitor, asked)
+
+    def _do(self, visitor: Visitor, asked: dict[str, Any]) -> None:
         match asked:
             case {"do": "stop"}:
                 self._stop()

@@ -1,7 +1,7 @@
 // The operator's page. A browser is no safety device: whenever there is doubt whether anybody holds the
 // switch, it is let go, here and in the program that serves this page.
 
-import { ask, connect, part } from "./link.js";
+import { ask as send, connect, part } from "./link.js";
 
 const BEAT_MS = 50; // time between two messages of a switch that is held
 const HEARD_MS = 500; // time after which a stop should have been heard
@@ -17,6 +17,9 @@ let picture = null; // the camera's newest image
 let drag = null, prompt = null; // a box that is being dragged, and the one sent last, in image pixels
 let stopped = null; // the stop that was asked for: when, and how many had been heard before
 const holding = new Set(); // what holds the switch: pointers and keys
+
+// What waits until a page or a program goes on must not count then: each request says what was heard last.
+const ask = (request) => send({ ...request, heard: state?.time });
 
 function tell(id, text) {
   const element = part(id);
