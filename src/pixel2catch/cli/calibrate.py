@@ -1,10 +1,11 @@
 """`pixel2catch calibrate`: where the camera stands, how well that is known, what it means for a policy."""
 
+import io
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
-from math import degrees
+from math import degrees, hypot
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,8 +19,9 @@ from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, Withi
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import json_text, require_free_file, write_atomically
+from pixel2catch.files import json_text, require_free_file, require_free_folder, write_atomically
 from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
@@ -100,7 +102,6 @@ class Calibrate:
 
         Without --intrinsics, the lens is found from the same images.
         """
-        from pixel2catch.files import require_free_folder
         from pixel2catch.perception.calibration.capture import PICTURE, TABLE, Capture
         from pixel2catch.perception.calibration.target import CharucoBoard
         from pixel2catch.workcells import find_workcell
@@ -156,7 +157,6 @@ class Calibrate:
         import torch
         from scipy.spatial.transform import Rotation
 
-        from pixel2catch.interruption import StopRequest
         from pixel2catch.robots.geometry import first_chain
 
         chain, said = first_chain(workcell), ""
@@ -196,8 +196,6 @@ class Calibrate:
 
     def _board(self) -> "Pose | None":
         """The pose of the board in the hand, if it is known; InvalidValueError if its orientation is none."""
-        from math import hypot
-
         from pixel2catch.robots.chain import pose_matrix
 
         if self.board_pose is None:
@@ -265,8 +263,6 @@ class Calibrate:
 
 
 def _print_board(path: Path) -> None:
-    import io
-
     from pixel2catch.perception.calibration.target import sheet
 
     kind = path.suffix.lower().lstrip(".")

@@ -18,9 +18,10 @@ from rich.text import Text
 
 from pixel2catch.checks import AtMostFull, CameraPath
 from pixel2catch.cli.console import results_console
+from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.files import json_text
 from pixel2catch.findings import Absent, Broken, Check, check
-from pixel2catch.installation import PACKAGE, install_command, requirements
+from pixel2catch.installation import PACKAGE, install_command, needs_extra, requirements
 from pixel2catch.ros2.transport import LOOPBACK, NetworkName
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
@@ -111,7 +112,6 @@ def disk() -> str:
 
 def rendering() -> str:
     """OpenGL without a display."""
-    from pixel2catch.errors import DeviceUnavailableError
     from pixel2catch.rendering.renderer import find_gl_backend
 
     try:
@@ -275,7 +275,6 @@ class Doctor:
         """Look at the machine of a deployment, and listen to a robot."""
         from pixel2catch.camera.camera_file import CameraFile
         from pixel2catch.cli.link import Network, Robot
-        from pixel2catch.installation import needs_extra
         from pixel2catch.scene.constants import RGB_CAMERA
 
         with needs_extra("deployment"):

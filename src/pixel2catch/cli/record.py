@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
+from pixel2catch.cli.console import say
+from pixel2catch.cli.device import prepare
 from pixel2catch.cli.link import Link
 from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,8 +52,6 @@ class Record:
 
     def run(self) -> None:
         """Wait for the operator, follow, record."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.cli.device import prepare
         from pixel2catch.identification.recording import Trajectory
 
         with needs_extra("deployment"):
@@ -109,9 +110,6 @@ class Record:
 
     def _follow(self, follower: "TrajectoryFollower", is_over: "Callable[[], bool]") -> None:
         """Follow until the end, until it is over, or Ctrl-C, and say when something changes."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.interruption import StopRequest
-
         said = ""
 
         def report(status: dict[str, Any]) -> None:

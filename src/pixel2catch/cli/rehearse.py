@@ -8,6 +8,10 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import NewFolder
+from pixel2catch.cli.console import say
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import json_text, require_free_folder, write_atomically
+from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin.config import RehearsalCfg
 
@@ -35,10 +39,6 @@ class Rehearse:
 
     def run(self) -> None:
         """Rehearse, write the report and print it."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.files import json_text, require_free_folder, write_atomically
-        from pixel2catch.installation import needs_extra
-
         with needs_extra("deployment"):
             from pixel2catch.twin.rehearsal import rehearse
         cfg = self.rehearsal
@@ -67,7 +67,6 @@ class Rehearse:
 
 def _refuse_nonsense(cfg: RehearsalCfg) -> None:
     """Refuse what cannot be rehearsed, before anything starts."""
-    from pixel2catch.errors import InvalidValueError
     from pixel2catch.rendering.renderer import find_gl_backend
 
     if (cfg.perception_jitter_ms or cfg.clock_error_ms) and not cfg.lockstep:
