@@ -301,7 +301,6 @@ def _print_result(
 
 
 def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> Iterator[str]:
-    """The result in words."""
     from pixel2catch.perception.calibration.comparison import advice
 
     x, y, z = result.file.camera.pos

@@ -143,7 +143,6 @@ def cuda() -> str:
 
 
 def _driver() -> str:
-    """The driver's version."""
     words = NVIDIA_DRIVER.read_text().split("\n")[0].split() if NVIDIA_DRIVER.exists() else []
     return "driver " + next((word for word in words if word[0].isdigit() and "." in word), "unknown")
 
@@ -288,7 +287,6 @@ class Doctor:
         return checks_of_laboratory(robot, survey, lens, is_loopback=network.is_twin)
 
     def _checks(self) -> list[Check]:
-        """Look at everything."""
         return [
             check("Python", python, is_needed=True),
             check("packages", packages, is_needed=True),

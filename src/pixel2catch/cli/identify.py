@@ -127,7 +127,6 @@ class Identify:
         return FitCfg(free=self.free or default, physics_dt=physics_dt)
 
     def _read(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[Recording]":
-        """Read the recordings."""
         from pixel2catch.identification.importers import read_recording
 
         if not self.recordings:
@@ -154,7 +153,6 @@ class Identify:
 
 
 def _print_checks(found: "Sequence[tuple[Recording, Sequence[Check]]]") -> None:
-    """Print the checks of each recording."""
     from pixel2catch.identification.report_tables import check_grid
 
     for recording, checks in found:

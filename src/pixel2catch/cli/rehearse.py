@@ -66,7 +66,6 @@ class Rehearse:
 
 
 def _refuse_nonsense(cfg: RehearsalCfg) -> None:
-    """Refuse what cannot be rehearsed, before anything starts."""
     from pixel2catch.rendering.renderer import find_gl_backend
 
     if (cfg.perception_jitter_ms or cfg.clock_error_ms) and not cfg.lockstep:
@@ -88,7 +87,6 @@ def in_words(outcome: "Outcome") -> str:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report in words."""
     from pixel2catch.cli.deploy import lines
 
     for name, short in (("tracking_rate", "T.R."), ("success_rate", "S.R.")):

@@ -74,7 +74,6 @@ class Replay:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report in words."""
     from pixel2catch.cli.deploy import lines
 
     yield from lines(report["deploy"])

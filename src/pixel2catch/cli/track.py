@@ -232,7 +232,6 @@ def _truth_table(truth: dict[str, Any]) -> Table:
 
 
 def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
-    """What was seen and how fast, in words."""
     from pixel2catch.perception.foreground import Weakness
 
     counts = ", ".join(f"{verdict} {count}" for verdict, count in summary["verdicts"].items())

@@ -171,7 +171,6 @@ class OperatorPage:
         }
 
     def _heed(self, visitor: Visitor, asked: dict[str, Any]) -> None:
-        """Do what a browser asks for."""
         match asked:
             case {"do": "stop"}:
                 self._stop()
