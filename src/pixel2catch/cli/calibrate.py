@@ -19,7 +19,7 @@ from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, Withi
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import json_text, require_free_file, require_free_folder, write_atomically
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -91,7 +91,6 @@ class Calibrate:
         if self.print_marker is not None:
             _print_board(self.print_marker)
             return
-        require_free_file(self.out)
         if self.live and (taken := self._take()):
             taken._calibrate()
         elif not self.live:
@@ -106,7 +105,6 @@ class Calibrate:
         from pixel2catch.perception.calibration.target import CharucoBoard
         from pixel2catch.workcells import find_workcell
 
-        require_free_folder(self.capture, "--capture")
         lens = self._lens(self.intrinsics) if self.intrinsics else None
         workcell = find_workcell(self.workcell)
         joints = workcell.joint_names[workcell.palms[0].carriers]
@@ -265,12 +263,8 @@ class Calibrate:
 def _print_board(path: Path) -> None:
     from pixel2catch.perception.calibration.target import sheet
 
-    kind = path.suffix.lower().lstrip(".")
-    if kind not in ("png", "pdf"):
-        raise InvalidValueError(f"'{path}' is no .png and no .pdf; name the file so.")
-    require_free_file(path)
     page = io.BytesIO()
-    sheet().savefig(page, format=kind)
+    sheet().savefig(page, format=path.suffix.lower().lstrip("."))
     write_atomically({path: page.getvalue()})
     say(f"wrote {path}: print it at 100 %, then measure a square for --square")
 

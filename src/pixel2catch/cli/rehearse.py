@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder
 from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import json_text, require_free_folder, write_atomically
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin.config import RehearsalCfg
@@ -43,7 +43,6 @@ class Rehearse:
             from pixel2catch.twin.rehearsal import rehearse
         cfg = self.rehearsal
         _refuse_nonsense(cfg)
-        require_free_folder(self.out)
         self.out.mkdir(parents=True, exist_ok=True)
 
         def show(outcome: "Outcome") -> None:
