@@ -101,7 +101,7 @@ def test_shapes_are_checked_while_testing():
 
 def test_continuous_integration_runs_everything():
     lines = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
-    assert [line for line in lines if line.startswith("make ")] == [
-        f"make {target}" for target in ("setup", "check", "docs", "wheel", "test")
-    ]
+    words = [word for line in lines if line.startswith("make ") for word in line.split()[1:]]
+    targets = [word for word in words if not word.startswith("-") and not word.isdigit()]
+    assert targets == ["setup", "check", "docs", "wheel", "test"]
     assert "set -euo pipefail" in lines

@@ -192,7 +192,7 @@ def test_the_command_goes_on_with_a_file_and_ends_with_ctrl_c(
 
     said: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pixel2catch.cli.console.say", said.append)
+        patch.setattr("pixel2catch.cli.label.say", said.append)
         visiting = threading.Thread(target=visit, daemon=True)
         visiting.start()
         options = ["--at", "0.1", "--seconds", "0.2", "--object", "square", "--port", str(port)]

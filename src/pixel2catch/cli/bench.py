@@ -8,8 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pixel2catch.checks import Count, Device, OutputFile, Positive
+from pixel2catch.circumstances import circumstances
+from pixel2catch.cli.console import results_console, say, working
+from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import FieldOptions
-from pixel2catch.shipped import PolicyPath
+from pixel2catch.files import json_text
+from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,14 +56,9 @@ class Bench:
 
     def run(self) -> None:
         """Measure, print and write."""
-        from pixel2catch.circumstances import circumstances
         from pixel2catch.cli.bench_costs import measure
-        from pixel2catch.cli.console import results_console, say, working
-        from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.report import png, write_files
-        from pixel2catch.files import json_text
         from pixel2catch.policy import Policy
-        from pixel2catch.shipped import policy_folder
 
         folder, devices = policy_folder(self.policy), [*map(prepare, self.device)]
         load = os.getloadavg()[0]

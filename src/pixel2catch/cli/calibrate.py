@@ -1,10 +1,11 @@
 """`pixel2catch calibrate`: where the camera stands, how well that is known, what it means for a policy."""
 
+import io
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
-from math import degrees
+from math import degrees, hypot
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,8 +19,9 @@ from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, Withi
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import json_text, require_free_file, write_atomically
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest
 from pixel2catch.scene.constants import RGB_CAMERA
 
 if TYPE_CHECKING:
@@ -89,7 +91,6 @@ class Calibrate:
         if self.print_marker is not None:
             _print_board(self.print_marker)
             return
-        require_free_file(self.out)
         if self.live and (taken := self._take()):
             taken._calibrate()
         elif not self.live:
@@ -100,12 +101,10 @@ class Calibrate:
 
         Without --intrinsics, the lens is found from the same images.
         """
-        from pixel2catch.files import require_free_folder
         from pixel2catch.perception.calibration.capture import PICTURE, TABLE, Capture
         from pixel2catch.perception.calibration.target import CharucoBoard
         from pixel2catch.workcells import find_workcell
 
-        require_free_folder(self.capture, "--capture")
         lens = self._lens(self.intrinsics) if self.intrinsics else None
         workcell = find_workcell(self.workcell)
         joints = workcell.joint_names[workcell.palms[0].carriers]
@@ -156,7 +155,6 @@ class Calibrate:
         import torch
         from scipy.spatial.transform import Rotation
 
-        from pixel2catch.interruption import StopRequest
         from pixel2catch.robots.geometry import first_chain
 
         chain, said = first_chain(workcell), ""
@@ -196,8 +194,6 @@ class Calibrate:
 
     def _board(self) -> "Pose | None":
         """The pose of the board in the hand, if it is known; InvalidValueError if its orientation is none."""
-        from math import hypot
-
         from pixel2catch.robots.chain import pose_matrix
 
         if self.board_pose is None:
@@ -265,16 +261,10 @@ class Calibrate:
 
 
 def _print_board(path: Path) -> None:
-    import io
-
     from pixel2catch.perception.calibration.target import sheet
 
-    kind = path.suffix.lower().lstrip(".")
-    if kind not in ("png", "pdf"):
-        raise InvalidValueError(f"'{path}' is no .png and no .pdf; name the file so.")
-    require_free_file(path)
     page = io.BytesIO()
-    sheet().savefig(page, format=kind)
+    sheet().savefig(page, format=path.suffix.lower().lstrip("."))
     write_atomically({path: page.getvalue()})
     say(f"wrote {path}: print it at 100 %, then measure a square for --square")
 
@@ -305,7 +295,6 @@ def _print_result(
 
 
 def _sentences(result: "Calibration", intrinsics: "Intrinsics", comparison: "Comparison") -> Iterator[str]:
-    """The result in words."""
     from pixel2catch.perception.calibration.comparison import advice
 
     x, y, z = result.file.camera.pos

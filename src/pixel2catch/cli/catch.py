@@ -4,6 +4,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pixel2catch.checks import Count, FilmPath, Seed
+from pixel2catch.cli.console import evaluating, results_console, say
+from pixel2catch.cli.device import prepare
+from pixel2catch.errors import DeviceUnavailableError
 
 VIDEO_THROWS = 2  #: Throws in the film: drawing them takes about ten seconds each without a GPU.
 
@@ -18,9 +21,6 @@ class Catch:
 
     def run(self) -> None:
         """Evaluate, print the results beside the paper's, and write the film."""
-        from pixel2catch.cli.console import evaluating, results_console, say
-        from pixel2catch.cli.device import prepare
-        from pixel2catch.errors import DeviceUnavailableError
         from pixel2catch.evaluation.loading import load_policy, task_of
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws

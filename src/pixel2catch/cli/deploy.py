@@ -12,8 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from pixel2catch.checks import NewFolder, Positive
+from pixel2catch.cli.console import say
 from pixel2catch.cli.link import Link
 from pixel2catch.files import json_text
+from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
 from pixel2catch.shipped import PolicyPath
 
@@ -36,7 +39,6 @@ class Vision:
         self, policy_path: Path | None, profile: "Profile", camera: "CameraSpec", *, is_live: bool
     ) -> "PolicyPipeline":
         """Perception and policy, for this robot and camera, a live one or one that was recorded."""
-        from pixel2catch.cli.console import say
         from pixel2catch.deployment.policy_pipeline import Controller, make_pipeline
         from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.perception.robot_mask import RobotMask
@@ -74,9 +76,6 @@ class Deploy:
 
     def run(self) -> None:
         """Deploy until the end, and say what happened."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.installation import needs_extra
-
         with needs_extra("deployment"):
             from pixel2catch.deployment.control_loop import ControlLoop
             from pixel2catch.deployment.image_subscriber import ImageSubscriber
@@ -111,9 +110,7 @@ class Deploy:
 
     def _loop(self, control_loop: "ControlLoop", clock: "Clock") -> str:
         """Run until a signal, which is returned, or the time is over, and say when something changes."""
-        from pixel2catch.cli.console import say
         from pixel2catch.deployment.status_words import sentence
-        from pixel2catch.interruption import StopRequest
 
         gc.collect()
         gc.freeze()  # what there is now stays: it need not be looked through again and again

@@ -18,9 +18,10 @@ from rich.text import Text
 
 from pixel2catch.checks import AtMostFull, CameraPath
 from pixel2catch.cli.console import results_console
+from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.files import json_text
 from pixel2catch.findings import Absent, Broken, Check, check
-from pixel2catch.installation import PACKAGE, install_command, requirements
+from pixel2catch.installation import PACKAGE, install_command, needs_extra, requirements
 from pixel2catch.ros2.transport import LOOPBACK, NetworkName
 
 STYLES = {"good": "green", "BAD": "bold red", "absent": "dim"}
@@ -111,7 +112,6 @@ def disk() -> str:
 
 def rendering() -> str:
     """OpenGL without a display."""
-    from pixel2catch.errors import DeviceUnavailableError
     from pixel2catch.rendering.renderer import find_gl_backend
 
     try:
@@ -143,7 +143,6 @@ def cuda() -> str:
 
 
 def _driver() -> str:
-    """The driver's version."""
     words = NVIDIA_DRIVER.read_text().split("\n")[0].split() if NVIDIA_DRIVER.exists() else []
     return "driver " + next((word for word in words if word[0].isdigit() and "." in word), "unknown")
 
@@ -275,7 +274,6 @@ class Doctor:
         """Look at the machine of a deployment, and listen to a robot."""
         from pixel2catch.camera.camera_file import CameraFile
         from pixel2catch.cli.link import Network, Robot
-        from pixel2catch.installation import needs_extra
         from pixel2catch.scene.constants import RGB_CAMERA
 
         with needs_extra("deployment"):
@@ -289,7 +287,6 @@ class Doctor:
         return checks_of_laboratory(robot, survey, lens, is_loopback=network.is_twin)
 
     def _checks(self) -> list[Check]:
-        """Look at everything."""
         return [
             check("Python", python, is_needed=True),
             check("packages", packages, is_needed=True),

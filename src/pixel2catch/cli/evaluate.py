@@ -16,7 +16,10 @@ from pixel2catch.checks import (
     RobotModelPath,
     Seed,
 )
+from pixel2catch.cli.console import evaluating, results_console, say
+from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
 
 
@@ -52,14 +55,11 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate and print."""
-        from pixel2catch.cli.console import evaluating, results_console, say
-        from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, fingerprint, load_policy, sha256, task_of
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import result_tables, write_files
         from pixel2catch.evaluation.throw_collection import ThrowCollection
-        from pixel2catch.files import json_text
         from pixel2catch.scene.objects import select_objects
 
         device = prepare(self.device)

@@ -14,6 +14,8 @@ from pixel2catch.checks import (
     Seed,
     Within,
 )
+from pixel2catch.cli.console import results_console, say, working
+from pixel2catch.files import require_free_file, write_atomically
 
 if TYPE_CHECKING:
     from pixel2catch.identification.recording import Trajectory
@@ -61,8 +63,6 @@ class Excite:
         """Draw, try, print and write."""
         from numpy.random import default_rng
 
-        from pixel2catch.cli.console import say, working
-        from pixel2catch.files import require_free_file, write_atomically
         from pixel2catch.identification.excitation import ExcitationCfg, find_excitation
         from pixel2catch.identification.rehearsal import RecorderCfg, rehearse, unlike_nominal
         from pixel2catch.identification.report import motion_picture
@@ -115,7 +115,6 @@ class Excite:
 
 def _print(trajectory: "Trajectory", assessment: "Assessment") -> None:
     """Print what the simulated robot did."""
-    from pixel2catch.cli.console import results_console
     from pixel2catch.identification.report_tables import motion_grid
 
     console = results_console()

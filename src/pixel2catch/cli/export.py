@@ -6,7 +6,13 @@ from typing import Literal, cast
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.console import say
+from pixel2catch.cli.device import prepare
 from pixel2catch.cli.link import Robot
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import require_free_file, write_atomically
+from pixel2catch.installation import needs_extra
+from pixel2catch.shipped import DEFAULT_POLICY
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +43,6 @@ class Export:
 
     def run(self) -> None:
         """Write it."""
-        from pixel2catch.shipped import DEFAULT_POLICY
-
         if self.web_demo:
             self._write_page(self.web_demo)
             return
@@ -50,10 +54,7 @@ class Export:
             self._write_data(self.out or Path(f"{name}-lerobot"))
 
     def _write_policy(self, out: Path) -> None:
-        from pixel2catch.cli.device import prepare
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.files import require_free_file, write_atomically
         from pixel2catch.policy import Policy
         from pixel2catch.policy.onnx_policy import SUFFIX, OnnxPolicy, largest_difference, to_onnx
 
@@ -73,7 +74,6 @@ class Export:
         )
 
     def _write_page(self, out: Path) -> None:
-        from pixel2catch.cli.console import say
         from pixel2catch.evaluation.web_demo import write_web_demo
 
         missing = write_web_demo(self.source, out)
@@ -85,8 +85,6 @@ class Export:
         print(f"wrote {out}; look at it: python -m http.server --directory {out}")
 
     def _write_data(self, out: Path) -> None:
-        from pixel2catch.cli.device import prepare
-        from pixel2catch.installation import needs_extra
         from pixel2catch.ros2.bags import is_bag
 
         with needs_extra("lerobot"):
@@ -98,7 +96,6 @@ class Export:
 
     def _write_recording(self, out: Path) -> str:
         from pixel2catch.datasets.lerobot import DatasetWriter
-        from pixel2catch.installation import needs_extra
         from pixel2catch.workcells import find_workcell
 
         with needs_extra("deployment"):
@@ -109,7 +106,6 @@ class Export:
         return f"{writer.num_episodes} runs of the policy, {writer.num_steps} control steps"
 
     def _write_throws(self, out: Path) -> str:
-        from pixel2catch.cli.console import say
         from pixel2catch.datasets.lerobot import DatasetWriter
         from pixel2catch.datasets.throws import write_throws
         from pixel2catch.evaluation.loading import load_policy, task_of

@@ -1,14 +1,17 @@
 """`pixel2catch identify`: from recorded motion to the simulator's joint dynamics."""
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, NewFolder, PhysicsRate
+from pixel2catch.circumstances import circumstances
+from pixel2catch.cli.console import results_console, say, working
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import json_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -69,9 +72,6 @@ class Identify:
 
     def run(self) -> None:
         """Check, fit, and write the report."""
-        from pixel2catch.circumstances import circumstances
-        from pixel2catch.cli.console import say, working
-        from pixel2catch.files import json_text
         from pixel2catch.identification.identify import checked, identify, start_of_fit
         from pixel2catch.identification.report import DYNAMICS, PAGE, write_report
         from pixel2catch.workcells import find_workcell
@@ -105,10 +105,6 @@ class Identify:
 
     def _check(self, workcell: "WorkcellSpec") -> None:
         """Print what the checks of the data say; the exit status is 1 if one forbids a fit."""
-        from dataclasses import asdict
-
-        from pixel2catch.cli.console import working
-        from pixel2catch.files import json_text
         from pixel2catch.identification.checks import check_recording
 
         with working() as report:
@@ -131,9 +127,6 @@ class Identify:
         return FitCfg(free=self.free or default, physics_dt=physics_dt)
 
     def _read(self, workcell: "WorkcellSpec", report: "Callable[[str], None]") -> "list[Recording]":
-        """Read the recordings."""
-        from dataclasses import replace
-
         from pixel2catch.identification.importers import read_recording
 
         if not self.recordings:
@@ -160,8 +153,6 @@ class Identify:
 
 
 def _print_checks(found: "Sequence[tuple[Recording, Sequence[Check]]]") -> None:
-    """Print the checks of each recording."""
-    from pixel2catch.cli.console import results_console
     from pixel2catch.identification.report_tables import check_grid
 
     for recording, checks in found:
@@ -172,7 +163,6 @@ def _print_result(result: "Identification") -> None:
     """Print errors and parameters as tables, then what is not known."""
     from rich.text import Text
 
-    from pixel2catch.cli.console import results_console
     from pixel2catch.identification.report import NOTHING_HELD_OUT
     from pixel2catch.identification.report_tables import errors_grid, open_questions, parameters_grid
 

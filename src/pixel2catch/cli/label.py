@@ -8,6 +8,10 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from pixel2catch.checks import NotNegative, Positive
+from pixel2catch.cli.console import say
+from pixel2catch.errors import PerceptionError
+from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest
 from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
@@ -35,9 +39,6 @@ class Label:
 
     def run(self) -> None:
         """Serve the page until Ctrl-C."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.installation import needs_extra
-        from pixel2catch.interruption import StopRequest
         from pixel2catch.perception.labels import Labels
 
         with needs_extra("viewer"):
@@ -58,8 +59,6 @@ class Label:
 
     def _read(self, known: "Labels | None") -> "tuple[dict[int, Frame], Labels]":
         """The images that are shown, by their numbers, and what is labelled so far."""
-        from pixel2catch.errors import PerceptionError
-        from pixel2catch.installation import needs_extra
         from pixel2catch.perception.labels import Labels
 
         with needs_extra("perception"):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from pixel2catch.checks import AtMostFull, DynamicsPath
+from pixel2catch.cli.console import say
 from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.transport import ANY, LOOPBACK, NetworkName, RealClock
 
@@ -50,8 +51,6 @@ class Network:
     @contextmanager
     def join(self, node: str) -> Iterator[tuple["Transport", "Clock"]]:
         """Be a node of the network by a name, with a clock that all agree on; say which network it is."""
-        from pixel2catch.cli.console import say
-
         clock = RealClock(self.clock)
         with make_transport(self.transport, node, self.network, clock) as transport:
             domain = os.environ.get("ROS_DOMAIN_ID") or 0
@@ -106,7 +105,6 @@ class Link(Network):
 
     def limits(self, profile: "Profile") -> "ServoLimits":
         """What the servo keeps to with this robot."""
-        from pixel2catch.cli.console import say
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
         from pixel2catch.servo.limits import JointLimits, ServoLimits

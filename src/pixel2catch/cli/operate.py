@@ -8,8 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from pixel2catch.cli.console import say
 from pixel2catch.cli.link import Network
 from pixel2catch.deployment.switches import Keys
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest
 from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
@@ -39,11 +43,6 @@ class Operate:
 
     def run(self) -> None:
         """Operate until Ctrl-C, and say when something changes."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.errors import InvalidValueError
-        from pixel2catch.installation import needs_extra
-        from pixel2catch.interruption import StopRequest
-
         with needs_extra("deployment"):
             from pixel2catch.deployment.operator import OperatorConsole, operate_by_keys
             from pixel2catch.deployment.switches import Switches
@@ -71,7 +70,6 @@ class Operate:
         self, profile: "Profile", node: "Transport", clock: "Clock", console: "OperatorConsole"
     ) -> "OperatorPage":
         """Open the page, whose button is the switch where there is no device."""
-        from pixel2catch.installation import needs_extra
         from pixel2catch.scene.scene import SceneCfg
 
         with needs_extra("viewer"):
@@ -86,7 +84,6 @@ class Operate:
 
 def _report(page: "OperatorPage | None") -> "Callable[[list[Press], dict[str, Any]], None]":
     """What says when something changes, and makes a page current."""
-    from pixel2catch.cli.console import say
     from pixel2catch.deployment.status_words import sentence
 
     said = ""

@@ -7,8 +7,11 @@ from typing import Literal
 from tyro.conf import Positional
 
 from pixel2catch.checks import CameraPath, Count, DynamicsPath, FilmPath, RobotModelPath, Seed
+from pixel2catch.cli.console import say
+from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
 from pixel2catch.errors import InvalidValueError
+from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.viewer.config import PageCfg
 
@@ -50,8 +53,6 @@ class Play:
         if self.web:
             self._serve()
             return
-        from pixel2catch.cli.console import say
-        from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.rendering.film import write_throws
@@ -89,8 +90,6 @@ class Play:
         """Serve the page until Ctrl-C; it takes no robot model."""
         if self.robot_model:
             raise InvalidValueError("--web has the robot of this package alone; leave out --robot-model.")
-        from pixel2catch.cli.device import prepare
-        from pixel2catch.installation import needs_extra
         from pixel2catch.viewer.config import PlayCfg
 
         prepare("cpu")

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
+from pixel2catch.cli.console import say
+from pixel2catch.cli.device import prepare
 from pixel2catch.cli.link import Link
 from pixel2catch.errors import DeploymentError
 from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,8 +54,6 @@ class Record:
 
     def run(self) -> None:
         """Wait for the operator, follow, record."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.cli.device import prepare
         from pixel2catch.identification.recording import Trajectory
 
         with needs_extra("deployment"):
@@ -113,9 +114,6 @@ class Record:
 
     def _follow(self, follower: "TrajectoryFollower", is_over: "Callable[[], bool]") -> str:
         """Follow until the end, until it is over, or a signal, which is returned; say what changes."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.interruption import StopRequest
-
         said = ""
 
         def report(status: dict[str, Any]) -> None:

@@ -8,6 +8,10 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import NewFolder
+from pixel2catch.cli.console import say
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import json_text, write_atomically
+from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin.config import RehearsalCfg
 
@@ -35,15 +39,10 @@ class Rehearse:
 
     def run(self) -> None:
         """Rehearse, write the report and print it."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.files import json_text, require_free_folder, write_atomically
-        from pixel2catch.installation import needs_extra
-
         with needs_extra("deployment"):
             from pixel2catch.twin.rehearsal import rehearse
         cfg = self.rehearsal
         _refuse_nonsense(cfg)
-        require_free_folder(self.out)
         self.out.mkdir(parents=True, exist_ok=True)
 
         def show(outcome: "Outcome") -> None:
@@ -66,8 +65,6 @@ class Rehearse:
 
 
 def _refuse_nonsense(cfg: RehearsalCfg) -> None:
-    """Refuse what cannot be rehearsed, before anything starts."""
-    from pixel2catch.errors import InvalidValueError
     from pixel2catch.rendering.renderer import find_gl_backend
 
     if (cfg.perception_jitter_ms or cfg.clock_error_ms) and not cfg.lockstep:
@@ -89,7 +86,6 @@ def in_words(outcome: "Outcome") -> str:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report in words."""
     from pixel2catch.cli.deploy import lines
 
     for name, short in (("tracking_rate", "T.R."), ("success_rate", "S.R.")):

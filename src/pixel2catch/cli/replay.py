@@ -10,7 +10,9 @@ from tyro.conf import Positional
 from pixel2catch.checks import NewFolder, NotNegative
 from pixel2catch.cli.deploy import Vision
 from pixel2catch.cli.link import Robot
+from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text
+from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.viewer.config import PageCfg
 
@@ -41,9 +43,6 @@ class Replay:
 
     def run(self) -> None:
         """Replay, compare and report."""
-        from pixel2catch.errors import InvalidValueError
-        from pixel2catch.installation import needs_extra
-
         with needs_extra("deployment"):
             from pixel2catch.deployment.replay import compare, recorded_targets, replay
             from pixel2catch.workcells import find_workcell
@@ -68,8 +67,6 @@ class Replay:
 
     def _show(self, profile: "Profile", camera: "CameraSpec") -> None:
         """Show the recording until Ctrl-C."""
-        from pixel2catch.installation import needs_extra
-
         with needs_extra("viewer"):
             from pixel2catch.viewer.process import serve_until_interrupted
             from pixel2catch.viewer.replay import RecordingPage
@@ -77,7 +74,6 @@ class Replay:
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:
-    """The report in words."""
     from pixel2catch.cli.deploy import lines
 
     yield from lines(report["deploy"])

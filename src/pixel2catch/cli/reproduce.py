@@ -9,7 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Within
+from pixel2catch.circumstances import circumstances
+from pixel2catch.cli.console import say
+from pixel2catch.errors import StudyError, UnknownNameError
 from pixel2catch.evaluation.cluster import Cluster
+from pixel2catch.interruption import StopRequest
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.comparison.jobs import Job, Slot
@@ -65,8 +69,6 @@ class Reproduce:
 
     def run(self) -> None:
         """Do what is left to do, and write the report."""
-        from pixel2catch.cli.console import say
-        from pixel2catch.errors import StudyError
         from pixel2catch.evaluation.comparison.plan import ComparisonFolder
         from pixel2catch.evaluation.comparison.report import write_report
 
@@ -84,7 +86,6 @@ class Reproduce:
         """Train and evaluate; return what failed."""
         from pixel2catch.cli.comparison_console import ProgressTable
         from pixel2catch.evaluation.comparison.jobs import Runner, Status, last_lines, locked, shared_gpus
-        from pixel2catch.interruption import StopRequest
 
         executor = self.cluster.executor(self.out)
         devices = self._devices()
@@ -144,7 +145,6 @@ class Reproduce:
         The default preset is that for the device.
         """
         from pixel2catch.cli.main import parse
-        from pixel2catch.errors import UnknownNameError
         from pixel2catch.learning.config import TrainCfg
         from pixel2catch.scene.scene import SceneCfg
 
@@ -223,8 +223,6 @@ class Reproduce:
 
 
 def _session() -> dict[str, Any]:
-    from pixel2catch.circumstances import circumstances
-
     session = circumstances()
     return session | {"command": " ".join(["pixel2catch", *session["command"][1:]])}
 

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
+from pixel2catch.cli.console import progress_bar, say
+from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import FieldOptions, with_changes
 from pixel2catch.evaluation.cluster import Cluster
+from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
 
 if TYPE_CHECKING:
@@ -42,14 +45,11 @@ class Stress:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from pixel2catch.cli.console import progress_bar, say
-        from pixel2catch.cli.device import prepare
         from pixel2catch.envs.cfg import CatchEnvCfg
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
         from pixel2catch.evaluation.stress.report import as_markdown, make_table, write_report
         from pixel2catch.evaluation.stress.suite import select_settings
-        from pixel2catch.files import json_text
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg
 

@@ -18,7 +18,7 @@ from pixel2catch.checks import NewFolder, NotNegative, Positive
 from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import results_console, say
 from pixel2catch.errors import PerceptionError
-from pixel2catch.files import json_text, require_free_folder, write_atomically
+from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
@@ -67,7 +67,6 @@ class Track:
             from pixel2catch.perception.tracking import Tally
         from pixel2catch.perception.labels import Labels
 
-        require_free_folder(self.out)
         labels = self.truth and Labels.load(self.truth)
         self.perception.prepare()
         notes: list[str] = []
@@ -232,7 +231,6 @@ def _truth_table(truth: dict[str, Any]) -> Table:
 
 
 def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":
-    """What was seen and how fast, in words."""
     from pixel2catch.perception.foreground import Weakness
 
     counts = ", ".join(f"{verdict} {count}" for verdict, count in summary["verdicts"].items())

@@ -12,7 +12,9 @@ from tyro.conf import Positional
 
 from pixel2catch.checks import ResultsFolder
 from pixel2catch.cli.fields import FieldOptions, with_fields
+from pixel2catch.installation import needs_extra
 from pixel2catch.learning.config import CONFIG_FILE, PRESETS, TrainCfg, preset
+from pixel2catch.shipped import policy_folder
 from pixel2catch.viewer.config import PageCfg
 
 if TYPE_CHECKING:
@@ -92,7 +94,6 @@ class Train:
         """The page of this training, if there is to be one; of several processes the first has it."""
         if not self.web or os.environ.get("RANK", "0") != "0":
             return nullcontext()
-        from pixel2catch.installation import needs_extra
 
         with needs_extra("viewer"):
             from pixel2catch.viewer.process import page_process
@@ -112,8 +113,6 @@ class Train:
             InvalidValueError: If no training is possible with the values.
             PolicyMismatchError: If there is no policy to start from, or to imitate.
         """
-        from pixel2catch.shipped import policy_folder
-
         given = {name: value for name, value in vars(self.options).items() if value is not None}
         if self.method:
             given["method"] = self.method

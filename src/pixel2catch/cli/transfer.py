@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, RobotModelPath, Seed, Within
+from pixel2catch.cli.console import progress_bar, say
 from pixel2catch.cli.fields import FieldOptions, with_changes
-from pixel2catch.shipped import PolicyPath
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.files import json_text
+from pixel2catch.progress import duration
+from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.metrics import Metrics
@@ -48,7 +52,6 @@ class Transfer:
 
     def run(self) -> None:
         """Compute what is missing, write the report and print it."""
-        from pixel2catch.cli.console import progress_bar, say
         from pixel2catch.evaluation.stress.measuring import find_policies, measure, plan_results
         from pixel2catch.evaluation.transfer.cells import (
             estimated_seconds,
@@ -58,9 +61,6 @@ class Transfer:
             transfer_settings,
         )
         from pixel2catch.evaluation.transfer.report import as_markdown, make_table, write_report
-        from pixel2catch.files import json_text
-        from pixel2catch.progress import duration
-        from pixel2catch.shipped import policy_folder
         from pixel2catch.sim.factory import require_engine
 
         for engine in self.engines:
@@ -96,7 +96,6 @@ class Transfer:
             InvalidValueError: If the throws are no whole rounds, or something is named twice.
         """
         from pixel2catch.envs.cfg import CatchEnvCfg
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.scene.objects import select_objects
         from pixel2catch.scene.scene import SceneCfg

@@ -5,6 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pixel2catch.checks import Domain, OutputFile
+from pixel2catch.cli.console import say
+from pixel2catch.cli.device import prepare
+from pixel2catch.errors import InvalidValueError
+from pixel2catch.installation import needs_extra
+from pixel2catch.interruption import StopRequest
 from pixel2catch.shipped import PolicyPath
 from pixel2catch.twin.config import TwinCfg
 from pixel2catch.viewer.config import PageCfg
@@ -37,11 +42,7 @@ class Twin:
         import os
         from contextlib import nullcontext
 
-        from pixel2catch.cli.console import say
-        from pixel2catch.cli.device import prepare
         from pixel2catch.evaluation.loading import load_policy
-        from pixel2catch.installation import needs_extra
-        from pixel2catch.interruption import StopRequest
         from pixel2catch.workcells import find_workcell
 
         with needs_extra("twin"):
@@ -81,8 +82,6 @@ class Twin:
             return task
         import numpy as np
 
-        from pixel2catch.cli.console import say
-        from pixel2catch.errors import InvalidValueError
         from pixel2catch.identification.rehearsal import exact_file, unlike_nominal
         from pixel2catch.robots.joint_dynamics import JointDynamics
         from pixel2catch.workcells import find_workcell

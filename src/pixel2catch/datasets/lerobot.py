@@ -178,7 +178,6 @@ class DatasetWriter(AbstractContextManager["DatasetWriter"]):
             (self._folder / "meta" / f"{name}.json").write_text(json_text(content))
 
     def _rows(self) -> list[dict[str, Any]]:
-        """What the format says of every episode."""
         rows, begin = list[dict[str, Any]](), 0
         for number, episode in enumerate(self._episodes):
             end = begin + episode.num_steps

@@ -58,7 +58,6 @@ def write_recording(recording: Path, profile: Profile, writer: DatasetWriter) ->
 
 
 def _decisions(recording: Path, profile: Profile) -> _Decisions:
-    """Read all but the images."""
     servo, orders, boxes, images = _read(recording, profile)
     newest = np.searchsorted(
         [status.time for status in servo], [order.target_stamp for _, order in orders], side="right"

@@ -85,7 +85,6 @@ def summary(scores: Iterable[Score]) -> dict[str, dict[str, Any]]:
 
 
 def _summary(rows: list[Score]) -> dict[str, Any]:
-    """Rates and errors of one phase."""
     visible = [each for each in rows if each.is_visible]
     errors = [each.error for each in visible if each.is_seen]
     delivered = [each.error for each in visible]

@@ -250,7 +250,6 @@ def _measured_joints(bag: _Bag) -> set[str]:
 
 
 def _only_command_topic(bag: _Bag) -> str:
-    """The one topic that can carry commands."""
     types = {connection.topic: connection.msgtype for connection in bag.reader.connections}
     measured = bag.names.measured_topic
     found = sorted(topic for topic, kind in types.items() if kind in MOTION_TYPES and topic != measured)

@@ -259,7 +259,6 @@ def assess(trajectory: Trajectory, dynamics: JointDynamics) -> Assessment:
 
 
 def _limit_faults(recording: Recording, speed: np.ndarray) -> list[Fault]:
-    """Joints beyond their limits of position or speed."""
     faults = []
     for column, joint in enumerate(recording.joints):
         spec, q = specs_of(recording.workcell)[joint], recording.q[:, column]

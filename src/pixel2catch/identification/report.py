@@ -154,7 +154,6 @@ def _pictures(result: Identification) -> list[str]:
 
 
 def _circumstances(result: Identification, circumstances: Mapping[str, Any]) -> list[str]:
-    """How this was done."""
     lines = [
         *circumstances_lines(circumstances),
         f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
@@ -168,7 +167,6 @@ def _circumstances(result: Identification, circumstances: Mapping[str, Any]) -> 
 
 
 def _section(grid: Grid, text: str = "", tag: str = "h2") -> str:
-    """A table below its title."""
     return element(tag, grid.title) + (element("p", text) if text else "") + table(grid.columns, grid.rows)
 
 

@@ -153,7 +153,6 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         return self._newest[1]
 
     def _positions(self, throw: RecordedThrow, step: float) -> Float[ndarray, " num_positions"]:
-        """All positions of the room."""
         bystanders = Bystanders(release_pos=throw.qpos[0][OBJECT_POS], phase=0.3)
         time = (step - throw.release) * CONTROL_DT
         return np.concatenate((positions_between(self._room, throw, step), bystanders.joint_pos(time)))

@@ -92,7 +92,6 @@ class LabelPage:
         self._tell()
 
     def _save(self, labels: Labels) -> None:
-        """Keep what has changed."""
         labels.save(self._out)
         self.labels = labels
 

@@ -84,5 +84,4 @@ def listed(values: Any) -> str:
 
 
 def _what(names: Any) -> str:
-    """Faults in words."""
     return listed([fault_words(str(name)).what for name in names or ()])

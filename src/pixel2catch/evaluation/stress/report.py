@@ -11,7 +11,7 @@ from scipy.stats import kendalltau
 
 from pixel2catch.envs.tasks import find_task
 from pixel2catch.evaluation.heat_map import heat_map
-from pixel2catch.evaluation.metrics import pooled_counts, wilson_interval
+from pixel2catch.evaluation.metrics import Metrics, pooled_counts, wilson_interval
 from pixel2catch.evaluation.report import Cells, csv_text, latex, markdown, percent, write_files
 from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.suite import REALITY
@@ -99,7 +99,6 @@ def as_markdown(table: Json) -> str:
 
 
 def _rows(table: Json) -> list[Cells]:
-    """The table of S.R., settings by policies."""
     rows = [
         {"setting": row["title"], **{name: _percent(row["rates"][name]) for name in table["policies"]}}
         for row in table["settings"].values()
@@ -121,13 +120,7 @@ def _reality(policies: Json, settings: Json) -> Json:
     by_method: dict[str, list[Json]] = {}
     for name, rates in rows[0]["rates"].items():
         by_method.setdefault(policies[name]["method"], []).append(rates)
-    order = compare_orders(
-        {method: [each["success_rate"] for each in several] for method, several in by_method.items()},
-        {
-            method: wilson_interval(*pooled_counts(several, "success_rate"))
-            for method, several in by_method.items()
-        },
-    )
+    order = compare_methods(by_method)
     if order is None:
         return {"sentence": "Fewer than two methods that the real robot tried: no order to compare."}
     real = {method: REAL_ROBOT[method] for method in order.real}
@@ -157,6 +150,14 @@ class Order:
             f"maximum rank violation {self.rank_violation:.1f} points. "
             f"{self.num_settled} of {pairs} pairs differ by more than their 95 % intervals in simulation."
         )
+
+
+def compare_methods(results: Mapping[str, Sequence[Metrics]]) -> Order | None:
+    """Compare the methods, by the metrics of every policy of each; see `compare_orders`."""
+    return compare_orders(
+        {name: [each["success_rate"] for each in several] for name, several in results.items()},
+        {name: wilson_interval(*pooled_counts(each, "success_rate")) for name, each in results.items()},
+    )
 
 
 def compare_orders(rates: Mapping[str, Sequence[float]], intervals: Mapping[str, Interval]) -> Order | None:

@@ -8,10 +8,10 @@ from pathlib import Path
 from pixel2catch import offline_page
 from pixel2catch.circumstances import circumstances
 from pixel2catch.evaluation.heat_map import heat_map
-from pixel2catch.evaluation.metrics import Metrics, paired_difference, pooled_counts, wilson_interval
+from pixel2catch.evaluation.metrics import Metrics, paired_difference
 from pixel2catch.evaluation.report import Cells, csv_text, markdown, percent, write_files
 from pixel2catch.evaluation.stress.measuring import Json, Result
-from pixel2catch.evaluation.stress.report import REAL_ROBOT, compare_orders
+from pixel2catch.evaluation.stress.report import REAL_ROBOT, compare_methods
 from pixel2catch.evaluation.transfer.cells import RATES
 from pixel2catch.files import json_text
 
@@ -62,14 +62,7 @@ def _orders(cells: Sequence[Json]) -> Iterator[Json]:
             if (cell["engine"], cell["restitution"]) == (engine, label):
                 rate = {"trials": cell["throws"], "success_rate": cell["success_rate"]["rate"]}
                 of_method.setdefault(cell["method"], []).append(rate)
-        order = compare_orders(
-            {name: [each["success_rate"] for each in rates] for name, rates in of_method.items()},
-            {
-                name: wilson_interval(*pooled_counts(rates, "success_rate"))
-                for name, rates in of_method.items()
-            },
-        )
-        if order:
+        if order := compare_methods(of_method):
             yield {"engine": engine, "restitution": label, **asdict(order), "sentence": order.sentence()}
 
 
