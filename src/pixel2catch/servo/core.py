@@ -385,14 +385,13 @@ class ServoCore:
         moved = self._brake.kept_inside(motion, state.recent, wanted, state.mode != int(Mode.IDLE))
         recent = np.concatenate((state.recent[1:], moved.position[None]))
         command = averaged(recent, limits)
-        followed = np.minimum(limits.dt / found.track.lag, 1.0) * (command - state.expected)
         moved_state = replace(
             state,
             motion=moved,
             recent=recent,
             command=command,
             interpolator=way,
-            expected=state.expected + followed,
+            expected=found.track.expected(state.expected, command, self.limits),
         )
         is_fast, is_sudden = np.abs(wish) > limits.speed, np.abs(wish - motion.velocity) > self._sudden
         return moved_state, (is_fast, is_sudden, moved.velocity != wanted.velocity)

@@ -147,6 +147,10 @@ class JointTrack:
             lag=zeros,
         )
 
+    def expected(self, before: Rows, command: Rows, limits: ServoLimits) -> Rows:
+        """Where the joints are a tick later by their lag, from where they should have been before [rad]."""
+        return before + np.minimum(limits.dt / self.lag, 1.0) * (command - before)
+
     def continued(
         self, inputs: ServoInputs, commanded: Commanded, limits: ServoLimits
     ) -> tuple["JointTrack", Bool[np.ndarray, "rows joints"]]:
