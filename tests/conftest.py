@@ -32,8 +32,13 @@ hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=Tr
 hypothesis.settings.load_profile("repeatable")
 
 
+LONGEST = {"test_rehearsal.py", "test_deploy_process.py"}
+"""Files whose tests mostly wait for processes: begun first, they wait beside the others' work."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs a CUDA device where there is none."""
+    """Begin with the longest; skip what needs a CUDA device where there is none."""
+    items.sort(key=lambda item: item.path.name not in LONGEST)
     if torch.cuda.is_available():
         return
     for item in items:
