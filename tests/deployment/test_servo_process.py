@@ -10,12 +10,12 @@ from servo_stage import Cut, Stage, wait
 from wire_lab import shuffled
 
 from pixel2catch.ros2 import messages
-from pixel2catch.ros2.memory import MemoryTransport
+from pixel2catch.ros2.memory import Broker, MemoryTransport
 from pixel2catch.ros2.profile import Profile, StatusTopics
 from pixel2catch.servo.core import Mode
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import LoopEnd, ServoEnd
-from pixel2catch.servo.subscriptions import ARM_PAUSE, DEPTH
+from pixel2catch.servo.subscriptions import ARM_PAUSE, DEPTH, JointStates
 from pixel2catch.servo.watchdogs import Fault, flag_names
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
@@ -83,6 +83,19 @@ def test_joints_that_are_none_of_ours_go_evenly_from_where_they_are(stage: Stage
     np.testing.assert_allclose(sent[0], 0.1 - 0.001, atol=1e-12)
     np.testing.assert_allclose(np.diff(sent, axis=0)[:19], -0.005, atol=1e-12)
     np.testing.assert_allclose(sent[20:], 0.0, atol=1e-12)
+
+
+def test_joints_that_are_none_of_ours_are_not_where_a_late_message_has_them(stage: Stage):
+    """A recording that is played beside the robot must not tell where they begin."""
+    hand, node = stage.lab.profile.robots[1], Broker().node(stage.lab.clock)
+    joints, driver = JointStates(node, stage.lab.profile, len(HOME)), node.publisher(hand.state_topic)
+    ours = tuple(joint.name_in_state or "" for joint in hand.joints.values())
+    theirs = tuple(joint.name_in_state or "" for joint in hand.held.values())
+    for stamp, angle in ((10.0, 0.1), (9.99, 0.7), (10.0, 0.8)):
+        position = np.repeat((0.0, angle), (len(ours), len(theirs)))
+        driver.publish(messages.joint_state(ours + theirs, position, stamp))
+        joints.hear()
+        np.testing.assert_allclose(joints.held[1], 0.1)
 
 
 @pytest.mark.parametrize("topic", ["safety_mode", "robot_mode", "program_running", "speed_scaling"])

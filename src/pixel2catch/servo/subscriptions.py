@@ -76,7 +76,8 @@ class JointStates:
         ids = order.ids[is_new]
         self.joint_pos[ids] = reading.position[order.columns[is_new]]
         self._sent[ids], self.joint_stamp[ids] = reading.stamp, arrival
-        for number, columns, places in order.held:
+        is_late = len(order.ids) > len(ids) == 0  # a message with none of our joints has no order to keep
+        for number, columns, places in () if is_late else order.held:
             measured, held = reading.position[columns], self.held[number]
             held[places] = np.where(np.isfinite(measured), measured, held[places])
 
