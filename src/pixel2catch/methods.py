@@ -109,11 +109,11 @@ def _seeing(
 def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     """All methods for the joint groups of a work cell, by name.
 
-    Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D, and
-    `shared_reward`, in which all agents are paid the sum of their rewards; release: `journal`, which adds
-    palm displacement and joint targets; ours: `catch`, a `shared_reward` that also pays for unrest after a
-    catch and for touching itself, `catch_alone`, the same as a single agent, and `catch_teacher`, which sees
-    the object in 3D and can be imitated.
+    Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D,
+    `object_extent`, one that also sees how large it is, and `shared_reward`, in which all agents are paid the
+    sum of their rewards; release: `journal`, which adds palm displacement and joint targets; ours: `catch`, a
+    `shared_reward` that also pays for unrest after a catch and for touching itself, `catch_alone`, the same
+    as a single agent, and `catch_teacher`, which sees the object in 3D and can be imitated.
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)
@@ -130,6 +130,11 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
         replace(proposed, name="only_center", pixel_features=("cx", "cy", "dcx", "dcy")),
         replace(proposed, name="single_agent", agents=(together(agents),)),
         Method(name="object_position", agents=_seeing(agents, *oracle), pixel_features=()),
+        Method(
+            name="object_extent",
+            agents=_seeing(agents, observations.object_extent, *oracle),
+            pixel_features=(),
+        ),
         replace(proposed, name="shared_reward", agents=sharing(agents)),
         replace(proposed, name="journal", agents=_seeing(agents, *observations.JOURNAL_TERMS)),
         replace(proposed, name="catch", agents=sharing(resting)),

@@ -154,6 +154,7 @@ def state_of(height: float, speed: float = 0.0, joint_speed: float = 0.0) -> Pri
     joint_vel[0, 7] = 100.0
     return Privileged(
         palm_pos=torch.tensor([[[1.0, 0.0, 1.0]]]),
+        palm_normal=torch.tensor([[[0.0, 0.0, 1.0]]]),
         fingertip_pos=torch.zeros(1, 4, 3),
         object_pos=torch.tensor([[1.0, 0.0, height]]),
         object_lin_vel=torch.tensor([[0.0, 0.0, -speed]]),

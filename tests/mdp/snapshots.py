@@ -59,7 +59,9 @@ def privileged(**values: Tensor) -> Privileged:
     }
     if "palm_pos" in values and values["palm_pos"].ndim == 2:
         values["palm_pos"] = values["palm_pos"][:, None]  # of the only palm
-    return Privileged(**fields | values)
+    fields |= values
+    up = torch.tensor([0.0, 0.0, 1.0]).expand_as(fields["palm_pos"])
+    return Privileged(**{"palm_normal": up} | fields)
 
 
 def transition(

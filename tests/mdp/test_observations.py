@@ -3,6 +3,8 @@
 import dataclasses
 import itertools
 
+import mujoco
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -27,6 +29,7 @@ HISTORY = History(OLDEST, BEFORE, NOW)
 SIZES = {
     "without_pf": {"arm": 2 * (3 + 7 + 12), "hand": 2 * (3 + 7 + 26)},
     "object_position": {"arm": 50, "hand": 78},
+    "object_extent": {"arm": 54, "hand": 82},
     "proposed": {"arm": 50, "hand": 78},
     "shared_reward": {"arm": 50, "hand": 78},
     "catch": {"arm": 50, "hand": 78},
@@ -111,6 +114,20 @@ def test_the_oracle_sees_position_and_change_in_place_of_pixels():
             assert torch.equal(row[:, 3:6], now.object_pos - before.object_pos)
         pixels = observation(pixel_agent, PROPOSED)
         assert torch.equal(newer[:, 6:], pixels[:, pixels.shape[1] // 2 + 6 :])
+
+
+def test_the_extent_is_the_box_at_the_objects_distance():
+    """2 m along the optical axis, 618.163 px wide and half of 618.468 px high: 2 m and 1 m."""
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, np.array(RGB_CAMERA.quat))
+    place = torch.tensor([[*(np.array(RGB_CAMERA.pos) + 2.0 * turn.reshape(3, 3)[:, 2])]]).float()
+    box = torch.tensor([[100.0, 100.0, 100.0 + RGB_CAMERA.fx, 100.0 + RGB_CAMERA.fy / 2]])
+    boxes = dataclasses.replace(NOW.boxes, box=box.expand_as(NOW.boxes.box[:, 0])[:, None])
+    now = dataclasses.replace(NOW, boxes=boxes, object_pos=place.expand_as(NOW.object_pos))
+    method = METHODS["object_extent"]
+    for agent in method.agents:
+        newer = observation(agent, method, History(NOW, NOW, now)).chunk(2, dim=-1)[1]
+        torch.testing.assert_close(newer[:, :2], torch.tensor([[2.0, 1.0]]).expand(len(newer), -1))
 
 
 def test_without_pixel_features_the_object_is_seen_at_the_beginning_only():

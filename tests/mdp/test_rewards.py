@@ -90,22 +90,27 @@ def test_nearness_is_paid_within_eight_centimetres():
 
 
 def test_of_a_large_object_every_palm_is_called_and_paid_its_share():
-    """A ball of 15 cm, and one of 13: only the first needs the right palm, which comes from 2 to 1.5 m."""
+    """A ball of 15 cm, and one of 13: only the first needs the right palm, which comes from 2 to 1.5 m.
+
+    The left palm looks up, the right one at the object: a ball lies a radius of 7.5 cm over it.
+    """
     reach = torch.tensor([0.11, 0.1])
     before, now = (
         privileged(
             object_pos=torch.zeros(2, 3),
             object_reach=reach,
             palm_pos=torch.tensor([[[left, 0.0, 0.0], [right, 0.0, 0.0]]] * 2),
+            palm_normal=torch.tensor([[[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]] * 2),
             fingertip_pos=torch.zeros(2, 8, 3),
         )
-        for left, right in ((0.5, 2.0), (0.05, 1.5))
+        for left, right in ((0.18, 2.0), (0.1, 1.5))
     )
-    step = transition(before, now)
+    step = transition(before, now, held_steps=(20, 20))
     palms = [replace(ANY, palms=slice(i, i + 1), fingertips=slice(4 * i, 4 * i + 4)) for i in (0, 1)]
-    assert rewards.palm_approach(step, palms[0]).tolist() == pytest.approx([0.45, 0.45])
+    assert rewards.palm_approach(step, palms[0]).tolist() == pytest.approx([0.195 - 0.125, 0.08])
     assert rewards.palm_approach(step, palms[1]).tolist() == [0.5, 0.0]
-    assert rewards.nearness(step, ANY).tolist() == [0.5, 1.0]
+    assert rewards.nearness(step, ANY).tolist() == [0.5, 0.0]
+    assert rewards.success(step, ANY).tolist() == [0.5, 1.0]
 
 
 def test_drop_by_height_and_by_passing_the_robot():

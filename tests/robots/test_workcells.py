@@ -66,6 +66,7 @@ def test_palms_look_up_within_reach_of_the_throws(workcell: WorkcellSpec):
     _, data = at_home(workcell)
     for palm in workcell.palms:
         x, y, z = data.site(palm.spec.site).xpos
+        assert (data.site(palm.spec.site).xmat.reshape(3, 3) @ palm.spec.normal)[2] > 0.95
         assert 0.35 < x < 0.75
         assert abs(y) < 0.65
         assert 1.2 < z < 1.5

@@ -54,6 +54,7 @@ class _Fields:
     actuator_force: Tensor
     sensordata: Tensor
     site_xpos: Tensor
+    site_xmat: Tensor
     xpos: Tensor
     xmat: Tensor
 
@@ -118,6 +119,9 @@ class CatchWorld:
         self._scene = scene
         self._decimation = scene.decimation
         self._palms = [model.site(palm.spec.site).id for palm in workcell.palms]
+        self._normals = torch.tensor(
+            [palm.spec.normal for palm in workcell.palms], dtype=self.simulation.dtype, device=self.device
+        )
         tips = [finger.tip for palm in workcell.palms for finger in palm.spec.fingers]
         self._tips = [model.site(tip).id for tip in tips]
         self.geometry = WorkcellGeometry(workcell, self.simulation.device)
@@ -244,6 +248,13 @@ class CatchWorld:
         fields = self._fields
         return Privileged(
             palm_pos=torch.stack([fields.site_xpos[:, palm] for palm in self._palms], dim=1).float(),
+            palm_normal=torch.stack(
+                [
+                    fields.site_xmat[:, palm].view(-1, 3, 3) @ normal
+                    for palm, normal in zip(self._palms, self._normals, strict=True)
+                ],
+                dim=1,
+            ).float(),
             fingertip_pos=torch.stack([fields.site_xpos[:, tip] for tip in self._tips], dim=1).float(),
             object_pos=_snapshot(fields.xpos[:, self.objects.indices.body]),
             object_lin_vel=_snapshot(fields.qvel[:, self._linear]),

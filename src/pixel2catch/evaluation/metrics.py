@@ -108,7 +108,7 @@ def metrics(trials: Trials, object_names: Sequence[str] | None = None) -> Metric
 
 
 def _rates(trials: Trials, rows: Bool[Tensor, " num_trials"]) -> Metrics:
-    """Rates over some of the trials, each with its interval."""
+    """Rates over some of the trials, each with its interval, and the palms in reach of what is held."""
     record, num_trials = trials.record, int(rows.sum())
     events = {
         "tracking_rate": record.is_tracked,
@@ -120,7 +120,8 @@ def _rates(trials: Trials, rows: Bool[Tensor, " num_trials"]) -> Metrics:
     for name, happened in events.items():
         count = int((happened & rows).sum())
         result |= {name: count / num_trials, f"{name}_interval": list(wilson_interval(count, num_trials))}
-    return result
+    caught = record.is_success & rows
+    return result | {"hold_palms": _mean(record.hold_palms[caught], caught)}
 
 
 def _maxima(record: EpisodeRecord) -> dict[str, float]:
@@ -138,7 +139,6 @@ def _rest(record: EpisodeRecord) -> dict[str, float | None]:
     return {
         "hold_speed": _mean(record.hold_speed[caught], caught),
         "hold_torque_share": _mean(record.hold_torque_share[caught], caught),
-        "hold_palms": _mean(record.hold_palms[caught], caught),
         "peak_deceleration": median(decelerations) if decelerations else None,
     }
 

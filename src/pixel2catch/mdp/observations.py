@@ -13,6 +13,8 @@ from torch import Tensor
 
 from pixel2catch.camera import box_history
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
+from pixel2catch.camera.pinhole import nominal_projection
+from pixel2catch.device_constants import constant
 from pixel2catch.mdp.columns import Columns, take
 from pixel2catch.mdp.snapshot import History, Measurement, Privileged
 from pixel2catch.scene.constants import RGB_CAMERA
@@ -41,6 +43,14 @@ def pixels(frame: Frame) -> Float[Tensor, "num_envs k"]:
 def object_position(frame: Frame) -> Float[Tensor, "num_envs 6"]:
     """Position of the object and its change since the step before, world frame [m]. Source: ours (oracle)."""
     return torch.cat((frame.now.object_pos, frame.now.object_pos - frame.before.object_pos), dim=-1)
+
+
+def object_extent(frame: Frame) -> Float[Tensor, "num_envs 2"]:
+    """Width and height of the box at the object's distance [m]. Source: ours (oracle that knows sizes)."""
+    box, place = frame.now.box, frame.now.object_pos[:, None]
+    _, depth = nominal_projection(RGB_CAMERA, place).pixels(place)
+    focal = constant((RGB_CAMERA.fx, RGB_CAMERA.fy), box.device)
+    return (box[:, 2:] - box[:, :2]) * depth / focal
 
 
 def initial_object_position(frame: Frame) -> Float[Tensor, "num_envs 3"]:

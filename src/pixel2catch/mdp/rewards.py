@@ -11,7 +11,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from pixel2catch.mdp.snapshot import Privileged, Transition
-from pixel2catch.mdp.terminations import is_dropped, is_near, is_success, near_palms, needs_all, palm_distance
+from pixel2catch.mdp.terminations import (
+    SURFACE_REACH,
+    is_dropped,
+    is_near,
+    is_success,
+    needs_all,
+    palm_distance,
+    palm_share,
+)
 
 SETTLE_STEPS = 6
 """Control steps that a held object may take to come to rest, with the robot. Source: ours; release: 5."""
@@ -57,8 +65,11 @@ def elapsed_time(transition: Transition, part: BodyPart) -> Float[Tensor, " num_
 
 
 def palm_approach(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
-    """Sum over the palms of d(t-1) - d(t) to the object [m], if its robot is called. Source: paper, Eq. 2."""
-    closer = palm_distance(transition.before) - palm_distance(transition.now)
+    """Sum over the palms of d(t-1) - d(t) to the object [m], if its robot is called. Source: paper, Eq. 2.
+
+    Ours: what is too large for one of several robots comes nearer to lying on a palm, not to its middle.
+    """
+    closer = _lying_distance(transition.before) - _lying_distance(transition.now)
     return torch.where(_is_called(transition, part), closer[:, part.palms].sum(dim=-1), 0.0)
 
 
@@ -69,8 +80,11 @@ def fingertips_approach(transition: Transition, part: BodyPart) -> Float[Tensor,
 
 
 def success(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
-    """One at the step that completes the first hold of an episode. Source: paper, succ."""
-    return (is_success(transition) & ~transition.was_success).float()
+    """One at the step that completes the first hold of an episode. Source: paper, succ.
+
+    Ours: of what is too large for one of several robots, the share of the palms that have reached it.
+    """
+    return (is_success(transition) & ~transition.was_success) * palm_share(transition.now)
 
 
 def nearness(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
@@ -78,8 +92,7 @@ def nearness(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs
 
     Ours: of what is too large for one of several robots, the share of the palms that have reached it.
     """
-    share = near_palms(transition.now).float().mean(dim=-1)
-    return torch.where(needs_all(transition.now), share, is_near(transition.now).float())
+    return is_near(transition.now) * palm_share(transition.now)
 
 
 def drop(transition: Transition, part: BodyPart) -> Float[Tensor, " num_envs"]:
@@ -138,6 +151,17 @@ def _is_called(transition: Transition, part: BodyPart) -> Bool[Tensor, " num_env
     distance = palm_distance(transition.before)
     is_nearest = distance[:, part.palms].amin(dim=-1) <= distance.amin(dim=-1)
     return is_nearest | needs_all(transition.before)
+
+
+def _lying_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_palms"]:
+    """Distance of each palm and the object's centre [m].
+
+    Ours: of one that needs all palms, from where its centre is if it lies on the palm, a radius over it, so
+    that a palm looks at the object from a side of its own.
+    """
+    radius = torch.where(needs_all(snapshot), snapshot.object_reach - SURFACE_REACH, 0.0)
+    lying = snapshot.palm_pos + radius[:, None, None] * snapshot.palm_normal
+    return torch.linalg.vector_norm(snapshot.object_pos[:, None] - lying, dim=-1)
 
 
 def _fingertip_distance(snapshot: Privileged) -> Float[Tensor, "num_envs num_fingers"]:

@@ -50,6 +50,7 @@ class Privileged:
     """What only the simulator knows at one control step (world frame)."""
 
     palm_pos: Float[Tensor, "num_envs num_palms 3"]  #: True positions of the palms [m].
+    palm_normal: Float[Tensor, "num_envs num_palms 3"]  #: Where they look, unit vectors.
     #: True positions of the fingertips, palm by palm [m].
     fingertip_pos: Float[Tensor, "num_envs num_fingers 3"]
     object_pos: Float[Tensor, "num_envs 3"]  #: Position of the object's centre [m].

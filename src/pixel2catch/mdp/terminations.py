@@ -54,7 +54,13 @@ def near_palms(snapshot: Privileged) -> Bool[Tensor, "num_envs num_palms"]:
 
 def needs_all(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:
     """Whether the object is too large for one of several robots."""
-    return snapshot.object_reach > reach_of(ONE_HAND_RADIUS)
+    has_several = snapshot.palm_pos.shape[1] > 1
+    return (snapshot.object_reach > reach_of(ONE_HAND_RADIUS)) & has_several
+
+
+def palm_share(snapshot: Privileged) -> Float[Tensor, " num_envs"]:
+    """The share of the palms that have reached what is too large for one of several robots; else one."""
+    return torch.where(needs_all(snapshot), near_palms(snapshot).float().mean(dim=-1), 1.0)
 
 
 def is_near(snapshot: Privileged) -> Bool[Tensor, " num_envs"]:

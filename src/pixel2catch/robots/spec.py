@@ -71,6 +71,7 @@ class PalmSpec:
     upper: Vec3  #: The other corner [m].
     #: Lower and upper corners of boxes that hold palm and fingers alone, which keep away from their arm [m].
     hand: tuple[tuple[Vec3, Vec3], ...] = ()
+    normal: Vec3 = (1.0, 0.0, 0.0)  #: Where the palm looks, in the axes of the site.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,10 +1,11 @@
 """The paper's robot: a UR5e with an Allegro hand; and two of them."""
 
 from dataclasses import replace
+from math import radians
 
 from pixel2catch.robots.allegro import Handedness, allegro
 from pixel2catch.robots.spec import Placed, Quat, RobotSpec, Vec3
-from pixel2catch.robots.ur5e import UR5E, UR5E_OF_RELEASE
+from pixel2catch.robots.ur5e import ARM, UR5E, UR5E_OF_RELEASE
 from pixel2catch.robots.workcell import TABLE, WorkcellSpec
 
 UR5E_POS: Vec3 = (0.0, 0.0, 0.821)  #: Position of the UR5e's `base_link`. Source: release.
@@ -35,15 +36,38 @@ def on_paper_table(name: str, robot: RobotSpec) -> WorkcellSpec:
 UR5E_ALLEGRO = on_paper_table("ur5e_allegro", ur5e_allegro())
 """The paper's robot, with the left hand of the release."""
 
+TURNED = {"shoulder_pan_joint": (90, 270), "wrist_2_joint": (-130, -50), "wrist_3_joint": (90, 270)}
+"""Limits of arms whose palms turn to each other [degrees]. Source: ours, within UR's."""
+
+UR5E_OF_TWO = replace(
+    UR5E,
+    groups=(
+        replace(
+            ARM,
+            joints=tuple(
+                replace(joint, lower=radians(TURNED[joint.name][0]), upper=radians(TURNED[joint.name][1]))
+                if joint.name in TURNED
+                else joint
+                for joint in ARM.joints
+            ),
+        ),
+    ),
+)
+"""One of two that hold an object between their palms."""
+
 TWO_UR5E_ALLEGRO = WorkcellSpec(
     name="two_ur5e_allegro",
-    robots=(
-        Placed(robot=ur5e_allegro("left"), pos=(0.0, 0.45, 0.821), quat=UR5E_QUAT, prefix="left_"),
-        Placed(robot=ur5e_allegro("right"), pos=(0.0, -0.45, 0.821), quat=UR5E_QUAT, prefix="right_"),
+    robots=tuple(
+        Placed(robot=ur5e_allegro(side, UR5E_OF_TWO), pos=(0.15, y, 0.821), quat=UR5E_QUAT, prefix=f"{side}_")
+        for side, y in (("left", 0.48), ("right", -0.48))
     ),
-    table=replace(TABLE, size=(0.75, 1.65)),
+    table=replace(TABLE, size=(0.75, 1.7)),
 )
-"""Side by side on a longer table, with a left and a right hand. Source: ours."""
+"""Side by side on a longer table, with a left and a right hand.
+
+So near that both palms reach what is thrown to a side, so far apart that arms do not hit each other there.
+Source: ours, by scripted catches (experiments/LOG.md).
+"""
 
 WORKCELLS = (
     UR5E_ALLEGRO,
