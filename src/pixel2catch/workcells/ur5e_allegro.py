@@ -39,7 +39,7 @@ UR5E_ALLEGRO = on_paper_table("ur5e_allegro", ur5e_allegro())
 TURNED = {"shoulder_pan_joint": (90, 270), "wrist_2_joint": (-130, -50), "wrist_3_joint": (90, 270)}
 """Limits of arms whose palms turn to each other [degrees]. Source: ours, within UR's."""
 
-UR5E_OF_TWO = replace(
+OF_TWO = replace(
     UR5E,
     groups=(
         replace(
@@ -57,9 +57,11 @@ UR5E_OF_TWO = replace(
 
 TWO_UR5E_ALLEGRO = WorkcellSpec(
     name="two_ur5e_allegro",
-    robots=tuple(
-        Placed(robot=ur5e_allegro(side, UR5E_OF_TWO), pos=(0.15, y, 0.821), quat=UR5E_QUAT, prefix=f"{side}_")
-        for side, y in (("left", 0.48), ("right", -0.48))
+    robots=(
+        Placed(robot=ur5e_allegro("left", OF_TWO), pos=(0.15, 0.48, 0.821), quat=UR5E_QUAT, prefix="left_"),
+        Placed(
+            robot=ur5e_allegro("right", OF_TWO), pos=(0.15, -0.48, 0.821), quat=UR5E_QUAT, prefix="right_"
+        ),
     ),
     table=replace(TABLE, size=(0.75, 1.7)),
 )
