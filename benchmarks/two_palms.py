@@ -1,0 +1,327 @@
+"""Scripted catches of small objects on one palm and of large ones between two; a policy that imitates them.
+
+The script knows throw and radius. Palms wait beside where they meet the object, tilted to each other and
+towards the thrower; they go along with it when it comes, and fingers close. It is played as evaluations are;
+a policy of `object_extent` learns the script's actions in states that the script and it come to.
+
+Run: python benchmarks/two_palms.py --throws 600 --out runs/two-scripted
+"""
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from pixel2catch.agents import commands_of
+from pixel2catch.envs.catch_env import CatchEnv
+from pixel2catch.envs.cfg import CatchEnvCfg
+from pixel2catch.envs.tasks import SIZES_TASK
+from pixel2catch.evaluation.metrics import metrics
+from pixel2catch.evaluation.protocol import EvaluationCfg, run_round
+from pixel2catch.mdp.columns import take
+from pixel2catch.mdp.terminations import EpisodeCfg
+from pixel2catch.methods import find_method
+from pixel2catch.policy import Policy, contract_of
+from pixel2catch.robots.chain import Chain
+from pixel2catch.robots.geometry import chain_of
+from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
+from pixel2catch.scene.objects import OBJECTS, SIZES
+from pixel2catch.workcells import find_workcell
+
+WORKCELL = find_workcell("two_ur5e_allegro")
+METHOD = find_method("object_extent", WORKCELL)
+FARTHEST_X = 0.88  # where an object is met at the farthest [m]
+BATCH, GRADIENT_STEPS = 2048, 90  # of a round of imitation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Catch:
+    """Where palms and fingers wait, and where they go with the object: pairs of before and after."""
+
+    tilt: tuple[float, float]  # of the palms to each other [degrees]
+    lean: tuple[float, float]  # of the palms towards the thrower [degrees]
+    gap: tuple[float, float]  # between palm and the ball of the object's volume [m]
+    along: tuple[float, float]  # of the ball from the palm's middle towards the fingers, negative [m]
+    above: float  # height of the meeting over the aim [m]
+    below: float  # how much lower the palms are than that [m]
+    lead: float  # time before the meeting at which they begin to go along [s]
+    give: float  # how far they go along [m]
+    first: tuple[float, float]  # angles of the fingers' first joints [rad]
+    others: tuple[float, float]  # of their other joints [rad]
+    ring: float  # share of these at the ring finger, the other hand's neighbour
+    thumb: float  # of the thumb's joints but the first, afterwards [rad]
+    thumb_base: float  # of that one [rad]
+    palms: int = 2  # one: the nearer
+
+
+SMALL = Catch(
+    tilt=(-11.2, -17.1),
+    lean=(32, 43.1),
+    gap=(0.007, 0.007),
+    along=(0.026, 0.049),
+    above=0.096,
+    below=0.008,
+    lead=0.063,
+    give=0.179,
+    first=(0.33, 1.63),
+    others=(0.33, 0.99),
+    ring=1.23,
+    thumb=1.08,
+    thumb_base=0.64,
+    palms=1,
+)
+CATCHES = {
+    "6": SMALL,
+    "10": SMALL,
+    "16": Catch(
+        tilt=(57.3, 54.3),
+        lean=(23.6, 32.7),
+        gap=(0.03, 0.01),
+        along=(0.005, 0.027),
+        above=0.102,
+        below=0.02,
+        lead=0.077,
+        give=0.162,
+        first=(0.39, 0.21),
+        others=(0.39, 0.52),
+        ring=0.22,
+        thumb=1.4,
+        thumb_base=-0.03,
+    ),
+    "22": Catch(
+        tilt=(55.6, 51.1),
+        lean=(20.1, 32.7),
+        gap=(0.029, 0.01),
+        along=(-0.021, 0.031),
+        above=0.107,
+        below=0.019,
+        lead=0.075,
+        give=0.146,
+        first=(0.42, 0.21),
+        others=(0.42, 0.62),
+        ring=0.06,
+        thumb=1.39,
+        thumb_base=-0.09,
+    ),
+    "28": Catch(
+        tilt=(55.2, 53.8),
+        lean=(19.7, 22.6),
+        gap=(0.031, 0.011),
+        along=(-0.015, 0.049),
+        above=0.129,
+        below=0.012,
+        lead=0.082,
+        give=0.181,
+        first=(0.5, 0.18),
+        others=(0.5, 0.61),
+        ring=0.27,
+        thumb=1.25,
+        thumb_base=-0.06,
+    ),
+}
+"""By the object's size in its name [cm]. Found by the cross-entropy method, 200 throws a generation."""
+
+
+class Script:
+    """Chooses the actions of a scripted catch in every environment."""
+
+    def __init__(self, env: CatchEnv) -> None:
+        self._env, self._is_planned = env, False
+        self._chains = [chain_of(WORKCELL, palm, dtype=torch.float64) for palm in WORKCELL.palms]
+        rows = [(c.anchor, c.offset, c.scale, c.lower, c.upper) for c in commands_of(WORKCELL)]
+        self._commands = torch.tensor(rows, dtype=torch.float64).T
+
+    def reset(self, is_ended: Tensor | None = None) -> None:
+        """Plan anew if all episodes begin."""
+        self._is_planned = self._is_planned and is_ended is not None
+
+    def act(self, observations: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The action of every agent; the script knows more than its observations."""
+        env, steps = self._env, self._env._episode.record.steps
+        if not self._is_planned:
+            self._plan()
+        time = (steps - self._hover_steps).double() * CONTROL_DT
+        self._is_touched |= env._senses.now.is_touching.any(dim=-1)
+        is_flying = time >= 0.0
+        goes_along = is_flying & (self._is_touched | (time > self._duration - self._catch["lead"]))
+        joint_pos = env.measurement.joint_pos.double()
+        target = joint_pos.clone()
+        for palm, (home, before, after, is_called) in zip(WORKCELL.palms, self._poses, strict=True):
+            there = torch.where(goes_along[:, None], after, before)
+            target[:, palm.carriers] = torch.where((is_flying & is_called)[:, None], there, home)
+        for column, joint in enumerate(WORKCELL.joints):
+            if "index" in joint.name or "middle" in joint.name or "ring" in joint.name:
+                which = "first" if joint.name.endswith("_1") else "others"
+                angle = torch.where(goes_along, self._catch[which][:, 1], self._catch[which][:, 0])
+                target[:, column] = angle * (self._catch["ring"] if "ring" in joint.name else 1.0)
+            elif "thumb" in joint.name:
+                angle = self._catch["thumb_base" if joint.name.endswith("_0") else "thumb"]
+                target[:, column] = torch.where(goes_along, angle, 0.0)
+        anchor, offset, scale, lower, upper = self._commands
+        action = (target.clamp(lower, upper) - anchor * joint_pos - offset) / scale
+        return {agent.name: take(action.clamp(-1.0, 1.0).float(), agent.joints) for agent in METHOD.agents}
+
+    def _plan(self) -> None:
+        """Where and when the object is met, and the arms' joints there, before and after."""
+        env, throw = self._env, self._env._episode.throw
+        thrown = [env.world.objects.names[i] for i in env._episode.record.object_id.tolist()]
+        catches = [CATCHES[name.split("_")[1]] for name in thrown]
+        catch = {
+            name: torch.tensor([getattr(each, name) for each in catches], dtype=torch.float64)
+            for name in Catch.__dataclass_fields__
+        }
+        radius = torch.tensor([OBJECTS[name].radius for name in thrown], dtype=torch.float64)
+        pos, speed = throw.pos.double(), throw.lin_vel.double()
+        rise = throw.aim[:, 2].double() + catch["above"] - pos[:, 2]
+        root = (speed[:, 2] ** 2 - 2.0 * GRAVITY * rise).clamp(min=0.0).sqrt()
+        duration = (speed[:, 2] + root) / GRAVITY
+        duration = torch.maximum(duration, (pos[:, 0] - FARTHEST_X) / -speed[:, 0])
+        met = pos + speed * duration[:, None]
+        met[:, 2] -= 0.5 * GRAVITY * duration**2
+        speed[:, 2] -= GRAVITY * duration
+        along = met + catch["give"][:, None] * torch.nn.functional.normalize(speed, dim=-1)
+        self._poses = []
+        for side, palm, chain in zip((1.0, -1.0), WORKCELL.palms, self._chains, strict=True):
+            joints = WORKCELL.joints[palm.carriers]
+            limits = torch.tensor([(j.lower, j.upper, j.home) for j in joints], dtype=torch.float64)
+            start, ways = limits[:, 2].expand(len(met), -1), list[Tensor]()
+            for when, place in enumerate((met, along)):
+                start = inverse(chain, limits, _palm_pose(catch, when, side, place, radius), start)
+                ways.append(start)
+            self._poses.append((limits[:, 2], *ways, (catch["palms"] > 1) | (side * met[:, 1] >= 0.0)))
+        self._catch, self._duration, self._hover_steps = catch, duration, throw.hover_steps.clone()
+        self._is_touched, self._is_planned = torch.zeros(len(thrown), dtype=torch.bool), True
+
+
+def _palm_pose(
+    catch: Mapping[str, Tensor], when: int, side: float, place: Tensor, radius: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Position [m], normal and direction of the fingers of a palm that meets an object at a place."""
+    tilt, lean = (torch.deg2rad(catch[name][:, when]) for name in ("tilt", "lean"))
+    normal = torch.stack((lean.sin() * tilt.cos(), -side * tilt.sin(), lean.cos() * tilt.cos()), dim=-1)
+    fingers = torch.stack((lean.cos(), torch.zeros_like(lean), -lean.sin()), dim=-1)
+    pos = place - (radius + catch["gap"][:, when])[:, None] * normal
+    pos = pos - catch["along"][:, when, None] * fingers
+    pos[:, 2] -= catch["below"]
+    return pos, normal, fingers
+
+
+def inverse(
+    chain: Chain, limits: Tensor, pose: tuple[Tensor, Tensor, Tensor], start: Tensor, steps: int = 40
+) -> Tensor:
+    """Joints [rad] of a palm's pose, by Levenberg's steps within `limits` (lower, upper, home).
+
+    2 cm weigh as much as 0.1 of the normal, 0.7 of the fingers' direction and 20 rad from home.
+    """
+    pos, normal, fingers = pose
+    lower, upper, home = limits.T
+
+    def error(joints: Tensor) -> Tensor:
+        site = chain.link_poses(joints)[:, -1]
+        off = (
+            (site[:, :3, 3] - pos) / 0.02,
+            (site[:, :3, 0] - normal) / 0.1,
+            (site[:, :3, 2] - fingers) / 0.7,
+            (joints - home) / 20.0,
+        )
+        return torch.cat(off, dim=-1)
+
+    joints, found = start.clone(), error(start)
+    weight = torch.full((len(start), 1, 1), 1e-2, dtype=torch.float64)
+    nudges = 1e-5 * torch.eye(len(home), dtype=torch.float64)
+    for _ in range(steps):
+        slope = torch.stack([(error(joints + nudge) - found) / 1e-5 for nudge in nudges], dim=-1)
+        square = slope.mT @ slope
+        damped = square + weight * torch.diag_embed(square.diagonal(dim1=1, dim2=2))
+        way = torch.linalg.solve(damped, slope.mT @ found[..., None])[..., 0]
+        tried = (joints - way.clamp(-0.4, 0.4)).clamp(lower, upper)
+        then = error(tried)
+        is_better = (then.square().sum(dim=-1) < found.square().sum(dim=-1))[:, None]
+        joints, found = torch.where(is_better, tried, joints), torch.where(is_better, then, found)
+        weight = torch.where(is_better[..., None], 0.4 * weight, 4.0 * weight).clamp(1e-7, 1e6)
+    return joints
+
+
+def throws_task(episode: EpisodeCfg) -> CatchEnvCfg:
+    """Throws of `sizes` as they are in training."""
+    scene = replace(SIZES_TASK.scene, workcell=WORKCELL.name, physics_hz=120.0, cone="pyramidal")
+    return replace(SIZES_TASK, scene=scene, episode=episode)
+
+
+def imitated(num_rounds: int, num_envs: int) -> Policy:
+    """A policy of the script's actions, in states that the script comes to, and later the policy.
+
+    Source: Ross et al. 2011 (DAgger), and noise on the actions.
+    """
+    policy = Policy(contract_of(METHOD, WORKCELL))
+    optimizer = torch.optim.Adam(policy.parameters(), lr=1e-3)
+    pairs = {agent.name: (list[Tensor](), list[Tensor]()) for agent in METHOD.agents}
+    for number in range(num_rounds):
+        episode = EpisodeCfg(max_steps=125, rest_steps=40)
+        env = CatchEnv(throws_task(episode), METHOD, num_envs=num_envs, seed=3000 + number)
+        script, observed = Script(env), env.reset().policy
+        is_scripted = torch.rand(num_envs, 1) < (1.0, 0.45, 0.3, 0.15, 0.0)[min(number, 4)]
+        is_running, is_caught = torch.ones(2, num_envs, dtype=torch.bool)
+        while is_running.any():
+            wanted, actions = script.act(observed), policy.act(observed)
+            for name, (inputs, outputs) in pairs.items():
+                inputs.append(observed[name][is_running])
+                outputs.append(wanted[name][is_running])
+                disturbed = actions[name] + 0.1 * torch.randn_like(actions[name])
+                actions[name] = torch.where(is_scripted, wanted[name], disturbed)
+            step = env.step(actions)
+            is_caught = torch.where(is_running, step.record.is_success, is_caught)
+            observed, is_running = step.observation.policy, is_running & ~step.terminated
+        env.close()
+        learn(policy, optimizer, pairs, GRADIENT_STEPS * (1 if number < num_rounds - 1 else 4))
+        print(
+            f"round {number}: S.R. {is_caught.float().mean():.2f}, {is_scripted.float().mean():.2f} scripted"
+        )
+    return policy
+
+
+def learn(policy: Policy, optimizer: torch.optim.Optimizer, pairs: Mapping, num_steps: int) -> None:
+    """Gradient steps on the mean square of what actions differ by; inputs are scaled at the first call."""
+    for name, lists in pairs.items():
+        inputs, outputs = (torch.cat(values) for values in lists)
+        network = policy.network(name)
+        if not network.input_mean.any():
+            network.input_mean.copy_(inputs.mean(dim=0))
+            network.input_std.copy_(inputs.std(dim=0).clamp(min=0.02))
+        for _ in range(num_steps):
+            batch = torch.randint(len(inputs), (BATCH,))
+            actions, _ = network(inputs[batch], inputs.new_zeros(BATCH, 0))
+            loss = (actions - outputs[batch]).square().mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--throws", type=int, default=600)
+    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--rounds", type=int, default=7, help="of imitation")
+    parser.add_argument("--out", type=Path, help="folder of the policy that imitates the script")
+    options = parser.parse_args()
+    if options.out:
+        torch.manual_seed(0)
+        imitated(options.rounds, 256).save(options.out / "policy")
+    cfg = EvaluationCfg(
+        objects=SIZES, num_envs=options.throws, trials=1, seed=options.seed, task=throws_task(EpisodeCfg())
+    )
+    env = cfg.make_env(METHOD)
+    found = metrics(run_round(env, Script(env)))
+    for name, rates in ({"all": found} | found["objects"]).items():
+        columns = ("trials", "tracking_rate", "success_rate", "verified_hold_rate", "hold_palms")
+        print(f"{name:8}", *(f"{column} {rates[column]:.3g}" for column in columns))
+    print(f"robots touched {found['robot_contact_rate']:.3f}, the table {found['table_contact_rate']:.3f}")
+
+
+if __name__ == "__main__":
+    main()
