@@ -38,21 +38,34 @@ def entry(function: Callable[..., object]) -> Any:
 
 @final
 class _Cache(FunctionCache):
-    """Numba's cache, which would not see that a law in another file has changed."""
+    """Numba's cache, which would not see that a law in another file has changed.
+
+    Its files are named after all sources: whatever interrupts their writing, none is taken for what is
+    compiled of others.
+    """
 
     def __init__(self, function: Callable[..., object]) -> None:
         super().__init__(function)
         sources = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
         stamp = sha256(sources).hexdigest()
-        self._cache_file = IndexDataCacheFile(self._cache_path, self._impl.filename_base, stamp)
+        self._base = self._impl.filename_base
+        self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._base}.{stamp}", stamp)
 
     def load_overload(self, sig: object, target_context: object) -> object:
-        """What is kept; nothing if that cannot be read, as after a loss of power."""
-        with suppress(Exception):
+        """What is kept; nothing, and a new beginning, if that cannot be read, as after a loss of power."""
+        try:
             return super().load_overload(sig, target_context)
-        return None
+        except Exception:
+            self._forget()
+            return None
 
     def save_overload(self, sig: object, data: object) -> None:
-        """Keep it, if there is room."""
+        """Keep it in place of all that was kept, if there is room."""
+        self._forget()
         with suppress(OSError):
             super().save_overload(sig, data)
+
+    def _forget(self) -> None:
+        for path in Path(self._cache_path).glob(f"{self._base}.*.nb[ic]"):
+            with suppress(OSError):
+                path.unlink()
