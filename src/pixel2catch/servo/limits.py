@@ -44,7 +44,7 @@ def records(**columns: ArrayLike) -> np.ndarray:
     """Entries of a structured array whose fields are columns, or the same in all entries."""
     arrays = np.broadcast_arrays(*(np.atleast_1d(each) for each in columns.values()))
     types = [(name, array.dtype) for name, array in zip(columns, arrays, strict=True)]
-    return np.array([*zip(*arrays, strict=True)], types)
+    return np.array([*zip(*arrays, strict=True)], np.dtype(types, align=True))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,6 +5,7 @@ robot has closer boxes about it keeps away from its own forearm and upper arm. B
 table; whether arms, or fingers, hit each other is the policy's to avoid.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -59,22 +60,25 @@ class Workspace:
         center, half = np.array(table.center), np.array(table.size) / 2.0 + self.clearance
         near, far = center[:2] - half, center[:2] + half
         return Space(
-            columns=np.concatenate([np.arange(palm.first, palm.stop) for palm in palms]),
+            columns=_joined(np.arange(palm.first, palm.stop) for palm in palms),
             first_joints=first_joints,
             first_capsules=_first([len(shape.radii) for shape in shapes]),
             first_boxes=_first([shape.boxes.shape[2] for shape in shapes]),
-            terms=np.concatenate([chain.swapaxes(0, 1)[:, :, :3] for chain in chains]),
-            links=np.concatenate(links),
-            ends=np.concatenate([shape.ends[:, :3].transpose(0, 2, 1) for shape in shapes]),
-            radii=np.concatenate([shape.radii for shape in shapes]),
-            is_reached=np.concatenate(
-                [np.isin(np.arange(len(shape.radii)), shape.reached) for shape in shapes]
-            ),
+            terms=_joined(chain.swapaxes(0, 1)[:, :, :3] for chain in chains),
+            links=_joined(links),
+            ends=_joined(shape.ends[:, :3].transpose(0, 2, 1) for shape in shapes),
+            radii=_joined(shape.radii for shape in shapes),
+            is_reached=_joined(np.isin(np.arange(len(shape.radii)), shape.reached) for shape in shapes),
             hands=np.array([(shape.hand_center, shape.hand_half) for shape in shapes]),
-            boxes=np.concatenate([shape.boxes.transpose(2, 0, 1) for shape in shapes]),
+            boxes=_joined(shape.boxes.transpose(2, 0, 1) for shape in shapes),
             walls=np.array((self.lower, self.upper)),
             table=np.array(((*near, 0.0), (*far, center[2] + self.clearance))),
         )
+
+
+def _joined(parts: Iterable[np.ndarray]) -> np.ndarray:
+    """Arrays one after the other; of one layout, for which alone the tick is compiled."""
+    return np.ascontiguousarray(np.concatenate([*parts]))
 
 
 def _first(numbers: list[int]) -> Int64[np.ndarray, " numbers+1"]:
