@@ -57,12 +57,16 @@ def test_no_tick_compiles_anything():
         tick_all(*[1.0] * 7)
 
 
-def compile_anew(folder: Path) -> Any:
+def compile_anew(folder: Path, factor: float = 2.0) -> Any:
     """Compile a law in a folder as another process would, or take what was kept."""
-    (folder / "law.py").write_text("def doubled(value):\n    return 2.0 * value\n")
-    function = compilation.entry(runpy.run_path(str(folder / "law.py"))["doubled"])
-    assert function(1.5) == 3.0
+    (folder / "law.py").write_text(f"def scaled(value):\n    return {factor} * value\n")
+    function = compilation.entry(runpy.run_path(str(folder / "law.py"))["scaled"])
+    assert function(1.5) == factor * 1.5
     return function
+
+
+def full(*_: object) -> None:
+    raise OSError(28, "No space left on device")
 
 
 @pytest.fixture
@@ -90,12 +94,20 @@ def test_what_is_kept_and_cannot_be_read_is_compiled_again(folder: Path, suffix:
     assert not compile_anew(folder).stats.cache_hits
 
 
+def test_what_was_kept_in_part_is_not_completed_by_what_was_before(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The disk is full, or the process ends, between the two files of it."""
+    compile_anew(folder)
+    monkeypatch.setattr(compilation._Cache, "_forget", lambda _: None)
+    with monkeypatch.context() as patched:
+        patched.setattr(IndexDataCacheFile, "_save_data", full)
+        compile_anew(folder, factor=3.0)
+    compile_anew(folder, factor=3.0)
+
+
 def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(folder: Path, monkeypatch: pytest.MonkeyPatch):
     """On a full disk, and where no folder is writable."""
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
     monkeypatch.setattr(IndexDataCacheFile, "save", full)
     assert compile_anew(folder).stats.cache_misses
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])

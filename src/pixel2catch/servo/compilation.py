@@ -31,7 +31,7 @@ def compiled(function: F) -> F:
 def entry(function: Callable[..., object]) -> Any:
     """Compile a function and all that it calls at its first call, and keep that for other processes."""
     dispatcher: Any = numba.njit(error_model="numpy", nogil=True)(function)
-    with suppress(RuntimeError):  # there is no place to keep it
+    with suppress(RuntimeError, OSError):  # there is no place to keep it, or there are no sources
         dispatcher._cache = _Cache(function)
     return dispatcher
 
@@ -40,14 +40,14 @@ def entry(function: Callable[..., object]) -> Any:
 class _Cache(FunctionCache):
     """Numba's cache, which would not see that a law in another file has changed.
 
-    Its files are named after all sources: whatever interrupts their writing, none is taken for what is
-    compiled of others.
+    Its files are named after all sources, of this folder and of the function: whatever interrupts their
+    writing, none is taken for what is compiled of others.
     """
 
-    def __init__(self, function: Callable[..., object]) -> None:
+    def __init__(self, function: Any) -> None:
         super().__init__(function)
-        sources = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
-        stamp = sha256(sources).hexdigest()
+        sources = sorted({*Path(__file__).parent.glob("*.py"), Path(function.__code__.co_filename)})
+        stamp = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
         self._base = self._impl.filename_base
         self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._base}.{stamp}", stamp)
 
