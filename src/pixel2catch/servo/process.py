@@ -10,12 +10,15 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from math import ceil
 from multiprocessing.context import SpawnProcess
 from time import perf_counter
 
 import numpy as np
 
+from pixel2catch.errors import DeploymentError
+from pixel2catch.installation import needs_extra
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport
 from pixel2catch.servo.core import ServoCore, ServoState
@@ -229,7 +232,9 @@ def start_servo(
     Raises:
         DeploymentError: The compiler of its tick is missing.
     """
-    ServoCore(setup.limits)  # compiled here, once on a machine, it starts at once
+    with needs_extra("deployment", error=DeploymentError):
+        if not find_spec("numba"):  # not imported here, beside perception
+            raise ImportError("No module named 'numba'")
     loop, servo = link()
     with closing(servo):
         process = multiprocessing.get_context("spawn").Process(
@@ -249,7 +254,7 @@ def start_servo(
 
 def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
     """Be the servo process, until the link is closed or on SIGTERM or SIGHUP, not by Ctrl-C or Ctrl-Z."""
-    ServoCore(setup.limits)  # where nothing is kept it is compiled again: not as a real-time process
+    ServoCore(setup.limits)  # compiled before this is a real-time process
     for number in (signal.SIGINT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     set_niceness(SERVO)
