@@ -13,7 +13,7 @@ check() { if eval "$2"; then echo "ok:   $1"; else echo "FAIL: $1"; failed=1; fi
 
 if is_asked 1; then
 echo "== 1. Laws on two devices: NCCL inside the captured step, equal networks, joint statistics"
-timeout 200 $PYTHON -m pytest -o addopts="" tests/rl -q -m "gpu or not slow" -k "captured or learn_as_one" 2>&1 | tail -15
+timeout 200 $PYTHON -m pytest -o addopts="" tests/learning -q -m "gpu or not slow" -k learn_as_one 2>&1 | tail -15
 check "laws (2 passed on cuda, none skipped)" "[ ${PIPESTATUS[0]} = 0 ]"
 fi
 

@@ -26,15 +26,11 @@ from ur5_recordings import read_ur5
 
 from pixel2catch.identification.tables import read_table
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.servo.compilation import entry
+from pixel2catch.servo.core import JOINT_INPUT, ServoState
+from pixel2catch.servo.flags import Fault, flag_names
 from pixel2catch.servo.limits import JointLimits, ServoLimits
-from pixel2catch.servo.watchdogs import (
-    Commanded,
-    Fault,
-    JointTrack,
-    ServoInputs,
-    faults_of_joints,
-    flag_names,
-)
+from pixel2catch.servo.watchdogs import expect, faults_of_joints
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 NUM_JOINTS, TRAVEL = 6, 2.0 * np.pi + 0.3
@@ -152,20 +148,33 @@ def limits_of_arm(lag: np.ndarray | None) -> ServoLimits:
 
 def watched(
     command: np.ndarray, measured: np.ndarray, stamp: np.ndarray, limits: ServoLimits, *, ends: bool = False
-) -> tuple[np.ndarray, JointTrack]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Faults (ticks, rows) of motions (ticks, rows, joints), and what is known of the joints in the end."""
-    track, expected = JointTrack.unknown(*command.shape[1:]), measured[0].copy()
-    nothing = np.zeros(command.shape[1])
+    joints = ServoState.idle(command.shape[1], limits).joints
+    joints["expected"] = measured[0]
+    told = np.empty(command.shape, JOINT_INPUT)
+    told["joint_pos"], told["joint_pos_target"] = measured, command
+    told["joint_stamp"] = stamp.reshape(len(command), -1, 1)
     found = np.zeros(command.shape[:2], dtype=np.int64)
-    unused = {entry.name: nothing for entry in fields(ServoInputs)}
-    for tick in range(1, len(command)):
-        told = Commanded(position=command[tick - 1], expected=expected, is_followed=nothing < tick - 1)
-        given = {"joint_pos": measured[tick], "joint_stamp": np.broadcast_to(stamp[tick], command[0].shape)}
-        track, found[tick] = faults_of_joints(track, ServoInputs(**{**unused, **given}), told, limits)
-        expected = track.expected(expected, command[tick], limits)
-        if ends and found[tick].any():
-            break
-    return found, track
+    watch(joints, told, found, limits.joint_records, ends)
+    return found, joints
+
+
+@entry
+def watch(joints: np.ndarray, told: np.ndarray, found: np.ndarray, limits: np.ndarray, ends: bool) -> None:
+    """The same tick by tick, or up to the first fault; what is told is as new as it can be."""
+    for row in range(len(joints)):
+        for tick in range(1, len(told)):
+            before, present = told[tick - 1, row], told[tick, row]
+            for number in range(len(present)):
+                joints[row, number].command = before[number].joint_pos_target
+            now = present[0].joint_stamp
+            found[tick, row] = faults_of_joints(joints[row], present, now, tick > 1, limits)
+            for number in range(len(present)):
+                joints[row, number].command = present[number].joint_pos_target
+                expect(joints[row, number], limits[number])
+            if ends and found[tick, row] != 0:
+                break
 
 
 def false_stops(motion: Played, limits: ServoLimits) -> list[str]:
@@ -233,7 +242,7 @@ def main() -> None:
     motions = [played(path, unknown.dt) for path in args.recordings]
     first = motions[0]
     parts = (first.command[:, None], first.measured[:, None], first.stamp[:, None])
-    lag = watched(*parts, unknown)[1].seen_lag[0].clip(unknown.dt)
+    lag = watched(*parts, unknown)[1]["seen_lag"][0].clip(unknown.dt)
     console, report = Console(width=150), dict[str, object]()
     console.print(f"lag in {motions[0].name} [ms]: {np.round(1e3 * lag, 1)}")
     for told, limits in (("told that lag", limits_of_arm(lag)), ("not identified", unknown)):

@@ -25,15 +25,8 @@ from pixel2catch.mdp.throws import Range, ThrowCfg, sample_paths
 from pixel2catch.robots.geometry import arm_shape, first_chain
 from pixel2catch.robots.workcell import TABLE
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
-from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.motion import (
-    Motion,
-    MotionLimits,
-    TargetInterpolator,
-    averaged,
-    towards,
-    wished,
-)
+from pixel2catch.servo.limits import ServoLimits, records
+from pixel2catch.servo.motion import averaged, on_the_way, towards, wished
 from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO, UR5E_POS
 
@@ -212,7 +205,7 @@ def _by_step(flights: Flights, values: ndarray, steps: ndarray) -> ndarray:
 
 def servo() -> Figure:
     """From the policy's targets at 30 Hz to commands at 500 Hz: a throw, and a jump that is too large."""
-    limits = ServoLimits.of(UR5E_ALLEGRO).motion.only(slice(1, 2))
+    limits = records(**ServoLimits.of(UR5E_ALLEGRO).motion.columns).view(np.recarray)[1]
     flight = fly(task(), seed=FEATURES_SEED)
     jump = np.repeat((-1.9, -1.4), (6, 24))
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
@@ -228,7 +221,7 @@ def servo() -> Figure:
         position.set_title(title, fontsize=9)
         speed.plot(time, rate, color=FIT)
         for bound in (-1, 1):
-            speed.axhline(bound * limits.speed[0], color=TRUTH, linewidth=0.8, linestyle=":")
+            speed.axhline(bound * limits.speed, color=TRUTH, linewidth=0.8, linestyle=":")
         speed.set_xlabel("time [s]")
         for axes in (position, speed):
             axes.grid()
@@ -238,20 +231,20 @@ def servo() -> Figure:
     return figure
 
 
-def _commands(targets: ndarray, limits: MotionLimits) -> tuple[ndarray, ndarray, ndarray]:
+def _commands(targets: ndarray, limits: np.record) -> tuple[ndarray, ndarray, ndarray]:
     """Times [s], positions [rad] and speeds [rad/s] of the commands that follow targets."""
-    start = np.array([[targets[0]]])
-    course, motion = TargetInterpolator.resting(start), Motion(position=start, velocity=0.0 * start)
-    recent, rows = np.tile(start, limits.weights.shape), [(0.0, targets[0])]
+    start = end = position = targets[0]
+    velocity, begun, newest, rows = 0.0, 0.0, -1, [(0.0, position)]
+    recent = np.full(limits.window, position)
     for tick in range(round(len(targets) * CONTROL_DT / limits.dt)):
-        now = np.array([tick * limits.dt])
-        number = np.floor(now / CONTROL_DT + 1e-9)
-        target = np.array([[targets[int(number[0])]]])
-        course = course.turned(np.array([True]), target, now, number)
-        goal = course.at(now, limits.dt + limits.delay)
-        motion = towards(motion, wished(motion, goal, limits), limits)
-        recent = np.concatenate((recent[1:], motion.position[None]))
-        rows.append((now[0] + limits.dt, averaged(recent, limits)[0, 0]))
+        now = tick * limits.dt
+        if (number := int(now / CONTROL_DT + 1e-9)) > newest:
+            start = on_the_way(start, end, now - begun, CONTROL_DT)
+            end, begun, newest = targets[number], now, number
+        goal = on_the_way(start, end, now - begun + limits.dt + limits.delay, CONTROL_DT)
+        velocity = towards(position, velocity, wished(position, goal, limits), limits)
+        position += velocity * limits.dt
+        rows.append((now + limits.dt, averaged(recent, position, limits)))
     time, command = np.array(rows).T
     return time, command, np.diff(command, prepend=command[0]) / limits.dt
 

@@ -97,13 +97,15 @@ def test_the_default_is_the_papers_task(tmp_path: Path):
     assert json.loads((out / "config.json").read_text())["env"]["variants"] == []
 
 
-def test_training_has_cones_of_its_own():
+def test_training_has_contacts_of_its_own():
     """They are the configuration's, unless the scene's are given."""
     cfg = with_task(preset("cpu"))
+    assert (cfg.env.scene.multiccd, CatchEnvCfg().scene.multiccd) == (False, True)
     assert (cfg.cone, cfg.env.scene.cone, CatchEnvCfg().scene.cone) == ("pyramidal", "pyramidal", "elliptic")
     elliptic = with_task(preset("fast"), change=lambda env: replace(env, scene=SceneCfg(cone="elliptic")))
     assert (elliptic.cone, with_task(elliptic).env.scene.cone) == ("elliptic", "elliptic")
-    assert with_task(preset("paper")).env.scene.cone == "elliptic"
+    paper = with_task(preset("paper")).env.scene
+    assert (paper.cone, paper.multiccd) == ("elliptic", True)
 
 
 def test_an_unknown_task_is_refused_before_anything_is_written(

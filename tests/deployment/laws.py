@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from pixel2catch.servo.core import Mode, Output
+from pixel2catch.servo.clearance import contains
+from pixel2catch.servo.core import Output, ServoInputs
+from pixel2catch.servo.flags import Fault, Mode
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
-from pixel2catch.servo.watchdogs import Fault, ServoInputs
 from pixel2catch.servo.workspace import Workspace
 
 ROUNDING = 1e-9
@@ -23,7 +24,7 @@ class Laws:
     """Watches rows of robots tick by tick, and counts what it has seen."""
 
     def __init__(self, num_rows: int, limits: ServoLimits) -> None:
-        self.limits = limits
+        self.limits, self.wider = limits, widened(limits.workspace)
         self.mode = np.zeros(num_rows, dtype=np.int64)
         self.command: np.ndarray | None = None
         self.is_silent = np.ones(num_rows, dtype=np.bool_)
@@ -103,8 +104,7 @@ class Laws:
         is_sent = (output.mode != Mode.IDLE) & ~is_silent
         assert np.isnan(command[~is_sent]).all()
         assert ((command >= joints.lower - ROUNDING) & (command <= joints.upper + ROUNDING))[is_sent].all()
-        wider = widened(limits.workspace)
-        assert wider.contains(command[is_sent][:, :6]).all()
+        assert contains(self.wider, command[is_sent][:, :6]).all()
         was_silent = self.is_silent
         first = is_sent & was_silent
         assert (np.abs(command - inputs.joint_pos) <= joints.start_error + ROUNDING)[first].all()

@@ -26,7 +26,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Publisher, Transport
-from pixel2catch.servo.core import Mode
+from pixel2catch.servo.flags import Mode
 from pixel2catch.servo.link import ServoEnd, ServoStatus, link
 from pixel2catch.workcells import find_workcell
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from paper_robot import JOINTS
-from pixel2catch.servo.watchdogs import Fault, ServoInputs
+from pixel2catch.servo.core import ServoInputs
+from pixel2catch.servo.flags import Fault
 
 ELBOW = np.arange(len(JOINTS)) == 2
 

@@ -10,10 +10,9 @@ from wire_lab import WireLab
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock
-from pixel2catch.servo.core import Mode
+from pixel2catch.servo.flags import Fault, Mode, flag_names
 from pixel2catch.servo.link import LoopEnd, ServoEnd
 from pixel2catch.servo.process import Servo, ServoSetup
-from pixel2catch.servo.watchdogs import Fault, flag_names
 
 
 class ClockOfScript(Clock):

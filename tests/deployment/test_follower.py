@@ -10,9 +10,8 @@ from loop_lab import HOME, badly_recorded, servo_status, surroundings
 from pixel2catch.cli.record import in_words
 from pixel2catch.deployment.follower import TrajectoryFollower
 from pixel2catch.errors import DeploymentError
-from pixel2catch.servo.core import Mode
+from pixel2catch.servo.flags import Fault, Mode
 from pixel2catch.servo.link import PolicyCommand
-from pixel2catch.servo.watchdogs import Fault
 
 RAMP = 0.05
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from servo_rows import HOME, LIMITS, Lab, noisy
 
-from pixel2catch.servo.core import Mode
+from pixel2catch.servo.core import ServoInputs
+from pixel2catch.servo.flags import Fault, Mode
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.watchdogs import FROZEN_ANGLE, FROZEN_TIME, Fault, ServoInputs
+from pixel2catch.servo.watchdogs import FROZEN_ANGLE, FROZEN_TIME
 
 ARM, FINGERS, ELBOW = range(6), range(6, len(HOME)), 2
 NUM = len(HOME)
@@ -43,7 +44,7 @@ def test_a_frozen_joint_of_an_arm_stops_it_within_a_fifth_of_a_second(joint: int
     lab = Lab().started()
     lab.target[0, joint] += motion
     time = until_stopped(lab, 1.0, frozen(joint))
-    assert lab.state.stopped_by[0] in (Fault.JOINTS_FROZEN, Fault.TRACKING_ERROR)
+    assert lab.outputs[-1].stopped_by[0] in (Fault.JOINTS_FROZEN, Fault.TRACKING_ERROR)
     assert time < FROZEN_TIME + 2.0 / 30.0
     assert FROZEN_TIME <= 0.2
 
@@ -58,7 +59,7 @@ def test_a_hand_that_is_frozen_as_a_whole_stops():
     lab = Lab().started()
     lab.target[0, FINGERS] += 0.3
     assert until_stopped(lab, 1.0, frozen(FINGERS)) < 0.25
-    assert lab.state.stopped_by[0] == Fault.JOINTS_FROZEN
+    assert lab.outputs[-1].stopped_by[0] == Fault.JOINTS_FROZEN
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.5, 2.0])
@@ -74,7 +75,7 @@ def test_an_elbow_that_is_measured_a_tenth_of_a_radian_off_stops(seconds: float)
             return replace(good, joint_pos=good.joint_pos + 0.1 * share * (np.arange(NUM) == ELBOW))
 
         assert until_stopped(lab, seconds + 1.5, distort) < np.inf
-        assert lab.state.stopped_by[0] & (Fault.JOINTS_IMPLAUSIBLE | Fault.TRACKING_ERROR)
+        assert lab.outputs[-1].stopped_by[0] & (Fault.JOINTS_IMPLAUSIBLE | Fault.TRACKING_ERROR)
 
 
 @pytest.mark.parametrize("share", [0.7, 1.3])
@@ -128,7 +129,7 @@ def test_a_finger_that_leaves_its_command_by_itself_stops_the_robot(finger: int)
         return replace(good, joint_pos=good.joint_pos - gone)
 
     assert until_stopped(lab, 2.0, drifting) < np.inf
-    assert lab.state.stopped_by[0] == Fault.JOINTS_IMPLAUSIBLE
+    assert lab.outputs[-1].stopped_by[0] == Fault.JOINTS_IMPLAUSIBLE
 
 
 def test_a_dry_run_expects_nothing_of_the_joints():

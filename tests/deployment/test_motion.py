@@ -3,20 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import ruckig
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pixel2catch.servo.motion import (
-    Motion,
-    MotionLimits,
-    averaged,
-    braked,
-    braking,
-    fastest,
-    towards,
-    wished,
-)
+from pixel2catch.servo.limits import MotionLimits, records
+from pixel2catch.servo.motion import averaged, braked, braking, fastest, towards, wished
 
 LIMITS = MotionLimits(
     lower=np.array([-1.0, -0.5]),
@@ -26,97 +19,96 @@ LIMITS = MotionLimits(
     jerk=np.array([40e3, 20e3]),
     dt=0.002,
 )
-CHANGE = LIMITS.acceleration * LIMITS.dt
-
-
-def at(position: tuple[float, float], velocity: tuple[float, float] = (0.0, 0.0)) -> Motion:
-    return Motion(position=np.array([position]), velocity=np.array([velocity]))
+FAST, SLOW = BOTH = records(**LIMITS.columns).view(np.recarray)
 
 
 def test_braking_by_hand():
     """From 1 rad/s with 0.4 rad/s less in each tick: 0.6, 0.2, 0 rad/s for 2 ms each."""
-    motion = at((0.1, 0.0), (-1.0, 0.0))
-    path = braked(motion, LIMITS, np.array([1, 2, 3, 50])[:, None, None])
-    np.testing.assert_allclose(path[:, 0, 0], 0.1 - 0.002 * np.array([0.6, 0.8, 0.8, 0.8]), atol=1e-15)
+    position, velocity, path = 0.1, -1.0, [braked(0.1, -1.0, ticks, FAST) for ticks in (1, 2, 3, 50)]
+    np.testing.assert_allclose(path, 0.1 - 0.002 * np.array([0.6, 0.8, 0.8, 0.8]), atol=1e-15)
     for left in (0.6, 0.2, 0.0, 0.0):
-        motion = motion.moved(braking(motion, LIMITS), LIMITS.dt)
-        np.testing.assert_allclose(motion.velocity[0, 0], -left, atol=1e-15)
-    np.testing.assert_allclose(motion.position, path[-1], atol=1e-15)
+        velocity = braking(velocity, FAST)
+        position += velocity * LIMITS.dt
+        assert velocity == pytest.approx(-left, abs=1e-15)
+    assert position == pytest.approx(path[-1], abs=1e-15)
 
 
 @given(st.floats(0.0, 3.0))
 def test_the_fastest_speed_stops_just_in_the_distance(distance: float):
-    speed = fastest(np.full((1, 2), distance), LIMITS)
-    end = braked(Motion(position=speed * LIMITS.dt, velocity=speed), LIMITS, np.array([[[10_000]]]))
-    np.testing.assert_allclose(end, distance, atol=1e-12)
+    for limits in BOTH:
+        speed = fastest(distance, limits)
+        assert braked(speed * LIMITS.dt, speed, 10_000, limits) == pytest.approx(distance, abs=1e-12)
 
 
 def test_a_command_is_the_mean_of_as_many_positions_as_its_jerk_asks_for():
     """Accelerations of 200 and -200 rad/s² must be 10 ms apart at 40,000 rad/s³; of ±50 rad/s² 5 ms."""
     assert LIMITS.window.tolist() == [5, 3]
     np.testing.assert_allclose(LIMITS.delay, [0.004, 0.002])
-    positions = np.array([[6.0, 6.0], [2.0, 8.0], [3.0, 1.0], [4.0, 5.0], [5.0, 9.0]])[:, None]
-    np.testing.assert_allclose(averaged(positions, LIMITS), [[4.0, 5.0]])
+    for limits, positions, mean in (
+        (FAST, [0.0, 6.0, 2.0, 3.0, 4.0], 4.0),
+        (SLOW, [6.0, 8.0, 1.0, 5.0], 5.0),
+    ):
+        recent = np.array(positions)
+        assert averaged(recent, 5.0 if limits is FAST else 9.0, limits) == pytest.approx(mean)
+        assert recent.tolist() == [*positions[1:], 5.0 if limits is FAST else 9.0]
 
 
 def test_a_jerk_without_a_limit_needs_no_mean():
     free = replace(LIMITS, jerk=np.full(2, np.inf))
     assert free.window.tolist() == [1, 1]
-    np.testing.assert_array_equal(averaged(np.ones((1, 4, 2)), free), np.ones((4, 2)))
+    assert averaged(np.zeros(1), 0.3, records(**free.columns).view(np.recarray)[0]) == 0.3
 
 
-def test_no_wish_breaks_a_limit():
+@pytest.mark.parametrize("joint", [0, 1])
+def test_no_wish_breaks_a_limit(joint: int):
     """Neither that of a motion, nor that of the commands which are its means."""
-    random = np.random.default_rng(0)
-    start = np.tile((0.9, -0.4), (500, 1))
-    motion = Motion(position=start, velocity=np.zeros((500, 2)))
-    recent, commands = np.tile(start, (5, 1, 1)), [start] * 4
-    for _ in range(500):
-        wish = random.choice([-1e9, -3.0, 0.0, 0.5, 3.0, 1e9], motion.position.shape)
-        after = towards(motion, wish, LIMITS)
-        np.testing.assert_allclose(after.position, motion.position + after.velocity * LIMITS.dt, atol=1e-15)
-        recent = np.concatenate((recent[1:], after.position[None]))
-        commands.append(averaged(recent, LIMITS))
-        motion = after
-    for order, limit in enumerate((LIMITS.speed, LIMITS.acceleration, LIMITS.jerk), start=1):
-        reached = np.abs(np.diff(commands, n=order, axis=0)).max(axis=(0, 1)) / LIMITS.dt**order
-        assert (reached <= limit * (1.0 + 1e-6)).all(), order
-        assert order == 1 or (reached >= 0.7 * limit).all(), order
-    positions = np.array(commands)
-    assert ((positions >= LIMITS.lower - 1e-12) & (positions <= LIMITS.upper + 1e-12)).all()
+    random, limits = np.random.default_rng(joint), BOTH[joint]
+    start = (0.9, -0.4)[joint]
+    for _ in range(20):
+        position, velocity, recent, commands = start, 0.0, np.full(5, start), [start] * 4
+        for wish in random.choice([-1e9, -3.0, 0.0, 0.5, 3.0, 1e9], 300):
+            velocity = towards(position, velocity, wish, limits)
+            position += velocity * LIMITS.dt
+            commands.append(averaged(recent, position, limits))
+        for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
+            reached = np.abs(np.diff(commands, n=order)).max() / LIMITS.dt**order / limits[name]
+            assert reached <= 1.0 + 1e-6, name
+            assert order == 1 or reached >= 0.7, name
+        assert limits.lower - 1e-12 <= min(commands)
+        assert max(commands) <= limits.upper + 1e-12
 
 
-def test_a_goal_is_reached_and_never_passed():
-    goal = np.random.default_rng(1).uniform(LIMITS.lower, LIMITS.upper, (500, 2))
-    motion = Motion(position=np.zeros_like(goal), velocity=np.zeros_like(goal))
-    for _ in range(600):
-        after = towards(motion, wished(motion, goal, LIMITS), LIMITS)
-        assert ((goal - motion.position) * (goal - after.position) >= -1e-15).all()
-        motion = after
-    np.testing.assert_allclose(motion.position, goal, atol=1e-12)
-    np.testing.assert_allclose(motion.velocity, 0.0, atol=1e-9)
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_goal_is_reached_and_never_passed(joint: int):
+    limits = BOTH[joint]
+    for goal in np.random.default_rng(1).uniform(limits.lower, limits.upper, 20):
+        position = velocity = 0.0
+        for _ in range(600):
+            velocity = towards(position, velocity, wished(position, goal, limits), limits)
+            assert (goal - position) * (goal - position - velocity * LIMITS.dt) >= -1e-15
+            position += velocity * LIMITS.dt
+        assert position == pytest.approx(goal, abs=1e-12)
+        assert velocity == pytest.approx(0.0, abs=1e-9)
 
 
 @given(st.floats(0.02, 1.0), st.sampled_from([0, 1]))
 def test_no_way_to_a_goal_within_the_limits_is_two_ticks_shorter(distance: float, joint: int):
     """Judged by Ruckig, which knows the shortest one in continuous time."""
-    limits = replace(LIMITS.only(np.array([joint])), lower=np.array([-2.0]), upper=np.array([2.0]))
-    zero = np.zeros((1, 1))
-    motion, recent, ticks = Motion(position=zero, velocity=zero), np.zeros_like(limits.weights), 0
-    while abs(averaged(recent, limits)[0, 0] - distance) > 1e-9:
-        motion = towards(motion, wished(motion, zero + distance, limits), limits)
-        recent = np.concatenate((recent[1:], motion.position[None]))
-        ticks += 1
+    wide = replace(LIMITS, lower=np.full(2, -2.0), upper=np.full(2, 2.0))
+    limits = records(**wide.columns).view(np.recarray)[joint]
+    position = velocity = command = 0.0
+    recent, ticks = np.zeros(limits.window), 0
+    while abs(command - distance) > 1e-9:
+        velocity = towards(position, velocity, wished(position, distance, limits), limits)
+        position += velocity * LIMITS.dt
+        command, ticks = averaged(recent, position, limits), ticks + 1
     asked, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
     asked.target_position = [distance]
-    for name in ("velocity", "acceleration", "jerk"):
-        limit = limits.speed if name == "velocity" else getattr(limits, name)
-        setattr(asked, f"max_{name}", limit.tolist())
+    for name, limit in (
+        ("velocity", limits.speed),
+        ("acceleration", limits.acceleration),
+        ("jerk", limits.jerk),
+    ):
+        setattr(asked, f"max_{name}", [limit])
     ruckig.Ruckig(1).calculate(asked, trajectory)
     assert abs(ticks * LIMITS.dt - trajectory.duration) < 2.0 * LIMITS.dt
-
-
-def test_limits_of_some_joints():
-    only = LIMITS.only(slice(1, 2))
-    assert (only.lower, only.upper, only.speed, only.acceleration) == (-0.5, 2.0, 2.0, 50.0)
-    assert only.dt == LIMITS.dt

@@ -10,9 +10,8 @@ from servo_rows import HOME, LIMITS, Lab, given, noisy
 from paper_robot import JOINTS
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.core import Clamp, Mode
+from pixel2catch.servo.flags import Clamp, Fault, Mode, flag_names
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
-from pixel2catch.servo.watchdogs import Fault, flag_names
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
 STEP_TICKS = round(CONTROL_DT / LIMITS.dt) + 1
@@ -67,11 +66,11 @@ def test_the_ramp_goes_over_evenly():
 def test_a_target_is_reached_after_a_control_step_as_in_training():
     """The ramp of training from 0 to 0.05 rad: even, but for the acceleration at its ends."""
     lab = Lab().started()
-    while lab.state.interpolator.stamp[0] != lab.state.now[0]:
+    while lab.state.robots["target_stamp"] != lab.state.robots["now"]:
         lab.tick()
     lab.run(CONTROL_DT - 2 * LIMITS.dt)
     lab.target[0, 0] += 0.05
-    while lab.state.interpolator.stamp[0] != lab.state.now[0]:
+    while lab.state.robots["target_stamp"] != lab.state.robots["now"]:
         lab.tick()
     commands = [
         lab.outputs[-1].command[0, 0] - HOME[0],
@@ -95,23 +94,23 @@ def test_every_fault_stops_and_is_named():
 
 def test_every_stop_stands_still_in_time_near_where_the_joints_are():
     lab = Lab(len(MISHAPS)).swung()
-    assert (np.abs(lab.state.motion.velocity[:, :3]) > 3.0).all()
+    assert (np.abs(lab.state.joints["velocity"][:, :3]) > 3.0).all()
     commands = np.stack([lab.tick(all_at_once).command, *(lab.tick().command for _ in range(2 * STOP_TICKS))])
     is_silent = np.array([fault == Fault.OTHER_PUBLISHER for fault, _, _ in MISHAPS])
     np.testing.assert_array_equal(np.isnan(commands), np.broadcast_to(is_silent[:, None], commands.shape))
-    commands[:, is_silent] = lab.state.motion.position[is_silent]
+    commands[:, is_silent] = lab.state.joints["position"][is_silent]
     assert not np.diff(commands[STOP_TICKS:], axis=0).any()
     assert (np.abs(lab.joint_pos - commands[-1]) < 0.02).all()
 
 
 def test_a_stop_without_positions_brakes_where_it_is():
     lab = Lab().swung()
-    motion = lab.state.motion
+    joint_states = lab.state.joints
     final = lab.run(STOP_TIME, given(joint_pos=np.full((1, len(JOINTS)), np.nan))).command
-    joints, speed = LIMITS.joints, np.abs(motion.velocity)
+    joints, speed = LIMITS.joints, np.abs(joint_states["velocity"])
     brake = speed**2 / (2.0 * joints.acceleration) + speed * LIMITS.dt
     evenly = 0.5 * np.minimum(speed, joints.lead / joints.lag) * joints.stop_time
-    assert (np.abs(final - motion.position) <= brake + evenly).all()
+    assert (np.abs(final - joint_states["position"]) <= brake + evenly).all()
 
 
 def test_a_stop_lasts_until_the_operator_asks_again():
@@ -341,7 +340,7 @@ def test_a_stop_without_positions_slows_commands_evenly():
     lab = Lab().started()
     lab.target[0, 0] -= 1.0
     lab.run(0.15)
-    commands = [lab.state.command[0, 0]]
+    commands = [lab.state.joints["command"][0, 0]]
     for _ in range(STOP_TICKS):
         commands.append(lab.tick(given(joint_pos=np.full((1, len(JOINTS)), np.nan))).command[0, 0])
     speed = np.diff(commands) / LIMITS.dt
@@ -354,7 +353,7 @@ def test_a_stop_without_positions_slows_commands_evenly():
 def test_a_stop_that_began_without_positions_does_not_go_back_to_them():
     """A joint that was measured 0.3 rad away for a tick is not believed again in that stop."""
     lab = Lab().swung()
-    before, speed = lab.state.command.copy(), lab.state.motion.velocity.copy()
+    before, speed = (lab.state.joints[name].copy() for name in ("command", "velocity"))
     lab.tick(given(joint_pos=lab.joint_pos + 0.3))
     assert lab.outputs[-1].stopped_by & Fault.JOINTS_IMPLAUSIBLE
     way = (lab.run(STOP_TIME).command - before)[:, :3] * np.sign(speed[:, :3])

@@ -13,8 +13,8 @@ from mishaps import MISHAPS, one
 from servo_rows import LIMITS, Lab
 
 from paper_robot import JOINTS
-from pixel2catch.servo.core import Clamp, Mode, ServoCore, ServoState
-from pixel2catch.servo.watchdogs import Fault
+from pixel2catch.servo.core import ServoCore, ServoState
+from pixel2catch.servo.flags import Clamp, Fault, Mode
 
 
 def watched(num_rows: int, num_ticks: int, seed: int) -> Laws:

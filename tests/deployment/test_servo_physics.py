@@ -10,8 +10,8 @@ from servo_rows import HOME, LIMITS, Lab, given
 
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.servo.flags import Fault
 from pixel2catch.servo.limits import STOP_TIME, JointLimits
-from pixel2catch.servo.watchdogs import Fault
 from pixel2catch.twin.simulated_lab import SimulatedLab
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

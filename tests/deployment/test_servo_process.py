@@ -12,11 +12,10 @@ from wire_lab import shuffled
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.memory import Broker, MemoryTransport
 from pixel2catch.ros2.profile import Profile, StatusTopics
-from pixel2catch.servo.core import Mode
+from pixel2catch.servo.flags import Fault, Mode, flag_names
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.link import LoopEnd, ServoEnd
 from pixel2catch.servo.subscriptions import ARM_PAUSE, DEPTH, JointStates
-from pixel2catch.servo.watchdogs import Fault, flag_names
 
 PROFILES = ("ur5e_allegro_v4", "ur5e_allegro_v5", "ur5e_allegro_classic")
 STOP_TICKS = round(STOP_TIME / LIMITS.dt)

@@ -18,10 +18,9 @@ from domains import PATIENCE, own_domain
 from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, RealClock, Transport
-from pixel2catch.servo.core import Mode
+from pixel2catch.servo.flags import Fault, Mode, flag_names
 from pixel2catch.servo.limits import STOP_TIME
 from pixel2catch.servo.process import RunningServo, ServoSetup, start_servo
-from pixel2catch.servo.watchdogs import Fault, flag_names
 
 RATE = 0.25
 """Rate of the clock; nothing depends on it but how long a test takes."""

@@ -7,9 +7,8 @@ import pytest
 
 from pixel2catch.deployment.status_words import SIGHT, latencies, refusal_words, sentence, status_words
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.servo.core import Mode
 from pixel2catch.servo.fault_words import FAULT_WORDS, FaultWords, fault_words
-from pixel2catch.servo.watchdogs import Fault, flag_names
+from pixel2catch.servo.flags import Fault, Mode, flag_names
 
 FAULTS = flag_names(Fault, ~0)
 CAMERA = "Check the camera and its cable, and that its clock is synchronised."

@@ -15,7 +15,8 @@ from pixel2catch.robots.allegro import PALM
 from pixel2catch.robots.geometry import TABLE_CLEARANCE, WorkcellGeometry, first_chain
 from pixel2catch.robots.workcell import TableSpec
 from pixel2catch.scene.scene import SceneCfg, build_model
-from pixel2catch.servo.workspace import HAND_CLEARANCE, Workspace, distances
+from pixel2catch.servo.clearance import HAND_CLEARANCE, are_apart, contains, distance, link_frames
+from pixel2catch.servo.workspace import Workspace
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -44,25 +45,25 @@ def half_extents(model: mujoco.MjModel, data: mujoco.MjData, geom: int, axes: np
     return np.abs(rotation) @ size
 
 
+def frames_of(arm_pos: np.ndarray) -> np.ndarray:
+    space = Workspace(workcell=UR5E_ALLEGRO).space
+    return np.array([link_frames(space, row) for row in arm_pos])
+
+
 def test_the_last_frame_is_the_palm_of_training():
     random = np.random.default_rng(0)
     arm_pos = random.uniform(LOWER[:6], UPPER[:6], (50, 6))
     palm_pos, _ = first_chain(UR5E_ALLEGRO).pose(torch.from_numpy(arm_pos))
-    np.testing.assert_allclose(
-        Workspace(workcell=UR5E_ALLEGRO).arms[0].link_frames(arm_pos)[-1][:, :3, 3],
-        palm_pos.numpy(),
-        atol=1e-12,
-    )
+    np.testing.assert_allclose(frames_of(arm_pos)[:, -1, :, 3], palm_pos.numpy(), atol=1e-12)
 
 
 def test_the_frames_are_where_the_links_of_the_model_are():
     model, data = model_of("ur5e_allegro")
     arm_pos = np.random.default_rng(1).uniform(LOWER[:6], UPPER[:6], (20, 6))
-    frames = Workspace(workcell=UR5E_ALLEGRO).arms[0].link_frames(arm_pos)
-    for row, joints in enumerate(arm_pos):
+    for joints, frames in zip(arm_pos, frames_of(arm_pos), strict=True):
         put(model, data, joints)
         for link, body in enumerate(ELBOW_AND_WRIST, start=1):
-            np.testing.assert_allclose(frames[link][row, :3, 3], data.body(body).xpos, atol=1e-9)
+            np.testing.assert_allclose(frames[link, :, 3], data.body(body).xpos, atol=1e-9)
 
 
 @pytest.mark.parametrize("workcell", ["ur5e_allegro", "ur5e_allegro_right"])
@@ -134,7 +135,7 @@ def test_no_pose_inside_has_the_hand_at_its_own_arm(name: str):
     poses = random.uniform(lower, upper, (1200, len(joints)))
     about = home[:6] + random.uniform(-0.5, 0.5, (1200, 6))
     poses[600:, :6] = about[600:].clip(lower[:6], upper[:6])
-    is_inside = Workspace(workcell=workcell, **ANYWHERE).contains(poses[:, :6])
+    is_inside = contains(Workspace(workcell=workcell, **ANYWHERE), poses[:, :6])
     is_free = np.array([own_distance(model, data, pose) > 0.0 for pose in poses])
     assert not (is_inside & ~is_free).any()
     assert (~is_free[:600]).sum() > 20
@@ -149,7 +150,8 @@ def test_the_distance_of_a_way_from_a_box():
     points = start + np.linspace(0.0, 1.0, 4001)[:, None, None] * (end - start)
     true = np.linalg.norm((np.abs(points) - upper).clip(0.0), axis=1).min(axis=0)
     length = np.linalg.norm(end - start, axis=0)
-    found = distances(start, end - start, np.zeros(200), np.ones(200), -upper, upper)
+    ways = zip(np.stack((start, end)).transpose(2, 0, 1), upper.T, strict=True)
+    found = np.array([distance(ends, 0.0, 1.0, np.stack((-half, half))) for ends, half in ways])
     assert (found <= true + 1e-12).all()
     assert (found >= true - 2e-3 * length).all()
 
@@ -173,7 +175,7 @@ def test_no_pose_inside_touches_the_table():
     num_inside = num_touching = 0
     for pose in random.uniform(lower, upper, (2000, len(JOINTS))):
         put(model, data, pose)
-        is_inside = bool(workspace.contains(pose[None, :6])[0])
+        is_inside = bool(contains(workspace, pose[None, :6])[0])
         is_touching = any(table in contact.geom and _moves(model, contact) for contact in data.contact)
         num_inside, num_touching = num_inside + is_inside, num_touching + is_touching
         assert not (is_inside and is_touching), pose
@@ -188,36 +190,29 @@ def _moves(model: mujoco.MjModel, contact: mujoco.MjContact) -> bool:
 
 def test_walls_by_hand():
     """At the start pose the palm is at (0.434, 0.133, 1.391); a wall beyond it is one too near."""
-    assert Workspace(workcell=UR5E_ALLEGRO).contains(HOME).all()
+    assert contains(Workspace(workcell=UR5E_ALLEGRO), HOME).all()
     lower, upper = (-2.0, -2.0, -2.0), (2.0, 2.0, 2.0)
-    assert Workspace(workcell=UR5E_ALLEGRO, lower=lower, upper=upper).contains(HOME).all()
+    assert contains(Workspace(workcell=UR5E_ALLEGRO, lower=lower, upper=upper), HOME).all()
     for axis, palm in enumerate((0.434, 0.133, 1.391)):
-        assert (
-            not Workspace(workcell=UR5E_ALLEGRO, lower=_with(lower, axis, palm), upper=upper)
-            .contains(HOME)
-            .any()
-        )
-        assert (
-            not Workspace(workcell=UR5E_ALLEGRO, lower=lower, upper=_with(upper, axis, palm))
-            .contains(HOME)
-            .any()
-        )
+        for corners in ((_with(lower, axis, palm), upper), (lower, _with(upper, axis, palm))):
+            workspace = Workspace(workcell=UR5E_ALLEGRO, lower=corners[0], upper=corners[1])
+            assert not contains(workspace, HOME).any()
 
 
 @pytest.mark.parametrize(("height", "is_inside"), [(1.23, True), (1.36, False)])
 def test_a_table_under_the_elbow_by_hand(height: float, is_inside: bool):
     """At the start pose the elbow is at (-0.131, 0, 1.388), with tubes of up to 5.5 cm about it."""
     table = TableSpec(center=(-0.131, 0.0, height), size=(0.02, 0.02), thickness=0.04)
-    assert Workspace(workcell=replace(UR5E_ALLEGRO, table=table)).contains(HOME).all() == is_inside
+    assert contains(Workspace(workcell=replace(UR5E_ALLEGRO, table=table)), HOME).all() == is_inside
 
 
 def test_the_side_of_the_table_is_one():
     """Beside the table the hand may be lower than its top, over it not."""
     low = np.array([[pi, radians(-20.0), radians(60.0), pi, -pi / 2, pi]])
     workspace = Workspace(workcell=UR5E_ALLEGRO, lower=(-2.0, -2.0, -2.0))
-    assert workspace.contains(low).all()
+    assert contains(workspace, low).all()
     wider = replace(UR5E_ALLEGRO.table, size=(3.0, 3.0))
-    assert not replace(workspace, workcell=replace(UR5E_ALLEGRO, table=wider)).contains(low).any()
+    assert not contains(replace(workspace, workcell=replace(UR5E_ALLEGRO, table=wider)), low).any()
 
 
 def test_the_box_about_the_hand_and_the_table_are_apart_if_no_point_is_in_both():
@@ -225,12 +220,13 @@ def test_the_box_about_the_hand_and_the_table_are_apart_if_no_point_is_in_both()
     workspace, random = Workspace(workcell=UR5E_ALLEGRO), np.random.default_rng(5)
     middle = random.uniform((-0.7, -0.7, 0.6), (0.7, 0.7, 1.2), (300, 3))
     rotation = Rotation.random(300, rng=random).as_matrix()
-    found = workspace._is_box_clear(workspace.arms[0], middle, rotation)
-    near, far, top = workspace._sides
+    sides, hand_half = workspace.space.table, workspace.space.hands[0, 1]
+    poses = zip(middle, rotation, strict=True)
+    found = np.array([are_apart(sides, place, turn, hand_half) for place, turn in poses])
     half = (np.array(np.array(PALM.upper)) - np.array(np.array(PALM.lower))) / 2.0
     for place, turn, is_clear in zip(middle, rotation, found, strict=True):
         planes, at = np.vstack((turn.T, -turn.T)), turn.T @ place
-        table = list(zip((*near, 0.0), (*far, top), strict=True))
+        table = sides.T.tolist()
         answer = linprog(np.zeros(3), planes, np.concatenate((at + half, half - at)), bounds=table)
         assert is_clear == (answer.status == 2)
     assert 50 < found.sum() < 250
@@ -249,8 +245,8 @@ def test_what_costs_in_training_is_what_the_servo_holds_back():
     joint_pos = torch.from_numpy(np.pad(arm_pos, ((0, 0), (0, 13)))).float()
     depth = WorkcellGeometry(UR5E_ALLEGRO).depth_in_table(joint_pos)[:, 0].numpy()
     workspace = Workspace(workcell=UR5E_ALLEGRO, **ANYWHERE)
-    is_clear = replace(workspace, clearance=TABLE_CLEARANCE).contains(arm_pos)
-    is_low = ~is_clear & workspace.contains(arm_pos)  # not for the hand at its own arm
+    is_clear = contains(replace(workspace, clearance=TABLE_CLEARANCE), arm_pos)
+    is_low = ~is_clear & contains(workspace, arm_pos)  # not for the hand at its own arm
     assert not (depth[is_clear] > 0.0).any()
     assert is_low.sum() > 500
     assert (depth[is_low] > 0.0).mean() > 0.9

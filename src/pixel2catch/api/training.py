@@ -37,7 +37,8 @@ def with_task(
         env = env.with_workcell(find_workcell(workcell))
     if cfg.env is None:
         env = env.with_files(cfg.dynamics, cfg.camera)
-    scenes = [replace(env.scene, physics_hz=rate, cone=cfg.cone) for rate in cfg.physics_hz]
+    contacts = replace(env.scene, cone=cfg.cone, multiccd=cfg.multiccd)
+    scenes = [replace(contacts, physics_hz=rate) for rate in cfg.physics_hz]
     sensing = replace(env.sensing, latency_steps=cfg.latency_steps)
     env = change(replace(env, scene=scenes[0], sensing=sensing))
     if env.scene.physics_hz != scenes[0].physics_hz:  # a field was given: one rate from begin to end
@@ -48,6 +49,7 @@ def with_task(
         physics_hz=tuple(scene.physics_hz for scene in scenes),
         latency_steps=env.sensing.latency_steps,
         cone=env.scene.cone,
+        multiccd=env.scene.multiccd,
     )
 
 

@@ -298,6 +298,7 @@ class Doctor:
             check("OpenCV", partial(optional, "cv2", "opencv-python-headless", "perception")),
             check("rosbags", partial(optional, "rosbags", "rosbags", "identification")),
             check("cyclonedds", partial(optional, "cyclonedds", "cyclonedds", "deployment")),
+            check("numba", partial(optional, "numba", "numba", "deployment")),
             check("DDS", dds),
             check("viser", partial(optional, "viser", "viser", "viewer")),
             check("ONNX Runtime", partial(optional, "onnxruntime", "onnxruntime", "onnx")),

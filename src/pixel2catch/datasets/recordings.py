@@ -16,7 +16,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import RGB_CAMERA
-from pixel2catch.servo.core import Mode
+from pixel2catch.servo.flags import Mode
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
 
 RUNS = (int(Mode.RAMP), int(Mode.RUN))  #: Modes in which the robot follows the policy.

@@ -24,7 +24,7 @@ from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.core import Mode
+from pixel2catch.servo.flags import Mode
 from pixel2catch.servo.link import PolicyCommand
 
 POLL = 0.002

@@ -13,7 +13,7 @@ from pixel2catch.ros2.messages import ImageReading
 from pixel2catch.ros2.profile import CameraProfile
 from pixel2catch.ros2.transport import Clock, Message, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
-from pixel2catch.servo.motion import Joints
+from pixel2catch.servo.limits import Joints
 from pixel2catch.servo.subscriptions import POLL_TIME
 
 DEPTH = 4  #: Images that are kept until they are looked at; only the newest is. Source: ours.

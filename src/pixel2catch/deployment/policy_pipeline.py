@@ -27,8 +27,8 @@ from pixel2catch.policy import LoadedPolicy, contract_of, method_of
 from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+from pixel2catch.servo.limits import Joints
 from pixel2catch.servo.link import PolicyCommand
-from pixel2catch.servo.motion import Joints
 
 
 @dataclass(frozen=True)

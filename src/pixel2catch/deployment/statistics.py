@@ -11,9 +11,8 @@ from pixel2catch.deployment.sight import Sight
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.core import Clamp, Mode
+from pixel2catch.servo.flags import Clamp, Fault, Mode, flag_names
 from pixel2catch.servo.link import PolicyCommand, ServoStatus
-from pixel2catch.servo.watchdogs import Fault, flag_names
 
 BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and what the last one holds from [s]. Source: ours.
 NUM_MS = round(1e-3 / BIN)  #: Bins of a millisecond.

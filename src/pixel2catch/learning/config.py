@@ -64,6 +64,8 @@ class TrainCfg:
     cone: Literal["elliptic", "pyramidal"] = "pyramidal"
     """Friction cones of the contacts in training: elliptic, as in evaluations, or pyramidal, which are
     computed faster and teach as much (ours)."""
+    multiccd: bool = False
+    """Whether faces and edges touch in several points, as in evaluations, or in one, likewise."""
     dynamics: DynamicsPath | None = None
     """Dynamics file of the robot that is simulated, as `identify` writes it; the run keeps a copy.
     Evaluations take it by their own --dynamics only. Default: the nominal robot."""
@@ -221,6 +223,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "schedule": "kl",
         "physics_hz": (120.0,),
         "cone": "elliptic",
+        "multiccd": True,
         "mini_batches": 4,
         "initial_log_std": 0.0,
         "learning_rate": 5e-4,

@@ -36,6 +36,8 @@ class SceneCfg:
     #: Physics steps in a second, a multiple of the control rate. Default: paper.
     physics_hz: float = 1.0 / PHYSICS_DT
     cone: Cone = "elliptic"  #: Friction cone: elliptic, as it is, or pyramidal, which is computed faster.
+    #: Whether faces and edges touch in several points, as they do, or in one, which is computed faster.
+    multiccd: bool = True
     engine: str = "mujoco"  #: Whose physics it is: mujoco, or another to judge policies by, such as physx.
     #: Makers' models, URDF or MJCF, one for each part of the robot that shall be simulated by it. Default:
     #: our models.

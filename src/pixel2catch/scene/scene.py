@@ -183,6 +183,8 @@ def _set_options(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.cone = getattr(mujoco.mjtCone, f"mjCONE_{cfg.cone.upper()}")
+    if not cfg.multiccd:
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     option.iterations = 10
     option.ls_iterations = 20
 

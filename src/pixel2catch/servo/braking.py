@@ -2,58 +2,57 @@
 
 import numpy as np
 
-from pixel2catch.servo.motion import Flags, Motion, MotionLimits, Recent, braked, braking
-from pixel2catch.servo.workspace import Workspace
+from pixel2catch.servo.clearance import is_inside
+from pixel2catch.servo.compilation import Record, Records, compiled
+from pixel2catch.servo.motion import braked, braking
+from pixel2catch.servo.workspace import Space
 
 
-class WorkspaceBrake:
-    """Arms that brake before they would leave the workspace."""
+@compiled
+def keep_inside(
+    space: Space, joints: Records, recent: np.ndarray, wanted: np.ndarray, limits: Records
+) -> None:
+    """Let as much be of the speeds wanted of a tick [rad/s] as lets the arms brake inside their workspace.
 
-    def __init__(self, workspace: Workspace, limits: MotionLimits) -> None:
-        """Keep all joints to limits, and the arms among them inside."""
-        joints = workspace.joints
-        together = slice(int(joints[0]), int(joints[-1]) + 1)
-        self._workspace = workspace
-        #: Joints of the arms: a slice of all where they follow each other, which is faster.
-        self._columns = together if len(joints) == together.stop - together.start else joints
-        self._arm = limits.only(self._columns)
+    All joints may brake: that was found a tick ago. One after the other is let go on, if then the arms can
+    still brake. Recent positions are (joints, ticks) [rad], oldest first.
+    """
+    moves, goal = False, wanted.copy()
+    for joint in space.columns:
+        moves |= wanted[joint] != 0.0
+    if not moves or can_stop(space, joints, recent, wanted, limits):
+        return
+    for joint in space.columns:
+        wanted[joint] = braking(joints[joint].velocity, limits[joint])
+    for joint in space.columns:
+        slower = wanted[joint]
+        wanted[joint] = goal[joint]
+        if goal[joint] != slower and not can_stop(space, joints, recent, wanted, limits):
+            wanted[joint] = slower
 
-    def kept_inside(self, motion: Motion, recent: Recent, wanted: Motion, is_watched: Flags) -> Motion:
-        """The wanted tick, or as much of it as lets the arms brake without leaving the workspace.
 
-        All joints may brake: that was found a tick ago. One after the other is let go on, if then the arms
-        can still brake.
-        """
-        arm = self._columns
-        rows = (is_watched & np.logical_or.reduce(wanted.velocity[:, arm], axis=-1)).nonzero()[0]
-        recent = recent[len(recent) + 1 - len(self._arm.weights) :, :, arm]
-        if len(rows):
-            rows = rows[~self._can_stop(wanted.only(rows, arm), recent[:, rows])]
-        if not len(rows):
-            return wanted
-        recent, before, goal = recent[:, rows], motion.only(rows, arm), wanted.only(rows, arm)
-        velocity = braking(before, self._arm)
-        for joint in np.flatnonzero((velocity != goal.velocity).any(axis=0)):
-            trial = velocity.copy()
-            trial[:, joint] = goal.velocity[:, joint]
-            may_go = self._can_stop(before.moved(trial, self._arm.dt), recent)
-            velocity = np.where(may_go[:, None], trial, velocity)
-        kept = wanted.velocity.copy()
-        watched = kept[:, arm]
-        watched[rows] = velocity
-        kept[:, arm] = watched
-        return motion.moved(kept, self._arm.dt)
+@compiled
+def can_stop(space: Space, joints: Records, recent: np.ndarray, speeds: np.ndarray, limits: Records) -> bool:
+    """Whether arms that go on with such speeds stay in the workspace at every tick of braking after it."""
+    longest = 0.0
+    for joint in space.columns:
+        longest = max(longest, np.ceil(abs(speeds[joint]) / limits[joint].change) + limits[joint].window)
+    command = np.empty(len(space.columns))
+    for tick in range(int(longest)):
+        for place, joint in enumerate(space.columns):
+            command[place] = coming(joints[joint], recent[joint], float(speeds[joint]), tick, limits[joint])
+        if not is_inside(space, command):
+            return False
+    return True
 
-    def _can_stop(self, motion: Motion, recent: Recent) -> Flags:
-        """Whether the arms stay in the workspace at every tick of braking, the present one included.
 
-        The recent positions are those that count in a command beside the present one, oldest first.
-        """
-        longest = np.ceil(np.abs(motion.velocity) / self._arm.change).max()
-        ticks = np.arange(int(longest) + len(recent) + 1)
-        path = np.concatenate((recent, braked(motion, self._arm, ticks[:, None, None])))
-        commands = np.zeros((len(ticks), *motion.position.shape))
-        for first, share in enumerate(self._arm.weights):
-            commands += share * path[first : first + len(ticks)]
-        is_inside = self._workspace.contains(commands.reshape(-1, commands.shape[-1]))
-        return np.logical_and.reduce(is_inside.reshape(len(ticks), -1), axis=0)
+@compiled
+def coming(joint: Record, recent: np.ndarray, speed: float, tick: int, limits: Record) -> float:
+    """The command that many ticks after one with a speed [rad/s], if the joint brakes from then on [rad]."""
+    command, start = 0.0, joint.position + speed * limits.dt
+    for number in range(tick + 1 - limits.window, tick + 1):
+        if number < 0:
+            command += recent[len(recent) + number] * limits.share
+        else:
+            command += braked(start, speed, number, limits) * limits.share
+    return command

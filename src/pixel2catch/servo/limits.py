@@ -2,18 +2,18 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from functools import cached_property, partial
+from functools import partial
 from math import isclose, pi
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float64, Int, Int64
+from numpy.typing import ArrayLike
 
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.robots.joint_dynamics import JointDynamics
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.ros2.profile import MotionBudget, RobotPart
 from pixel2catch.scene.constants import CONTROL_DT, SPEED_MARGIN
-from pixel2catch.servo.motion import Joints, MotionLimits
 from pixel2catch.servo.workspace import Workspace
 
 STOP_TIME = 0.3  #: Time after which the commands of a stop stand still [s]. Source: ours.
@@ -30,12 +30,55 @@ Source: ours; fingers give way, and encoders have offsets.
 REST_ERROR = 0.05
 """Distance of an arm's joint that stands still from its command that is none [rad]. Source: ours."""
 
+Joints = Float64[np.ndarray, " joints"]
+
 TRAVEL_MARGIN = 0.05  #: Distance of an arm's commands from the ends of its travel [rad]. Source: ours.
 
 
 def steady_lag(dynamics: JointDynamics) -> Joints:
     """How far each joint is behind its command in a steady motion, per speed [s]."""
     return dynamics.latency + dynamics.filter_lookahead + dynamics.damping / dynamics.stiffness
+
+
+def records(**columns: ArrayLike) -> np.ndarray:
+    """Entries of a structured array whose fields are columns, or the same in all entries."""
+    arrays = np.broadcast_arrays(*(np.atleast_1d(each) for each in columns.values()))
+    types = [(name, array.dtype) for name, array in zip(columns, arrays, strict=True)]
+    return np.array([*zip(*arrays, strict=True)], np.dtype(types, align=True))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionLimits:
+    """What the motion of every joint's command keeps to."""
+
+    lower: Joints  #: Lowest position [rad].
+    upper: Joints  #: Highest position [rad].
+    speed: Joints  #: Largest speed [rad/s].
+    acceleration: Joints  #: Largest acceleration [rad/s²].
+    jerk: Joints  #: Largest jerk [rad/s³].
+    dt: float  #: Length of a tick [s].
+
+    @property
+    def window(self) -> Int64[np.ndarray, " joints"]:
+        """How many positions a command of each joint is the mean of."""
+        ticks = 2.0 * self.acceleration / (self.jerk * self.dt)
+        return np.maximum(np.ceil(ticks * (1.0 - 1e-12)), 1.0).astype(np.int64)
+
+    @property
+    def delay(self) -> Joints:
+        """How much later than the positions the commands are [s]."""
+        return (self.window - 1) / 2.0 * self.dt
+
+    @property
+    def columns(self) -> dict[str, ArrayLike]:
+        """What compiled laws ask of each joint's motion.
+
+        Beside fields and properties: what a position counts in a command, the largest change of the speed in
+        a tick [rad/s], and of the way of a tick from one to the next [rad].
+        """
+        change = self.acceleration * self.dt
+        more = {"share": 1.0 / self.window, "change": change, "bend": change * self.dt, "delay": self.delay}
+        return {**vars(self), "window": self.window, **more}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,22 +195,17 @@ class JointLimits:
             position_age=age,
         )
 
-    @cached_property
+    @property
     def is_arm(self) -> Bool[np.ndarray, " joints"]:
         """Which joints are watched as an arm's, which their servo keeps near their command."""
         return np.isfinite(self.tracking_error)
 
-    @cached_property
+    @property
     def is_finger(self) -> Bool[np.ndarray, " joints"]:
         """Which joints are watched as fingers, which an object may stop."""
         return np.isfinite(self.escape)
 
-    @cached_property
-    def has_fingers(self) -> bool:
-        """Whether there are any."""
-        return bool(self.is_finger.any())
-
-    @cached_property
+    @property
     def stop_time(self) -> Joints:
         """Time in which a stop takes each joint to rest [s]."""
         return self.lead / (self.lag * self.deceleration)
@@ -246,18 +284,13 @@ class ServoLimits:
 
     def in_words(self, ids: Int[np.ndarray, " some_joints"]) -> str:
         """What the motion of some joints, by their places in joint order, keeps to."""
-        motion, joints = self.motion.only(ids), self.joints
+        motion, joints = self.motion, self.joints
         own_speed = (joints.lead / (joints.lag * SPEED_MARGIN))[ids].max()
         return (
-            f"joints up to {own_speed:.3g} rad/s; commands up to {motion.speed.max():.3g} rad/s, "
-            f"{motion.acceleration.max():.0f} rad/s², {motion.jerk.max():.0f} rad/s³; "
+            f"joints up to {own_speed:.3g} rad/s; commands up to {motion.speed[ids].max():.3g} rad/s, "
+            f"{motion.acceleration[ids].max():.0f} rad/s², {motion.jerk[ids].max():.0f} rad/s³; "
             f"a stop takes {joints.stop_time[ids].max():.2f} s"
         )
-
-    @cached_property
-    def policy_ages(self) -> np.ndarray:
-        """Ages of the newest image, targets and box that are faults [s]."""
-        return np.array((self.image_age, self.target_age, self.box_age))[:, None]
 
     @property
     def num_joints(self) -> int:
@@ -275,4 +308,33 @@ class ServoLimits:
             acceleration=joints.acceleration,
             jerk=joints.jerk,
             dt=self.dt,
+        )
+
+    @property
+    def robot_records(self) -> np.ndarray:
+        """The numbers of a robot, for compiled laws: one entry."""
+        numbers = {name: each for name, each in vars(self).items() if name not in ("joints", "workspace")}
+        return records(**numbers)
+
+    @property
+    def joint_records(self) -> np.ndarray:
+        """The limits of each joint, for compiled laws.
+
+        Beside fields and properties: speed of commands at which no joint is too fast, whatever its lag, which
+        an arm's keep to until that is seen [rad/s]; how far ahead in time a tick aims [s]; how far a stop may
+        lead back [rad].
+        """
+        joints, motion = self.joints, self.motion
+        even_speed = joints.lead / joints.lag
+        return records(
+            **{**vars(joints), **motion.columns},
+            ramp_time=self.ramp_time,
+            control_dt=CONTROL_DT,
+            is_arm=joints.is_arm,
+            is_finger=joints.is_finger,
+            stop_time=joints.stop_time,
+            even_speed=even_speed,
+            unseen_speed=np.where(joints.is_arm, even_speed, np.inf),
+            time_ahead=self.dt + motion.delay,
+            stop_reach=joints.lead + 0.5 * even_speed * joints.stop_time,
         )

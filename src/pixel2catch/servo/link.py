@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar, final
 import numpy as np
 from jaxtyping import Float64
 
-from pixel2catch.servo.motion import Joints
+from pixel2catch.servo.limits import Joints
 
 BUFFER_SIZE = 1 << 20  #: Memory asked for each way [bytes]; Linux gives what its limit allows. Source: ours.
 _LONGEST = 4096  #: More than any packet has [bytes].

@@ -10,15 +10,19 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from math import ceil
 from multiprocessing.context import SpawnProcess
 from time import perf_counter
 
 import numpy as np
 
+from pixel2catch.errors import DeploymentError
+from pixel2catch.installation import needs_extra
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, RealClock, Transport
-from pixel2catch.servo.core import Mode, ServoCore, ServoState
+from pixel2catch.servo.core import ServoCore, ServoState
+from pixel2catch.servo.flags import Mode
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
 from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link
 from pixel2catch.servo.subscriptions import ServoSubscriptions
@@ -159,8 +163,9 @@ class Servo:
     @property
     def _is_over(self) -> bool:
         """Whether it is to end, and nothing moves any more."""
-        stands = self._state.is_in(Mode.STOPPED) & (self._state.ticks * self._core.limits.dt >= STOP_TIME)
-        return self._is_ending and bool((stands | self._state.is_in(Mode.IDLE))[0])
+        (robot,), dt = self._state.robots, self._core.limits.dt
+        stands = robot["mode"] == Mode.STOPPED and robot["ticks"] * dt >= STOP_TIME
+        return self._is_ending and bool(stands or robot["mode"] == Mode.IDLE)
 
     def tick(self) -> None:
         """Hear, decide, command and tell."""
@@ -223,7 +228,13 @@ def start_servo(
     """Start a servo process; it is heard of over the link as soon as it ticks.
 
     At the end it stops the robot and is waited for; one that hangs is killed.
+
+    Raises:
+        DeploymentError: The compiler of its tick is missing.
     """
+    with needs_extra("deployment", error=DeploymentError):
+        if not find_spec("numba"):  # not imported here, beside perception
+            raise ImportError("No module named 'numba'")
     loop, servo = link()
     with closing(servo):
         process = multiprocessing.get_context("spawn").Process(
@@ -243,6 +254,7 @@ def start_servo(
 
 def run_servo(end: ServoEnd, setup: ServoSetup, make_transport: MakeTransport, clock_rate: float) -> None:
     """Be the servo process, until the link is closed or on SIGTERM or SIGHUP, not by Ctrl-C or Ctrl-Z."""
+    ServoCore(setup.limits)  # compiled before this is a real-time process
     for number in (signal.SIGINT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     set_niceness(SERVO)

@@ -15,9 +15,9 @@ from pixel2catch.ros2.joint_states import JointStateReader
 from pixel2catch.ros2.messages import JointReading
 from pixel2catch.ros2.profile import Columns, OperatorTopics, Profile, RobotPart
 from pixel2catch.ros2.transport import Message, Publisher, Topic, Transport
+from pixel2catch.servo.core import ServoInputs
 from pixel2catch.servo.limits import ServoLimits
 from pixel2catch.servo.link import PolicyCommand
-from pixel2catch.servo.watchdogs import ServoInputs
 
 DEPTH = 16  #: Messages kept from one tick to the next: several senders may share a topic. Source: ours.
 MOST_BYTES = 2**14

@@ -15,12 +15,12 @@ import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float, Shaped
-from mujoco_warp._src.types import vec6  # the argument type of mjw.rays
 from torch import Tensor
 
 from pixel2catch.errors import NonFiniteError
+from pixel2catch.sim import warp_rays
 from pixel2catch.sim.graphs import GraphedFunction
-from pixel2catch.sim.simulation import MAX_GEOM_GROUPS, Result, Simulation
+from pixel2catch.sim.simulation import Result, Simulation
 
 CONTACTS_PER_DOF = 1.6
 """Contacts to allocate per environment and degree of freedom, shared by all environments (ours: 8,192 random
@@ -31,13 +31,13 @@ CONSTRAINTS_PER_DOF = 8.0
 one hand used 45 at the most, 120 with an object of 28 cm in the hand; two arms and two hands that learn once
 needed more than 160)."""
 
-RAY_BLOCK = 32
-"""Threads that share the geoms of a ray. Source: ours: the model has 25 geoms; with MuJoCo Warp's 64 the rays
-of 8,192 environments take 3.1 ms instead of 1.7 (H200)."""
-
 CONTACTS_PER_SENSOR = 32
 """Contacts that a contact sensor chooses from. Source: ours: 8,192 random robots had 15 contacts at the most
 in all; sorting MuJoCo Warp's 64 took 1.1 of 11 ms of kernels in a control step of theirs (H100)."""
+
+SORT_BLOCK = 32
+"""Threads that sort the contacts of a sensor. Source: ours: with MuJoCo Warp's 64 they take 1.16 instead of
+0.58 ms of a control step of 8,192 environments (H100)."""
 
 _HARMLESS = int(
     mjw.OverflowType.ITERATIONS
@@ -61,7 +61,7 @@ class WarpSimulation(Simulation):
             wp.set_stream(wp.stream_from_torch(torch.cuda.current_stream(self.device)), self._device)
         with wp.ScopedDevice(self._device):
             self._model = mjw.put_model(_without_cpu_flags(model))
-            self._model.block_dim.ray = RAY_BLOCK
+            self._model.block_dim.contact_sort = SORT_BLOCK
             self._model.opt.contact_sensor_maxmatch = CONTACTS_PER_SENSOR
             self._model.opt.warn_overflow &= ~_HARMLESS
             self._data = mjw.make_data(
@@ -71,7 +71,6 @@ class WarpSimulation(Simulation):
                 njmax=round(CONSTRAINTS_PER_DOF * model.nv),
             )
         self._recorded_step = self._recorded(self._step)
-        self._rays: _Rays | None = None
 
     def bind(self, field: str) -> Shaped[Tensor, "num_envs ..."]:  # noqa: D102 (documented in the interface)
         shape = np.shape(getattr(mujoco.MjData(self.model), field))
@@ -116,11 +115,8 @@ class WarpSimulation(Simulation):
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
     ) -> Float[Tensor, "num_envs num_rays"]:
-        num_rays = directions.shape[1]
-        if self._rays is None or self._rays.num_rays != num_rays:
-            self._rays = _Rays(self.num_envs, num_rays, self.device)
-        self._rays.cast(self._model, self._data, origin, directions, groups)
-        return self._rays.distance
+        with wp.ScopedDevice(self._device):
+            return warp_rays.cast(self._model, self._data, origin, directions, groups)
 
     def record(
         self, function: Callable[[Tensor], Result], generator: torch.Generator
@@ -177,33 +173,3 @@ def _without_cpu_flags(model: mujoco.MjModel) -> mujoco.MjModel:
     model = copy.copy(model)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     return model
-
-
-class _Rays:
-    """Buffers of one batch of rays, kept because MuJoCo Warp writes into arrays of the caller."""
-
-    def __init__(self, num_envs: int, num_rays: int, device: torch.device) -> None:
-        self.num_rays = num_rays
-        self.distance = torch.zeros(num_envs, num_rays, device=device)
-        self._geomid = torch.zeros(num_envs, num_rays, dtype=torch.int32, device=device)
-        self._normal = torch.zeros(num_envs, num_rays, 3, device=device)
-        self._bodyexclude = torch.full((num_rays,), -1, dtype=torch.int32, device=device)
-
-    def cast(
-        self, model: mjw.Model, data: mjw.Data, origin: Tensor, directions: Tensor, groups: tuple[int, ...]
-    ) -> None:
-        """Cast the rays and leave the result in `distance`."""
-        origins = origin.to(directions).expand_as(directions).contiguous()
-        with wp.ScopedDevice(wp.device_from_torch(directions.device)):
-            mjw.rays(
-                model,
-                data,
-                wp.from_torch(origins, dtype=wp.vec3),
-                wp.from_torch(directions.contiguous(), dtype=wp.vec3),
-                vec6(*(float(group in groups) for group in range(MAX_GEOM_GROUPS))),
-                True,
-                wp.from_torch(self._bodyexclude),
-                wp.from_torch(self.distance),
-                wp.from_torch(self._geomid),
-                wp.from_torch(self._normal, dtype=wp.vec3),
-            )
