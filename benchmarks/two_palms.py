@@ -33,7 +33,7 @@ from pixel2catch.workcells import find_workcell
 
 WORKCELL = find_workcell("two_ur5e_allegro")
 FARTHEST_X = 0.88  # where an object is met at the farthest [m]
-BATCH, GRADIENT_STEPS = 512, 200  # of a round of imitation
+BATCH = 512  # of a gradient step of imitation
 
 COLUMNS = {"6": 0, "10": 0, "16": 1, "22": 2, "28": 3}  # of the table, by the size in an object's name [cm]
 CATCH: dict[str, tuple] = {
@@ -186,7 +186,7 @@ def throws_task(episode: EpisodeCfg) -> CatchEnvCfg:
     return replace(SIZES_TASK, scene=scene, episode=episode)
 
 
-def imitated(method: Method, num_rounds: int, num_envs: int) -> Policy:
+def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int = 256) -> Policy:
     """A policy of the script's actions, in states that the script comes to, and later the policy.
 
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
@@ -211,7 +211,7 @@ def imitated(method: Method, num_rounds: int, num_envs: int) -> Policy:
             is_caught = torch.where(is_running, step.record.is_success, is_caught)
             observed, is_running = step.observation.policy, is_running & ~step.terminated
         env.close()
-        learn(policy, optimizer, pairs, GRADIENT_STEPS * (1 if number < num_rounds - 1 else 8))
+        learn(policy, optimizer, pairs, num_steps * (1 if number < num_rounds - 1 else 8))
         rates = f"S.R. {is_caught.float().mean():.2f}, {is_scripted.float().mean():.2f} scripted"
         print(f"round {number}: {rates}", flush=True)
     return policy
@@ -243,6 +243,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--method", default="object_extent", help="of the policy")
     parser.add_argument("--rounds", type=int, default=8, help="of imitation")
+    parser.add_argument(
+        "--steps", type=int, default=200, help="gradient steps of a round, 8 times in the last"
+    )
     parser.add_argument("--out", type=Path, help="folder of a policy that imitates the script")
     options = parser.parse_args()
     method = find_method(options.method, WORKCELL)
@@ -252,7 +255,7 @@ def main() -> None:
     actors: list[Callable[[CatchEnv], Actor]] = [Script]
     if options.out:
         torch.manual_seed(0)
-        policy = imitated(method, options.rounds, 256)
+        policy = imitated(method, options.rounds, options.steps)
         policy.save(options.out / "policy")
         actors.append(lambda _: policy)
     for actor in actors:
