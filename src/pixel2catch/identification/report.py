@@ -17,8 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pixel2catch.files import json_text, require_free_folder, write_atomically
-from pixel2catch.identification.fit import LATENCY_UNIT
-from pixel2catch.identification.identify import Identification, Motion, half_widths, ratios, tracking_errors
+from pixel2catch.identification.identify import RATIOS, Identification, Motion, estimates, tracking_errors
 from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.joints import short, specs_of
 from pixel2catch.identification.recording import Trajectory
@@ -132,7 +131,7 @@ def _summary(result: Identification) -> Iterable[str]:
     texts |= dict.fromkeys(warnings, "weak")
     if open_questions(result.fit):
         texts["Not everything is identified; below is what to fix, or how to move for it."] = "weak"
-    failed = {c.joint for m in result.motions for c in m.source.checks if c.is_good is False}
+    failed = {c.joint for m in result.motions for c in m.checks if c.is_good is False}
     if names := ", ".join(short(joint) for joint in joints if joint in failed):
         texts[f"The motion of {names} is weaker than the data checks ask for."] = "weak"
     return [box(text, verdict) for text, verdict in texts.items()]
@@ -141,7 +140,7 @@ def _summary(result: Identification) -> Iterable[str]:
 def _pictures(result: Identification) -> list[str]:
     """The motion that was held out, or the last if none was, joint by joint."""
     shown = (result.of(is_held_out=True) or result.motions)[-1]
-    kind = "held out" if shown.source.is_held_out else "fitted"
+    kind = "held out" if shown.is_held_out else "fitted"
     key = "".join(f'<span style="background: {color}"></span>{name}' for name, color in COLORS.items())
     errors = tracking_errors([shown])
     figures = []
@@ -158,7 +157,7 @@ def _circumstances(result: Identification, circumstances: Mapping[str, Any]) -> 
         *circumstances_lines(circumstances),
         f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
         *(
-            f"{motion.recording.name}: {'held out' if motion.source.is_held_out else 'fitted'}"
+            f"{motion.recording.name}: {'held out' if motion.is_held_out else 'fitted'}"
             for motion in result.motions
         ),
     ]
@@ -193,7 +192,9 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
         },
         "parameters": by_joint(_parameters(result, j) for j in range(len(joints))),
         "ratios": {
-            ratio.name: by_joint(map(_interval, ratio.value, ratio.half_width)) for ratio in ratios(fit)
+            name: by_joint(map(_told, each.value, each.interval))
+            for name, each in estimates(fit).items()
+            if name in RATIOS
         },
         "not_identified": open_questions(fit),
         "worse_than_command": list(result.file.worse_than_command),
@@ -205,8 +206,8 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
         "recordings": [
             {
                 "name": motion.recording.name,
-                "is_held_out": motion.source.is_held_out,
-                "checks": [asdict(check) for check in motion.source.checks],
+                "is_held_out": motion.is_held_out,
+                "checks": [asdict(check) for check in motion.checks],
             }
             for motion in result.motions
         ],
@@ -216,31 +217,22 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
 
 def _parameters(result: Identification, j: int) -> Content:
     """Value before and after of every parameter of a joint, and its 95 % interval if it was fitted."""
-    fit = result.fit
-    widths = dict(zip(fit.free, half_widths(fit)[j], strict=True))
-    found: Content = {}
+    found, known = dict[str, Content](), estimates(result.fit)
     for name in PARAMETERS:
-        value, before = (float(getattr(each, name)[j]) for each in (fit.dynamics, result.start.before))
+        value, before = (float(getattr(each, name)[j]) for each in (result.fit.dynamics, result.start.before))
         content: Content = {"value": value, "before": before}
-        if name in widths and name == "latency":
-            content |= _plus_minus(value, LATENCY_UNIT * widths[name], least=0.0)
-        elif name in widths:
-            content |= _interval(value, widths[name])
+        if name in known:
+            content["interval"] = known[name].interval[j].tolist()
         found[name] = {key: each if np.all(np.isfinite(each)) else None for key, each in content.items()}
     return found
 
 
-def _plus_minus(value: float, half_width: float, least: float = -np.inf) -> Content:
-    """A value that has an interval itself."""
-    return {
-        "value": float(value),
-        "interval": [max(float(value - half_width), least), float(value + half_width)],
-    }
+def _plus_minus(value: float, half_width: float) -> Content:
+    return _told(value, value + half_width * np.array((-1.0, 1.0)))
 
 
-def _interval(value: float, half_width: float) -> Content:
-    """A value whose logarithm has an interval."""
-    return {"value": float(value), "interval": [float(value * np.exp(way * half_width)) for way in (-1, 1)]}
+def _told(value: float, interval: np.ndarray) -> Content:
+    return {"value": float(value), "interval": interval.tolist()}
 
 
 def joint_picture(motion: Motion, column: int) -> bytes:
