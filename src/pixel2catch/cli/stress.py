@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
@@ -13,10 +12,6 @@ from pixel2catch.cli.fields import FieldOptions, with_changes
 from pixel2catch.evaluation.cluster import Cluster
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
-
-if TYPE_CHECKING:
-    from pixel2catch.evaluation.metrics import Metrics
-    from pixel2catch.evaluation.stress.measuring import Result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +60,8 @@ class Stress:
         )
         results = plan_results(find_policies(self.policies), settings, self.out)
 
-        def report(number: int, result: "Result", metrics: "Metrics") -> None:
-            name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
-            say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
-
         with progress_bar("stress") as bar:
-            contents = measure(results, cfg, report, self.jobs, bar.show, executor=executor)
+            contents = measure(results, cfg, say, self.jobs, bar.show, executor=executor)
         table = make_table(results, contents)
         print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
         write_report(self.out, table)

@@ -15,9 +15,7 @@ from pixel2catch.progress import duration
 from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.metrics import Metrics
     from pixel2catch.evaluation.protocol import EvaluationCfg
-    from pixel2catch.evaluation.stress.measuring import Result
 
 THROWS_AT_ONCE = 20
 """Throws of a round. Source: ours: other engines step them one after the other, so that more gain nothing."""
@@ -77,12 +75,8 @@ class Transfer:
             left = duration(estimated_seconds(missing, cfg) / min(self.jobs, len(missing)))
             say(f"{len(missing)} rounds of {cfg.num_envs} throws to do: about {left}")
 
-        def report(number: int, result: "Result", metrics: "Metrics") -> None:
-            name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
-            say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
-
         with progress_bar("transfer") as bar:
-            contents = measure(results, cfg, report, self.jobs, bar.show, throw_metrics)
+            contents = measure(results, cfg, say, self.jobs, bar.show, throw_metrics)
         found = [pooled(contents[i : i + num_rounds]) for i in range(0, len(contents), num_rounds)]
         table = make_table(cells, found)
         print(json_text(table) if self.json else as_markdown(table), end="", flush=True)

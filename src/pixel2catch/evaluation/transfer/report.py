@@ -9,14 +9,11 @@ from pixel2catch import offline_page
 from pixel2catch.circumstances import circumstances
 from pixel2catch.evaluation.heat_map import heat_map
 from pixel2catch.evaluation.metrics import Metrics, paired_difference
-from pixel2catch.evaluation.report import Cells, csv_text, markdown, percent, write_files
+from pixel2catch.evaluation.report import RATES, Cells, csv_text, markdown, percent, write_files
 from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.report import REAL_ROBOT, compare_methods
-from pixel2catch.evaluation.transfer.cells import RATES
+from pixel2catch.evaluation.transfer.cells import PAIRED
 from pixel2catch.files import json_text
-
-TITLES = {"T.R.": "tracking_rate", "S.R.": "success_rate", "verified hold": "verified_hold_rate"}
-"""Rates of the tables."""
 
 REAL_ORDER = (
     f"The paper's real robot has {' > '.join(REAL_ROBOT)}, an S.R. of "
@@ -35,7 +32,7 @@ def make_table(results: Sequence[Result], metrics: Sequence[Metrics]) -> Json:
     for each, found in zip(results, metrics, strict=True):
         policy, engine, label = place = _place(each)
         rates = {}
-        for name, noted in RATES.items():
+        for name, noted in PAIRED.items():
             rates[name] = {"rate": found[name], "interval": found[f"{name}_interval"]}
             if engine != home:
                 rates[name] |= paired_difference(texts[policy, home, label][noted], texts[place][noted])
@@ -118,7 +115,7 @@ def as_csv(table: Json) -> str:
     columns += ("lost", "won", "difference", "difference_low", "difference_high", "p_value")
     rows = []
     for cell in table["cells"]:
-        for name in RATES:
+        for name in PAIRED:
             rate = cell[name]
             place = (*(cell[key] for key in columns[:4]), name)
             low, high = rate.get("difference_interval", ("", ""))
@@ -159,7 +156,11 @@ def _order(table: Json, cell: Json) -> tuple[int, int]:
 def _row(cell: Json) -> Cells:
     success = cell["success_rate"]
     row = {name: cell[name] for name in ("policy", "restitution", "engine")}
-    row |= {title: percent(cell[name]["rate"], cell[name]["interval"]) for title, name in TITLES.items()}
+    row |= {
+        title: percent(cell[name]["rate"], cell[name]["interval"])
+        for title, name in RATES.items()
+        if name in cell
+    }
     difference, counts, p = "home", "", ""
     if "lost" in success:
         low, high = (100.0 * bound for bound in success["difference_interval"])
