@@ -1,6 +1,6 @@
 """`pixel2catch evaluate`: how often a policy catches."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -13,12 +13,11 @@ from pixel2catch.checks import (
     DynamicsPath,
     OutputFile,
     PhysicsRate,
-    RobotModelPath,
     Seed,
 )
 from pixel2catch.cli.console import evaluating, results_console, say
 from pixel2catch.cli.device import prepare
-from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
 
@@ -42,11 +41,7 @@ class Evaluate:
     #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
     #: policy. Default: the camera that the policy was trained for, known exactly.
     camera: CameraPath | None = None
-    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
-    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
-    robot_model: tuple[RobotModelPath, ...] = ()
-    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: evaluate --env.help.
-    env: FieldOptions = ()
+    task: TaskOptions = field(default_factory=TaskOptions)  #: What is changed of the task.
     json: bool = False  #: Print all metrics as one JSON object.
     #: File that gets the same JSON object, all of it or nothing.
     out: Annotated[Path, OutputFile()] | None = None
@@ -71,14 +66,14 @@ class Evaluate:
             trials=self.trials,
             seed=self.seed,
             device=device,
-            task=EvaluatedTask(options=self.env, command="evaluate", robot_model=self.robot_model)(task),
+            task=self.task.change(task, "evaluate"),
         )
         files = {"dynamics": self.dynamics, "camera": self.camera}
         source = {
             "policy": str(self.policy or "shipped"),
             "policy_sha256": fingerprint(self.policy),
             **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
-            "robot_model_sha256": [sha256(file) for file in self.robot_model],
+            "robot_model_sha256": [sha256(file) for file in self.task.robot_model],
         }
         for remark in camera_remark(policy, cfg.task):
             say(remark)

@@ -6,10 +6,10 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import CameraPath, Count, DynamicsPath, FilmPath, RobotModelPath, Seed
+from pixel2catch.checks import CameraPath, Count, DynamicsPath, FilmPath, Seed
 from pixel2catch.cli.console import say
 from pixel2catch.cli.device import prepare
-from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
@@ -42,11 +42,7 @@ class Play:
     #: one in ~/.cache/robot_descriptions/mujoco_menagerie. Default: shapes of our own.
     meshes: Path | None = None
     layout: Literal["grid", "sequence"] = "grid"  #: Whether throws are shown side by side or one by one.
-    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
-    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
-    robot_model: tuple[RobotModelPath, ...] = ()
-    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: play --env.help.
-    env: FieldOptions = ()
+    task: TaskOptions = field(default_factory=TaskOptions)  #: What is changed of the task.
 
     def run(self) -> None:
         """Throw, draw and write; or serve the page."""
@@ -65,7 +61,7 @@ class Play:
         find_gl_backend()
         policy, method = load_policy(self.policy)
         task = task_of(policy, dynamics=self.dynamics, camera=self.camera)
-        task = EvaluatedTask(options=self.env, command="play", robot_model=self.robot_model)(task)
+        task = self.task.change(task, "play")
         for remark in camera_remark(policy, task):
             say(remark)
         cfg = EvaluationCfg(
@@ -88,7 +84,7 @@ class Play:
 
     def _serve(self) -> None:
         """Serve the page until Ctrl-C; it takes no robot model."""
-        if self.robot_model:
+        if self.task.robot_model:
             raise InvalidValueError("--web has the robot of this package alone; leave out --robot-model.")
         from pixel2catch.viewer.config import PlayCfg
 

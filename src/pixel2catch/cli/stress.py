@@ -8,7 +8,7 @@ from tyro.conf import Positional
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
 from pixel2catch.cli.console import progress_bar, say
 from pixel2catch.cli.device import prepare
-from pixel2catch.cli.fields import FieldOptions, with_changes
+from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.evaluation.cluster import Cluster
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
@@ -32,9 +32,9 @@ class Stress:
     jobs: Count = 1
     cluster: Cluster = field(default_factory=Cluster)  #: Where the results are computed.
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
-    #: Any field of the task, before it is disturbed, also as --env.throws.peak-z 1.5 1.9. All fields: stress
-    #: --env.help.
-    env: FieldOptions = ()
+    task: TaskOptions = field(
+        default_factory=TaskOptions
+    )  #: What is changed of the task, before it is disturbed.
     out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
     json: bool = False  #: Print the table as one JSON object.
 
@@ -49,7 +49,7 @@ class Stress:
         from pixel2catch.scene.scene import SceneCfg
 
         executor = self.cluster.executor(self.out)
-        settings = tuple(with_changes(each, "stress", self.env) for each in select_settings(self.axes))
+        settings = tuple(self.task.beneath(each, "stress") for each in select_settings(self.axes))
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,

@@ -1,14 +1,14 @@
 """`pixel2catch transfer`: policies in the physics of engines that they were not trained in."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, RobotModelPath, Seed, Within
+from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, Seed, Within
 from pixel2catch.cli.console import progress_bar, say
-from pixel2catch.cli.fields import FieldOptions, with_changes
+from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text
 from pixel2catch.progress import duration
@@ -40,11 +40,7 @@ class Transfer:
     seed: Seed = 0  #: Seed of everything that is drawn.
     jobs: Count = 1  #: Rounds of 20 throws that are tried at once, each in a process with one thread.
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
-    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
-    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
-    robot_model: tuple[RobotModelPath, ...] = ()
-    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: transfer --env.help.
-    env: FieldOptions = ()
+    task: TaskOptions = field(default_factory=TaskOptions)  #: What is changed of the task.
     out: ResultsFolder = Path("transfer")  #: Folder of the results; other throws need another one.
     json: bool = False  #: Print the table as one JSON object.
 
@@ -66,7 +62,7 @@ class Transfer:
         whole = self._evaluation()
         cfg, num_rounds = replace(whole, trials=1), whole.trials
         settings = transfer_settings(self.engines, self.restitution)
-        settings = tuple(with_changes(each, "transfer", self.env, self.robot_model) for each in settings)
+        settings = tuple(self.task.beneath(each, "transfer") for each in settings)
         policies = find_policies(self.policies or (policy_folder(None),))
         cells = plan_results(policies, settings, self.out)
         results = rounds_of(cells, num_rounds)
