@@ -1,6 +1,5 @@
 """`pixel2catch identify`: from recorded motion to the simulator's joint dynamics."""
 
-import shlex
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -94,9 +93,7 @@ class Identify:
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
-            now = circumstances()
-            command = shlex.join(["pixel2catch", *now["command"][1:]])
-            content = write_report(self.out, result, now | {"command": command})
+            content = write_report(self.out, result, circumstances())
         if self.json:
             print(json_text(content), end="")
         else:

@@ -115,7 +115,7 @@ def evaluation_page(
             element("h2", "What they look like") + element("p", STRIPS_NOTE if films else NO_FILMS),
             *(picture(film, "webp", _kind(outcome, throws)) for outcome, film in films.items()),
             element("h2", "What was run"),
-            f"<p>{element('code', ' '.join(when['command']))}</p>",
+            f"<p>{element('code', when['command'])}</p>",
             listing([*circumstances_lines(when), f"policy {result.get('policy_sha256', 'unknown')}"]),
             folded("Configuration", settings),
         ],
