@@ -34,7 +34,7 @@ from pixel2catch.identification.report_tables import (
     ratios_grid,
     whole_checks_grid,
 )
-from pixel2catch.offline_page import box, circumstances_lines, element, listing, page, picture, table
+from pixel2catch.offline_page import box, element, listing, page, picture, section, table, what_was_run
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files
@@ -99,17 +99,20 @@ def report_page(result: Identification, circumstances: Mapping[str, Any]) -> str
     title, ratio = f"System identification: {result.start.robot}", ratios_grid(result.fit)
     open_ends = listing(open_questions(result.fit)) or element("p", "Every direction is identified.")
     parts = [
-        element("h1", title),
         *_summary(result),
         _section(errors_grid(result), TRACKING),
         _section(parameters_grid(result)),
         _section(ratio) if ratio.rows else "",
-        element("h2", "What is not identified") + open_ends,
+        section("What is not identified", "", open_ends),
         _section(ranges_grid(result), RANDOMISATION),
-        *_pictures(result),
+        _pictures(result),
         _section(whole_checks_grid(result.motions)),
         *(_section(joint_checks_grid(motion), tag="h3") for motion in result.motions),
-        *_circumstances(result, circumstances),
+        what_was_run(
+            circumstances,
+            f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
+            *(f"{each.recording.name}: {_kind(each)}" for each in result.motions),
+        ),
     ]
     return page(title, parts)
 
@@ -137,10 +140,13 @@ def _summary(result: Identification) -> Iterable[str]:
     return [box(text, verdict) for text, verdict in texts.items()]
 
 
-def _pictures(result: Identification) -> list[str]:
+def _kind(motion: Motion) -> str:
+    return "held out" if motion.is_held_out else "fitted"
+
+
+def _pictures(result: Identification) -> str:
     """The motion that was held out, or the last if none was, joint by joint."""
     shown = (result.of(is_held_out=True) or result.motions)[-1]
-    kind = "held out" if shown.is_held_out else "fitted"
     key = "".join(f'<span style="background: {color}"></span>{name}' for name, color in COLORS.items())
     errors = tracking_errors([shown])
     figures = []
@@ -148,25 +154,12 @@ def _pictures(result: Identification) -> list[str]:
         before, after = (1e3 * errors[name][j] for name in ("before", "after"))
         caption = f"{short(joint)}: {before:.2f} mrad before, {after:.2f} mrad after"
         figures.append(picture(joint_picture(shown, j), "png", caption))
-    title = element("h2", f"Motion: {shown.recording.name} ({kind})")
-    return [title, f'<p class="key">{key}</p>', *figures]
-
-
-def _circumstances(result: Identification, circumstances: Mapping[str, Any]) -> list[str]:
-    lines = [
-        *circumstances_lines(circumstances),
-        f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
-        *(
-            f"{motion.recording.name}: {'held out' if motion.is_held_out else 'fitted'}"
-            for motion in result.motions
-        ),
-    ]
-    command = f"<p>{element('code', circumstances['command'])}</p>"
-    return [element("h2", "What was run"), command, listing(lines)]
+    title = f"Motion: {shown.recording.name} ({_kind(shown)})"
+    return section(title, "", f'<p class="key">{key}</p>', *figures)
 
 
 def _section(grid: Grid, text: str = "", tag: str = "h2") -> str:
-    return element(tag, grid.title) + (element("p", text) if text else "") + table(grid.columns, grid.rows)
+    return section(grid.title, text, table(grid.columns, grid.rows), tag=tag)
 
 
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:

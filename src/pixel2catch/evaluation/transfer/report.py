@@ -80,31 +80,29 @@ def as_markdown(table: Json) -> str:
     """Rates in percent with their 95 % intervals, differences from home, and how throws failed."""
     lines = ["# Transfer"]
     for title, text, rows in _sections(table):
-        lines += [f"## {title}"] * bool(title) + [text, markdown(rows, num_text_columns=3)]
+        lines += [f"## {title}", text, markdown(rows, num_text_columns=3)]
     return "\n\n".join(lines)
 
 
 def as_page(table: Json, image: bytes, when: Json) -> str:
     """The same as one HTML page that opens offline, with the picture."""
-    parts = [offline_page.element("h1", "Transfer")]
-    for title, text, rows in _sections(table):
-        cells = [[offline_page.Cell(cell) for cell in row.values()] for row in rows]
-        parts += [offline_page.element("h2", title)] * bool(title)
-        parts += [offline_page.element("p", text), offline_page.table(list(rows[0]), cells)]
-    parts.insert(2, offline_page.picture(image, "png", "S.R. [%] and its difference from home in points"))
-    lines = offline_page.circumstances_lines(when)
-    return offline_page.page("Transfer", [*parts, offline_page.listing(lines)])
+    parts = [
+        offline_page.picture(image, "png", "S.R. [%] and its difference from home in points"),
+        *(offline_page.section(*words, offline_page.plain_table(rows)) for *words, rows in _sections(table)),
+        offline_page.what_was_run(when),
+    ]
+    return offline_page.page("Transfer", parts)
 
 
 def _sections(table: Json) -> Iterator[tuple[str, str, list[Cells]]]:
-    """Title, text and rows of each part of the report; the first has no title."""
+    """Title, text and rows of each part of the report."""
     rows = sorted(table["cells"], key=lambda cell: _order(table, cell))
     head = (
         f"{rows[0]['throws']} throws each, the same in all engines; home is {table['home']}. Rates in % with "
         "their 95 % interval; the difference of S.R. in points with its 95 % interval, the throws that were "
         "lost and won by it, and the p value of McNemar's exact test. Failures in % of the throws."
     )
-    yield "", head, [_row(cell) for cell in rows]
+    yield "Engine by engine", head, [_row(cell) for cell in rows]
     if table["orders"]:
         yield "Beside the real robot", REAL_ORDER, _order_rows(table)
 
