@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from pixel2catch.checks import RobotModelPath
+from pixel2catch.checks import CameraPath, DynamicsPath, RobotModelPath
+from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
     from pixel2catch.evaluation.stress.suite import Change, Setting
+    from pixel2catch.policy import LoadedPolicy
 
 FieldOptions = Annotated[
     tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]], tyro.conf.arg(metavar="FIELD VALUE ...")
@@ -71,6 +73,27 @@ class TaskOptions:
             return setting
         change = partial(_disturbed, self, command, setting.level.change)
         return dataclasses.replace(setting, level=dataclasses.replace(setting.level, change=change))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SimulatedTask(TaskOptions):
+    """What is simulated."""
+
+    #: Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal robot, also
+    #: for a policy that was trained with a dynamics file.
+    dynamics: DynamicsPath | None = None
+    #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
+    #: policy. Default: the camera that the policy was trained for, known exactly.
+    camera: CameraPath | None = None
+
+    def make(self, policy: "LoadedPolicy", command: str, physics_hz: float = 600.0) -> "CatchEnvCfg":
+        """The task in which a policy of a command is to catch; what its camera means is said."""
+        from pixel2catch.evaluation.loading import camera_remark, task_of
+
+        task = self.change(task_of(policy, physics_hz, self.dynamics, self.camera), command)
+        for remark in camera_remark(policy, task):
+            say(remark)
+        return task
 
 
 def _disturbed(options: TaskOptions, command: str, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
