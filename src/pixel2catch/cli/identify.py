@@ -128,10 +128,10 @@ class Identify:
 
         if not self.recordings:
             raise InvalidValueError("there is no recording; give at least one.")
-        part, names, found = self.robot or workcell.name, self._names(workcell), []
+        names, found = self._names(workcell), []
         for path in self.recordings:
             report(f"reading {path}")
-            recording = read_recording(path, part, names, workcell, is_partial=self.check)
+            recording = read_recording(path, self.robot, names, workcell, is_partial=self.check)
             found.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
         return found
 
@@ -146,7 +146,7 @@ class Identify:
 
         if self.command_topic or self.rename:
             raise InvalidValueError("--profile says what --command-topic and --rename do; leave them out.")
-        return Names.of(Profile.load(self.profile), joints_of(workcell, self.robot or workcell.name))
+        return Names.of(Profile.load(self.profile), joints_of(workcell, self.robot))
 
 
 def _print_checks(found: "Sequence[tuple[Recording, Sequence[Check]]]") -> None:

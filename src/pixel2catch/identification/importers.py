@@ -138,13 +138,13 @@ def _require_once(option: str, names: Sequence[str]) -> None:
 
 def read_recording(
     path: Path,
-    part: str,
+    part: str | None,
     names: Names | None = None,
     workcell: WorkcellSpec = UR5E_ALLEGRO,
     *,
     is_partial: bool = False,
 ) -> Recording:
-    """Read the motion of a work cell's part, in joint order; what the file or folder is chooses the reader.
+    """Read the motion of a part, or of all, in joint order; what the file or folder is chooses the reader.
 
     A partial recording needs no more than one of the part's joints.
 
