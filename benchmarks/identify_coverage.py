@@ -15,7 +15,7 @@ import numpy as np
 
 from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
 from pixel2catch.identification.fit import LATENCY_UNIT, SERVO_PARAMETERS, Fit, FitCfg, fit_dynamics
-from pixel2catch.identification.identify import CONFIDENCE, half_widths
+from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.recording import Trajectory
 from pixel2catch.identification.rehearsal import RecorderCfg, simulated_recordings, unlike_nominal
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -68,7 +68,7 @@ def standard_scores(seed: int, truth_hz: float) -> np.ndarray:
     cfg = RecorderCfg(physics_hz=truth_hz)
     recordings = simulated_recordings([excitation(seed)], truth, cfg, np.random.default_rng((seed, 1)))
     fit = fit_dynamics(recordings, JointDynamics.nominal(JOINTS), FitCfg(free=FREE))
-    return errors(fit, truth) / (half_widths(fit) / CONFIDENCE)
+    return errors(fit, truth) / np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
 
 
 def excitation(seed: int) -> Trajectory:

@@ -21,7 +21,7 @@ from independent_robot import GEARS, JOINTS, Faults, Robot
 
 from pixel2catch.identification.excitation import ExcitationCfg, draw_excitation
 from pixel2catch.identification.fit import LATENCY_UNIT, FitCfg, fit_dynamics
-from pixel2catch.identification.identify import half_widths, ratios
+from pixel2catch.identification.identify import estimates
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.report_tables import UNKNOWN_WIDTH
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -94,19 +94,16 @@ def judged(robot: Robot, j: int, recordings: list[Recording]) -> dict[str, Row]:
     truth = {name: getattr(robot, name)[j] for name in ("stiffness", "frictionloss", "armature", "latency")}
     truth["damping"] = robot.felt_damping[j]
     rows: dict[str, Row] = {}
-    for name, width in zip(fit.free, half_widths(fit)[0], strict=True):
-        value = getattr(fit.dynamics, name)[0]
+    for name, found in estimates(fit).items():
+        value, width = found.value[0], found.half_width[0]
+        above, _, below = name.partition(" / ")
+        true = truth[above] / truth[below] if below else truth[above]
         if name == "latency":
-            rows[name] = row(value - truth[name], LATENCY_UNIT * width)
+            rows[name] = row(value - true, LATENCY_UNIT * width)
         else:
-            error = float(np.log(value / truth[name]))
-            rest = np.log(robot.faults.stribeck) if name == "frictionloss" else 0.0
+            error = float(np.log(value / true))
+            rest = np.log(robot.faults.stribeck) if name in ("frictionloss", FRICTION) else 0.0
             rows[name] = row(error, width, rest) | {"is known": float(width < UNKNOWN_WIDTH)}
-    for ratio in ratios(fit):
-        above, below = ratio.name.split(" / ")
-        error, width = float(np.log(ratio.value[0] * truth[below] / truth[above])), ratio.half_width[0]
-        rest = np.log(robot.faults.stribeck) if ratio.name == FRICTION else 0.0
-        rows[ratio.name] = row(error, width, rest) | {"is known": float(width < UNKNOWN_WIDTH)}
     play = robot.faults.play * GEARS[JOINTS[robot.names[j]][-1]][1]
     rows["play"] = row(fit.encoders.play[0] - play, 1.96 * fit.encoder_deviations.play[0])
     for drift, deviation in zip(fit.encoders.drift[:, 0], fit.encoder_deviations.drift[:, 0], strict=True):

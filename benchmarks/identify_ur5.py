@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from ur5_recordings import read_ur5
 
-from pixel2catch.identification.fit import FitCfg, fit_dynamics
-from pixel2catch.identification.identify import half_widths, stiff
+from pixel2catch.identification.fit import Fit, FitCfg, fit_dynamics
+from pixel2catch.identification.identify import estimates, stiff
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import RecordedMotion, is_settled
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -57,7 +57,7 @@ def main() -> None:
         for name, row in rows.items():
             print(f"{group:<16} {name:<16}" + "".join(f"{1e3 * error:8.2f}" for error in row))
     print("\njoint                damping/stiffness [ms]     latency [ms], with half of their 95 % intervals")
-    for joint, row in zip(fit.dynamics.joints, parameters(fit.dynamics, half_widths(fit)), strict=True):
+    for joint, row in zip(fit.dynamics.joints, parameters(fit), strict=True):
         print(f"{joint:<20} {row[0]:10.2f} ± {row[1]:.2f} {row[2]:16.2f} ± {row[3]:.2f}")
     if args.out:
         content = {
@@ -86,10 +86,12 @@ def tracking_error(recording: Recording, dynamics: JointDynamics) -> np.ndarray:
     return np.sqrt(np.mean((simulated - motion.measured) ** 2, axis=0))
 
 
-def parameters(dynamics: JointDynamics, widths: np.ndarray) -> np.ndarray:
+def parameters(fit: Fit) -> np.ndarray:
     """Lag, its interval, latency, its interval [ms], joint by joint."""
-    lag = 1e3 * dynamics.damping / dynamics.stiffness
-    return np.stack([lag, lag * widths[:, 0], 1e3 * dynamics.latency, 10 * widths[:, 1]], axis=-1)
+    damping, latency = (estimates(fit)[name] for name in ("damping", "latency"))
+    lag = 1e3 * damping.value / fit.dynamics.stiffness
+    columns = [lag, lag * damping.half_width, 1e3 * latency.value, 10 * latency.half_width]
+    return np.stack(columns, axis=-1)
 
 
 if __name__ == "__main__":

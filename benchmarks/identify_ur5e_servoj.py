@@ -18,7 +18,7 @@ from identify_ur5 import target_error, tracking_error
 
 from pixel2catch.identification.checks import check_recording, excess_time
 from pixel2catch.identification.fit import FILTER_PARAMETERS, LATENCY_UNIT, FitCfg, fit_dynamics
-from pixel2catch.identification.identify import half_widths, stiff
+from pixel2catch.identification.identify import estimates, stiff
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.tables import read_table
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -46,8 +46,8 @@ def main() -> None:
         nominal = stiff(JointDynamics.nominal((joint,)))
         start = nominal.with_values(filter_gain=[args.gain], filter_lookahead=[args.lookahead])
         fit = fit_dynamics([fitted], start, FitCfg(free=FILTER_PARAMETERS))
-        for name, width in zip(fit.free, half_widths(fit)[0], strict=True):
-            value = getattr(fit.dynamics, name)[0]
+        for name, found in estimates(fit).items():
+            value, width = found.value[0], found.half_width[0]
             half = LATENCY_UNIT * width if name == "latency" else value * width
             print(f"  {name} {value:.4g} ± {half:.2g}")
         errors = (

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.files import read_bytes
+from pixel2catch.files import read_bytes, require_free_file, write_atomically
 
 MOST_NUMBERS = 2**24
 """Numbers in all arrays of a file: 20 minutes of an arm at 500 Hz, 128 MiB. Source: ours."""
@@ -48,6 +48,18 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
     if sum(array.size for array in arrays.values()) > MOST_NUMBERS:
         raise InvalidValueError(f"it has more than {MOST_NUMBERS:,} numbers; cut it")
     return arrays
+
+
+def write_arrays(path: Path, **arrays: np.ndarray) -> None:
+    """Write arrays to a new .npz file.
+
+    Raises:
+        InvalidValueError: If it exists; nothing is overwritten.
+    """
+    require_free_file(path)
+    buffer = BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    write_atomically({path: buffer.getvalue()})
 
 
 def open_archive(data: bytes, most: int) -> ZipFile:

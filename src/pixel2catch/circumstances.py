@@ -4,6 +4,7 @@ import datetime
 import importlib.metadata
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,7 @@ def circumstances() -> dict[str, Any]:
 
     return {
         "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "command": sys.argv,
+        "command": shlex.join(["pixel2catch", *sys.argv[1:]]),
         "git_revision": _git_revision(),
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in PACKAGES},

@@ -50,15 +50,20 @@ class Cell(NamedTuple):
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """The whole page."""
+    """The whole page, with its title above its parts."""
     head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style>'
-    body = "\n".join(parts)
+    body = "\n".join((element("h1", title), *parts))
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}\n</body>\n</html>\n'
 
 
 def element(tag: str, text: str) -> str:
     """Text in an element."""
     return f"<{tag}>{escape(text)}</{tag}>"
+
+
+def section(title: str, text: str, *parts: str, tag: str = "h2") -> str:
+    """Parts under a heading, below a text if there is one."""
+    return "\n".join((element(tag, title), *([element("p", text)] if text else ()), *parts))
 
 
 def listing(texts: Sequence[str]) -> str:
@@ -91,11 +96,23 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
     return f'<div class="scroll">{content}</div>'
 
 
+def plain_table(rows: Sequence[Mapping[str, str]]) -> str:
+    """A table of texts by column; the first row has all columns."""
+    columns = list(rows[0])
+    return table(columns, [[Cell(row.get(column, "")) for column in columns] for row in rows])
+
+
 def picture(data: bytes, kind: str, caption: str) -> str:
     """A picture of a kind such as png, below its caption."""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     caption = escape(caption)
     return f'<figure><figcaption>{caption}</figcaption><img alt="{caption}" src="{source}"></figure>'
+
+
+def what_was_run(circumstances: Mapping[str, Any], *lines: str) -> str:
+    """The section that says how, when, where and with which versions a result came about, and what else."""
+    command = f"<p>{element('code', circumstances['command'])}</p>"
+    return section("What was run", "", command, listing([*circumstances_lines(circumstances), *lines]))
 
 
 def circumstances_lines(circumstances: Mapping[str, Any]) -> list[str]:

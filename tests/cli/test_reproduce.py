@@ -85,7 +85,7 @@ def test_the_same_command_goes_on(study: Study):
     run = study.folder / "runs" / RUN
     summary = read(run / "summary.json")
     assert (summary["status"], summary["transitions"]) == ("finished", 320)
-    commands = [" ".join(session["command"]) for session in json.loads((run / "sessions.json").read_text())]
+    commands = [session["command"] for session in json.loads((run / "sessions.json").read_text())]
     assert ["--resume" in command for command in commands] == [False, True]
     assert read(run / "config.json")["env"]["throws"]["hover_steps"] == [5, 6]
     assert len(read(study.folder / "study.json")["sessions"]) == 2

@@ -9,7 +9,7 @@ from known_truth import NOISE, record, tracking_error
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.identification.encoders import behind_play
 from pixel2catch.identification.fit import FILTER_PARAMETERS, FitCfg, correlation_time, fit_dynamics
-from pixel2catch.identification.identify import half_widths, ratios
+from pixel2catch.identification.identify import LAG, estimates
 from pixel2catch.identification.rehearsal import unlike_nominal
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
@@ -32,12 +32,11 @@ def test_servo_is_recovered(truth_dt: float):
     assert (tracking_error([held_out], nominal, DT) > 10 * NOISE).all()
     best = tracking_error([held_out], truth, DT)  # beyond noise: a joint sticks where noise says it began
     assert (tracking_error([held_out], found, DT) < 1.2 * best).all()
-    widths = dict(zip(fit.free, half_widths(fit).T, strict=True))
+    known = estimates(fit)
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         error = np.abs(np.log(getattr(found, name) / getattr(truth, name)))
-        assert (error < 2.0 * widths[name] + 0.02).all(), name
-    lag, *_ = ratios(fit)
-    assert (lag.half_width < 0.02).all()
+        assert (error < 2.0 * known[name].half_width + 0.02).all(), name
+    assert (known[LAG].half_width < 0.02).all()
 
 
 def test_command_filter_is_recovered():

@@ -76,7 +76,7 @@ def test_errors_are_those_of_all_motions_together():
     recording = replace(short(), q=short().q * 0.0, q_cmd=short().q_cmd * 0.0 + 0.005)
     source = CheckedRecording(recording=recording, checks=(), is_held_out=False)
     motions = [
-        Motion(source=source, before=np.full((8, 6), 2 * error), after=np.full((8, 6), error))
+        Motion(**vars(source), before=np.full((8, 6), 2 * error), after=np.full((8, 6), error))
         for error in (1e-3, -3e-3)
     ]
     errors = tracking_errors(motions)

@@ -5,7 +5,7 @@ import pytest
 
 from pixel2catch.identification.encoders import Encoders
 from pixel2catch.identification.fit import SERVO_PARAMETERS, Fit
-from pixel2catch.identification.identify import gain_ranges, half_widths, ratios
+from pixel2catch.identification.identify import LAG, RATIOS, estimates, gain_ranges
 from pixel2catch.identification.intervals import model_covariance
 from pixel2catch.identification.report_tables import weak_directions
 from pixel2catch.mdp.randomization import GainRanges
@@ -42,7 +42,8 @@ def fit_with(*directions: np.ndarray) -> Fit:
 def test_well_known_joints_have_no_weak_direction():
     fit = fit_with(0.0 * SCALE, 0.0 * SCALE)
     assert weak_directions(fit) == ()
-    np.testing.assert_allclose(half_widths(fit), 0.0196)
+    known = estimates(fit)
+    np.testing.assert_allclose([known[name].half_width for name in fit.free], 0.0196)
 
 
 def test_common_scale_is_named_and_its_ratios_are_known():
@@ -54,8 +55,7 @@ def test_common_scale_is_named_and_its_ratios_are_known():
     assert weak.half_width == pytest.approx(1.96 * 0.8, rel=1e-3)
     assert "share one scale: only their ratios are known" in weak.meaning
     assert "fix stiffness" in weak.proposal
-    lag = ratios(fit)[0]
-    assert lag.name == "damping / stiffness"
+    lag = estimates(fit)[LAG]
     assert lag.value[1] == pytest.approx(202.0 / 2066.0)
     np.testing.assert_allclose(lag.half_width, 1.96 * 0.01 * np.sqrt(2))
 
@@ -74,7 +74,8 @@ def test_lone_and_opposed_parameters_are_named():
 
 
 def test_parameters_that_were_not_fitted_have_no_ratio():
-    assert ratios(fit_of(fit_with(SCALE).covariance[:, 4:, 4:], ("latency",))) == ()
+    known = estimates(fit_of(fit_with(SCALE).covariance[:, 4:, 4:], ("latency",)))
+    assert not known.keys() & RATIOS.keys()
 
 
 PAPER = GainRanges().of(UR5E_ALLEGRO)

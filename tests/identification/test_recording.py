@@ -9,7 +9,7 @@ import pytest
 from recorded import ARM, ROBOTS, assert_same, short
 
 from paper_robot import JOINTS
-from pixel2catch.errors import Pixel2CatchError, RecordingError, UnknownNameError
+from pixel2catch.errors import InvalidValueError, Pixel2CatchError, RecordingError, UnknownNameError
 from pixel2catch.identification.importers import read_recording
 from pixel2catch.identification.recording import Place, Recording, require_motion
 
@@ -36,7 +36,7 @@ def test_canonical_file_keeps_every_bit(tmp_path: Path):
 def test_saving_overwrites_nothing(tmp_path: Path):
     path = tmp_path / "motion.npz"
     path.write_bytes(b"precious")
-    with pytest.raises(RecordingError, match="exists; choose another name"):
+    with pytest.raises(InvalidValueError, match="exists; choose another name"):
         short().save(path)
     assert path.read_bytes() == b"precious"
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pixel2catch.cli.fields import EvaluatedTask
+from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.cli.main import main
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import InvalidValueError
@@ -151,7 +151,7 @@ def test_commands_take_makers_models(
     assert main(["scene", str(tmp_path / "scene.xml"), *files]) == 0
     assert "| wrist_3_link | 365.0 | 365.0 | 0.0 | 0.0 | 0.0 |" in capsys.readouterr().out
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml")).nu == len(WORKCELL.joints)
-    task = EvaluatedTask(options=(), command="evaluate", robot_model=(arm, hand))(CatchEnvCfg())
+    task = TaskOptions(robot_model=(arm, hand)).change(CatchEnvCfg(), "evaluate")
     assert task == replace(CatchEnvCfg(), scene=SceneCfg(robot_model=(str(arm), str(hand))))
     assert main(["play", "--web", *files]) == 2
     assert "leave out --robot-model" in capsys.readouterr().err

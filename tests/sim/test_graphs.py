@@ -45,3 +45,26 @@ def test_a_recording_draws_anew_from_its_generator() -> None:
         graphed = GraphedFunction(draw, device=torch.device("cuda"), num_eager_calls=1, generator=generator)
         draws = torch.stack([graphed(torch.zeros(4, device="cuda")).clone() for _ in range(4)])
         assert len(draws.unique(dim=0)) == 4
+
+
+def test_recordings_replayed_side_by_side_compute_what_each_does_alone() -> None:
+    """Products over many rows, as gradients are, for which cuBLAS may need its workspace."""
+    streams = [torch.cuda.Stream() for _ in range(4)]
+    pairs = [(torch.randn(8192, 256, device="cuda"), torch.randn(8192, 128, device="cuda")) for _ in streams]
+
+    def product(left: Tensor, right: Tensor) -> Tensor:
+        return torch.stack([left.T @ right for _ in range(10)])
+
+    graphed = [GraphedFunction(product, device=torch.device("cuda"), num_eager_calls=1) for _ in streams]
+    for each, pair in zip(graphed, pairs, strict=True):
+        each(*pair)
+    alone = [each(*pair).clone() for each, pair in zip(graphed, pairs, strict=True)]
+    for _ in range(20):
+        torch.cuda.synchronize()
+        results = []
+        for each, pair, stream in zip(graphed, pairs, streams, strict=True):
+            with torch.cuda.stream(stream):
+                results.append(each(*pair))
+        torch.cuda.synchronize()
+        for result, expected in zip(results, alone, strict=True):
+            torch.testing.assert_close(result, expected, rtol=0.0, atol=0.0)

@@ -75,9 +75,7 @@ class Bench:
                 )
                 for device, num_envs in itertools.product(devices, sorted(self.num_envs))
             ]
-        when = circumstances()
-        when["command"] = " ".join(("pixel2catch", *when["command"][1:]))
-        result = when | {"load_average_before": load, "policy": folder.name, "results": rows}
+        result = circumstances() | {"load_average_before": load, "policy": folder.name, "results": rows}
         if self.json:
             print(json_text(result), end="")
         else:

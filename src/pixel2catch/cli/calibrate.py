@@ -16,7 +16,7 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from pixel2catch.checks import InputFile, NewFolder, OutputFile, Positive, Within
-from pixel2catch.cli.console import results_console, say
+from pixel2catch.cli.console import results_console, say, saying_changes
 from pixel2catch.cli.link import Network
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text, write_atomically
@@ -157,7 +157,7 @@ class Calibrate:
 
         from pixel2catch.robots.geometry import first_chain
 
-        chain, said = first_chain(workcell), ""
+        chain, hear = first_chain(workcell), saying_changes()
         with StopRequest() as stop:
             for frame in frames:
                 if stop.is_set:
@@ -168,9 +168,7 @@ class Calibrate:
                         links = chain.link_poses(torch.from_numpy(frame.joint_pos)[None])
                         palm = Rotation.from_matrix(links[0, -1, :3, :3].numpy())
                     words = capture.look(frame, palm)
-                if words != said:
-                    said = words
-                    say(words)
+                hear(words)
                 if capture.is_done:
                     break
 
@@ -283,9 +281,7 @@ def _print_result(
         content |= {"views": [asdict(view) for view in result.views], "comparison": asdict(comparison)}
         print(json_text(content | {"board": result.board}), end="")
         return
-    table = Table(title="seen and computed corners")
-    for column in ("image", "RMS [px]", "used"):
-        table.add_column(column)
+    table = Table("image", "RMS [px]", "used", title="seen and computed corners")
     for view in sorted(result.views, key=lambda view: -view.rms):
         table.add_row(Text(view.name), f"{view.rms:.2f}", "yes" if view.is_used else "left out")
     console = results_console()

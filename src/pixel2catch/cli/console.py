@@ -33,6 +33,19 @@ def progress_bar(name: str) -> ProgressBar:
     return ProgressBar(name, 1.0, console=Console(stderr=True, highlight=False))
 
 
+def saying_changes() -> Callable[..., None]:
+    """What says a line where it is not the one before, behind a time [s] if it is given one."""
+    said = ""
+
+    def hear(line: str, time: float | None = None) -> None:
+        nonlocal said
+        if line != said:
+            said = line
+            say(line if time is None else f"{time:7.1f} s  {line}")
+
+    return hear
+
+
 def say_on_terminal(text: str) -> None:
     """Print a line for somebody who looks at it; nothing into files and pipes."""
     if sys.stderr.isatty():

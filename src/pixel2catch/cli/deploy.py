@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from pixel2catch.checks import NewFolder, Positive
-from pixel2catch.cli.console import say
+from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Link
 from pixel2catch.files import json_text
 from pixel2catch.installation import needs_extra
@@ -114,15 +114,13 @@ class Deploy:
 
         gc.collect()
         gc.freeze()  # what there is now stays: it need not be looked through again and again
-        begin, said = clock.now(), ""
+        begin, hear = clock.now(), saying_changes()
 
         def report(status: dict[str, Any]) -> None:
-            nonlocal said
             if self.json:
                 print(json_text(status, indent=None), end="", flush=True)
-            elif (line := sentence(status)) != said:
-                said = line
-                say(f"{clock.now() - begin:7.1f} s  {line}")
+            else:
+                hear(sentence(status), clock.now() - begin)
 
         with StopRequest() as stop:
             end = begin + (inf if self.seconds is None else self.seconds)

@@ -1,24 +1,15 @@
 """`pixel2catch evaluate`: how often a policy catches."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import (
-    CameraPath,
-    Count,
-    Device,
-    DynamicsPath,
-    OutputFile,
-    PhysicsRate,
-    RobotModelPath,
-    Seed,
-)
+from pixel2catch.checks import Count, Device, OutputFile, PhysicsRate, Seed
 from pixel2catch.cli.console import evaluating, results_console, say
 from pixel2catch.cli.device import prepare
-from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
 
@@ -36,17 +27,7 @@ class Evaluate:
     seed: Seed = 0  #: Seed of everything that is drawn.
     device: Device = "cpu"  #: Where to simulate: cpu, cuda, cuda:1, ...
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second; training's default is the paper's 120.
-    #: Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal robot, also
-    #: for a policy that was trained with a dynamics file.
-    dynamics: DynamicsPath | None = None
-    #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
-    #: policy. Default: the camera that the policy was trained for, known exactly.
-    camera: CameraPath | None = None
-    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
-    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
-    robot_model: tuple[RobotModelPath, ...] = ()
-    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: evaluate --env.help.
-    env: FieldOptions = ()
+    task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
     json: bool = False  #: Print all metrics as one JSON object.
     #: File that gets the same JSON object, all of it or nothing.
     out: Annotated[Path, OutputFile()] | None = None
@@ -55,7 +36,7 @@ class Evaluate:
 
     def run(self) -> None:
         """Evaluate and print."""
-        from pixel2catch.evaluation.loading import camera_remark, fingerprint, load_policy, sha256, task_of
+        from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
         from pixel2catch.evaluation.report import result_tables, write_files
@@ -64,24 +45,21 @@ class Evaluate:
 
         device = prepare(self.device)
         policy, method = load_policy(self.policy, device)
-        task = task_of(policy, self.physics_hz, self.dynamics, self.camera)
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
             trials=self.trials,
             seed=self.seed,
             device=device,
-            task=EvaluatedTask(options=self.env, command="evaluate", robot_model=self.robot_model)(task),
+            task=self.task.make(policy, "evaluate", self.physics_hz),
         )
-        files = {"dynamics": self.dynamics, "camera": self.camera}
+        files = {"dynamics": self.task.dynamics, "camera": self.task.camera}
         source = {
             "policy": str(self.policy or "shipped"),
             "policy_sha256": fingerprint(self.policy),
             **{f"{name}_sha256": sha256(file) if file else None for name, file in files.items()},
-            "robot_model_sha256": [sha256(file) for file in self.robot_model],
+            "robot_model_sha256": [sha256(file) for file in self.task.robot_model],
         }
-        for remark in camera_remark(policy, cfg.task):
-            say(remark)
         collection = ThrowCollection()
         on_throws = collection.add if self.html else None
         with evaluating(" ".join(self.objects)) as watch:

@@ -108,7 +108,7 @@ class Excite:
         from pixel2catch.mdp.dynamics_file import DynamicsFile
         from pixel2catch.robots.joint_dynamics import JointDynamics
 
-        joints = joints_of(workcell, self.robot or workcell.name)
+        joints = joints_of(workcell, self.robot)
         nominal = JointDynamics.nominal(specs=workcell.joints)
         return DynamicsFile.load(path, workcell).dynamics.over(nominal).select(joints)
 

@@ -1,17 +1,19 @@
 """Any field of the task on the command line: `--env.sensing.latency-steps 1 3`."""
 
 import dataclasses
-from collections.abc import Callable
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from pixel2catch.checks import CameraPath, DynamicsPath, RobotModelPath
+from pixel2catch.cli.console import say
 from pixel2catch.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from pixel2catch.envs.cfg import CatchEnvCfg
-    from pixel2catch.evaluation.stress.suite import Setting
+    from pixel2catch.evaluation.stress.suite import Change, Setting
+    from pixel2catch.policy import LoadedPolicy
 
 FieldOptions = Annotated[
     tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]], tyro.conf.arg(metavar="FIELD VALUE ...")
@@ -39,38 +41,60 @@ def with_fields(env: "CatchEnvCfg", options: FieldOptions, command: str = "train
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EvaluatedTask:
-    """Changes the task of an evaluation: fields of the command line, then what disturbs it."""
+class TaskOptions:
+    """What is changed of the task of an evaluation."""
 
-    options: FieldOptions  #: The fields and their values.
-    command: str  #: The command, for its help.
-    robot_model: tuple[Path, ...] = ()  #: Makers' models of parts of the robot, if it shall be simulated so.
-    then: "Callable[[CatchEnvCfg], CatchEnvCfg] | None" = None  #: What else changes.
+    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
+    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
+    robot_model: tuple[RobotModelPath, ...] = ()
+    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: --env.help.
+    env: FieldOptions = ()
 
-    def __call__(self, env: "CatchEnvCfg") -> "CatchEnvCfg":
-        """Return the changed task.
+    def change(self, task: "CatchEnvCfg", command: str) -> "CatchEnvCfg":
+        """Return the changed task; the command is named in help and mistakes.
 
         Raises:
             InvalidValueError: If a field is the protocol's.
         """
-        changed = with_fields(env, self.options, self.command)
+        changed = with_fields(task, self.env, command)
         for name in OF_THE_PROTOCOL:
-            if getattr(changed, name) != getattr(env, name):
+            if getattr(changed, name) != getattr(task, name):
                 raise InvalidValueError(
-                    f"--env.{name} is the protocol's to set in '{self.command}'; name objects by --objects."
+                    f"--env.{name} is the protocol's to set in '{command}'; name objects by --objects."
                 )
         if self.robot_model:
             scene = dataclasses.replace(changed.scene, robot_model=tuple(map(str, self.robot_model)))
             changed = dataclasses.replace(changed, scene=scene)
-        return self.then(changed) if self.then else changed
+        return changed
+
+    def beneath(self, setting: "Setting", command: str) -> "Setting":
+        """A setting that disturbs the changed task, if it is changed."""
+        if not self.env and not self.robot_model:
+            return setting
+        change = partial(_disturbed, self, command, setting.level.change)
+        return dataclasses.replace(setting, level=dataclasses.replace(setting.level, change=change))
 
 
-def with_changes(
-    setting: "Setting", command: str, options: FieldOptions, robot_model: tuple[Path, ...] = ()
-) -> "Setting":
-    """A setting of which the task is changed first, if it is: see `EvaluatedTask`."""
-    if not options and not robot_model:
-        return setting
-    then = setting.level.change
-    change = EvaluatedTask(options=options, command=command, robot_model=robot_model, then=then)
-    return dataclasses.replace(setting, level=dataclasses.replace(setting.level, change=change))
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SimulatedTask(TaskOptions):
+    """What is simulated."""
+
+    #: Dynamics file of the robot that is simulated, as `identify` writes it. Default: the nominal robot, also
+    #: for a policy that was trained with a dynamics file.
+    dynamics: DynamicsPath | None = None
+    #: Camera file of the camera that is simulated, as `calibrate` writes it: what that camera would do to the
+    #: policy. Default: the camera that the policy was trained for, known exactly.
+    camera: CameraPath | None = None
+
+    def make(self, policy: "LoadedPolicy", command: str, physics_hz: float = 600.0) -> "CatchEnvCfg":
+        """The task in which a policy of a command is to catch; what its camera means is said."""
+        from pixel2catch.evaluation.loading import camera_remark, task_of
+
+        task = self.change(task_of(policy, physics_hz, self.dynamics, self.camera), command)
+        for remark in camera_remark(policy, task):
+            say(remark)
+        return task
+
+
+def _disturbed(options: TaskOptions, command: str, then: "Change", task: "CatchEnvCfg") -> "CatchEnvCfg":
+    return then(options.change(task, command))

@@ -1,6 +1,5 @@
 """`pixel2catch identify`: from recorded motion to the simulator's joint dynamics."""
 
-import shlex
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -94,9 +93,7 @@ class Identify:
         with working() as report:
             result = identify(sources, start, cfg, report)
             report("drawing the report")
-            now = circumstances()
-            command = shlex.join(["pixel2catch", *now["command"][1:]])
-            content = write_report(self.out, result, now | {"command": command})
+            content = write_report(self.out, result, circumstances())
         if self.json:
             print(json_text(content), end="")
         else:
@@ -131,10 +128,10 @@ class Identify:
 
         if not self.recordings:
             raise InvalidValueError("there is no recording; give at least one.")
-        part, names, found = self.robot or workcell.name, self._names(workcell), []
+        names, found = self._names(workcell), []
         for path in self.recordings:
             report(f"reading {path}")
-            recording = read_recording(path, part, names, workcell, is_partial=self.check)
+            recording = read_recording(path, self.robot, names, workcell, is_partial=self.check)
             found.append(replace(recording, t_cmd=recording.t_cmd + self.shift_commands))
         return found
 
@@ -149,7 +146,7 @@ class Identify:
 
         if self.command_topic or self.rename:
             raise InvalidValueError("--profile says what --command-topic and --rename do; leave them out.")
-        return Names.of(Profile.load(self.profile), joints_of(workcell, self.robot or workcell.name))
+        return Names.of(Profile.load(self.profile), joints_of(workcell, self.robot))
 
 
 def _print_checks(found: "Sequence[tuple[Recording, Sequence[Check]]]") -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from pixel2catch.cli.console import say
+from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.link import Network
 from pixel2catch.deployment.switches import Keys
 from pixel2catch.errors import InvalidValueError
@@ -86,15 +86,13 @@ def _report(page: "OperatorPage | None") -> "Callable[[list[Press], dict[str, An
     """What says when something changes, and makes a page current."""
     from pixel2catch.deployment.status_words import sentence
 
-    said = ""
+    hear = saying_changes()
 
     def report(presses: "list[Press]", status: dict[str, Any]) -> None:
-        nonlocal said
         for press in presses:
             say(f"key {press.code} {'pressed' if press.is_down else 'released'}")
-        if status and (line := sentence(status)) != said:
-            said = line
-            say(line)
+        if status:
+            hear(sentence(status))
         if page:
             page.update()
 

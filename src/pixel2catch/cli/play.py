@@ -6,10 +6,10 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import CameraPath, Count, DynamicsPath, FilmPath, RobotModelPath, Seed
+from pixel2catch.checks import Count, FilmPath, Seed
 from pixel2catch.cli.console import say
 from pixel2catch.cli.device import prepare
-from pixel2catch.cli.fields import EvaluatedTask, FieldOptions
+from pixel2catch.cli.fields import SimulatedTask
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
 from pixel2catch.shipped import PolicyPath
@@ -28,12 +28,6 @@ class Play:
     objects: tuple[str, ...] = ("seen",)
     throws: Count = 4  #: Number of throws.
     seed: Seed = 0  #: Seed of everything that is drawn.
-    #: Dynamics file of the robot that is simulated. Default: the nominal robot, also for a policy that was
-    #: trained with a dynamics file.
-    dynamics: DynamicsPath | None = None
-    #: Camera file of the camera that is simulated. Default: the camera that the policy was trained for, known
-    #: exactly.
-    camera: CameraPath | None = None
     web: bool = False  #: Whether to serve a page with throws to play with, instead of writing a video.
     page: PageCfg = field(default_factory=PageCfg)  #: Where that page is served.
     #: From outside, with the robot's own view and the policy's box in a corner (both), or one of the two.
@@ -42,18 +36,14 @@ class Play:
     #: one in ~/.cache/robot_descriptions/mujoco_menagerie. Default: shapes of our own.
     meshes: Path | None = None
     layout: Literal["grid", "sequence"] = "grid"  #: Whether throws are shown side by side or one by one.
-    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
-    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
-    robot_model: tuple[RobotModelPath, ...] = ()
-    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: play --env.help.
-    env: FieldOptions = ()
+    task: SimulatedTask = field(default_factory=SimulatedTask)  #: What is simulated.
 
     def run(self) -> None:
         """Throw, draw and write; or serve the page."""
         if self.web:
             self._serve()
             return
-        from pixel2catch.evaluation.loading import camera_remark, load_policy, task_of
+        from pixel2catch.evaluation.loading import load_policy
         from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
         from pixel2catch.rendering.film import write_throws
         from pixel2catch.rendering.meshes import require_meshes
@@ -64,10 +54,7 @@ class Play:
         prepare("cpu")
         find_gl_backend()
         policy, method = load_policy(self.policy)
-        task = task_of(policy, dynamics=self.dynamics, camera=self.camera)
-        task = EvaluatedTask(options=self.env, command="play", robot_model=self.robot_model)(task)
-        for remark in camera_remark(policy, task):
-            say(remark)
+        task = self.task.make(policy, "play")
         cfg = EvaluationCfg(
             objects=select_objects(self.objects), num_envs=self.throws, seed=self.seed, task=task
         )
@@ -88,7 +75,7 @@ class Play:
 
     def _serve(self) -> None:
         """Serve the page until Ctrl-C; it takes no robot model."""
-        if self.robot_model:
+        if self.task.robot_model:
             raise InvalidValueError("--web has the robot of this package alone; leave out --robot-model.")
         from pixel2catch.viewer.config import PlayCfg
 
@@ -97,5 +84,5 @@ class Play:
             from pixel2catch.viewer.play import PlayPage
             from pixel2catch.viewer.process import serve_until_interrupted
         args = {"policy": self.policy, "objects": self.objects, "seed": self.seed, "page": self.page}
-        cfg = PlayCfg(**args, dynamics=self.dynamics, camera=self.camera)
+        cfg = PlayCfg(**args, dynamics=self.task.dynamics, camera=self.task.camera)
         serve_until_interrupted(lambda: PlayPage(cfg))

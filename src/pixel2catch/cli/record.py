@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional
 
 from pixel2catch.checks import DynamicsPath, InputFile, OutputFolder
-from pixel2catch.cli.console import say
+from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.device import prepare
 from pixel2catch.cli.link import Link
 from pixel2catch.errors import DeploymentError
@@ -114,16 +114,9 @@ class Record:
 
     def _follow(self, follower: "TrajectoryFollower", is_over: "Callable[[], bool]") -> str:
         """Follow until the end, until it is over, or a signal, which is returned; say what changes."""
-        said = ""
-
-        def report(status: dict[str, Any]) -> None:
-            nonlocal said
-            if (line := in_words(status)) != said:
-                said = line
-                say(line)
-
+        hear = saying_changes()
         with StopRequest() as stop:
-            follower.run(lambda: stop.is_set or is_over(), report)
+            follower.run(lambda: stop.is_set or is_over(), lambda status: hear(in_words(status)))
         return stop.by
 
 

@@ -94,7 +94,7 @@ class Reproduce:
         with locked(folder.path) as lock, nullcontext({}) if executor else shared_gpus() as shared:
             jobs = [job for run in plan.runs() for job in self._jobs(folder, run, training)]
             runner = Runner(jobs, self._slots(devices, shared), folder.logs, lock, executor)
-            folder.open(plan, [_session()] if set(runner.status.values()) != {Status.DONE} else [])
+            folder.open(plan, [circumstances()] if set(runner.status.values()) != {Status.DONE} else [])
             logs = {run.name: folder.metrics(run) for run in plan.runs()}
             with StopRequest() as stop, ProgressTable(logs, training["transitions"]) as table:
                 runner.run(table.show, lambda: stop.is_set)
@@ -220,11 +220,6 @@ class Reproduce:
                 for group in GROUPS
             ),
         ]
-
-
-def _session() -> dict[str, Any]:
-    session = circumstances()
-    return session | {"command": " ".join(["pixel2catch", *session["command"][1:]])}
 
 
 def _options(options: Mapping[str, Any]) -> list[str]:

@@ -2,21 +2,16 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Seed
 from pixel2catch.cli.console import progress_bar, say
 from pixel2catch.cli.device import prepare
-from pixel2catch.cli.fields import FieldOptions, with_changes
+from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.evaluation.cluster import Cluster
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
-
-if TYPE_CHECKING:
-    from pixel2catch.evaluation.metrics import Metrics
-    from pixel2catch.evaluation.stress.measuring import Result
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +32,9 @@ class Stress:
     jobs: Count = 1
     cluster: Cluster = field(default_factory=Cluster)  #: Where the results are computed.
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
-    #: Any field of the task, before it is disturbed, also as --env.throws.peak-z 1.5 1.9. All fields: stress
-    #: --env.help.
-    env: FieldOptions = ()
+    task: TaskOptions = field(
+        default_factory=TaskOptions
+    )  #: What is changed of the task, before it is disturbed.
     out: ResultsFolder = Path("stress")  #: Folder of the results; other objects need another one.
     json: bool = False  #: Print the table as one JSON object.
 
@@ -54,7 +49,7 @@ class Stress:
         from pixel2catch.scene.scene import SceneCfg
 
         executor = self.cluster.executor(self.out)
-        settings = tuple(with_changes(each, "stress", self.env) for each in select_settings(self.axes))
+        settings = tuple(self.task.beneath(each, "stress") for each in select_settings(self.axes))
         cfg = EvaluationCfg(
             objects=select_objects(self.objects),
             num_envs=self.num_envs,
@@ -65,12 +60,8 @@ class Stress:
         )
         results = plan_results(find_policies(self.policies), settings, self.out)
 
-        def report(number: int, result: "Result", metrics: "Metrics") -> None:
-            name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
-            say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
-
         with progress_bar("stress") as bar:
-            contents = measure(results, cfg, report, self.jobs, bar.show, executor=executor)
+            contents = measure(results, cfg, say, self.jobs, bar.show, executor=executor)
         table = make_table(results, contents)
         print(json_text(table) if self.json else as_markdown(table), end="", flush=True)
         write_report(self.out, table)

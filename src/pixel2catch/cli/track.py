@@ -10,7 +10,6 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional
 
@@ -25,6 +24,7 @@ from pixel2catch.perception.factory import PerceptionArgs
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.box_scores import Score
+    from pixel2catch.evaluation.report import Cells
     from pixel2catch.perception.image_fit import ImageFit
     from pixel2catch.perception.labels import Labels
     from pixel2catch.perception.prompt import Prompter
@@ -186,48 +186,39 @@ def _print_result(tally: "Tally", summary: dict[str, Any], *, as_json: bool) -> 
     if as_json:
         print(json_text(summary), end="")
         return
+    from pixel2catch.evaluation.report import terminal_table
 
-    table = Table(title="time of each stage [ms]")
-    table.add_column("stage")
-    for name in ("p50", "p95", "p99", "images"):
-        table.add_column(name, justify="right")
-    for stage, took in tally.percentiles().items():
-        times = (f"{1e3 * value:.2f}" for value in (took.p50, took.p95, took.p99))
-        table.add_row(stage, *times, str(took.count))
+    stages = [
+        {
+            "stage": stage,
+            **{name: f"{1e3 * getattr(took, name):.2f}" for name in ("p50", "p95", "p99")},
+            "images": str(took.count),
+        }
+        for stage, took in tally.percentiles().items()
+    ]
     console = results_console()
-    console.print(table)
+    console.print(terminal_table("time of each stage [ms]", stages))
     if "truth" in summary:
-        console.print(_truth_table(summary["truth"]))
+        console.print(terminal_table("boxes against the labels", list(_truth_rows(summary["truth"]))))
     for line in _sentences(tally, summary):
         console.print(Text(line))
 
 
-def _truth_table(truth: dict[str, Any]) -> Table:
+def _truth_rows(truth: dict[str, Any]) -> "Iterator[Cells]":
     """How right the boxes are, by phases that are labelled."""
-    table = Table(title="boxes against the labels")
-    table.add_column("phase")
-    for name in (
-        "images",
-        "within 5 px",
-        "95 % interval",
-        "median error",
-        "false boxes",
-        "lost",
-        "found again",
-    ):
-        table.add_column(name, justify="right")
     for phase, row in truth.items():
-        if row["images"] + row["hidden"] == 0:
-            continue
-        rates = ["-", "-", "-"]
-        if row["images"]:
-            low, high = row["within_5px_interval"]
-            rates[:2] = f"{100 * row['within_5px']:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %"
-        if "error_p50" in row:
-            rates[2] = f"{row['error_p50']:.1f} px"
-        counts = (row["false_boxes"], row.get("losses", 0), row.get("reacquisitions", 0))
-        table.add_row(phase, str(row["images"]), *rates, *map(str, counts))
-    return table
+        if row["images"] + row["hidden"]:
+            low, high = row.get("within_5px_interval", (0.0, 0.0))
+            yield {
+                "phase": phase,
+                "images": str(row["images"]),
+                "within 5 px": f"{100 * row['within_5px']:.1f} %" if row["images"] else "-",
+                "95 % interval": f"{100 * low:.1f} to {100 * high:.1f} %" if row["images"] else "-",
+                "median error": f"{row['error_p50']:.1f} px" if "error_p50" in row else "-",
+                "false boxes": str(row["false_boxes"]),
+                "lost": str(row.get("losses", 0)),
+                "found again": str(row.get("reacquisitions", 0)),
+            }
 
 
 def _sentences(tally: "Tally", summary: dict[str, Any]) -> "Iterator[str]":

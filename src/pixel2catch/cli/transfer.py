@@ -1,23 +1,21 @@
 """`pixel2catch transfer`: policies in the physics of engines that they were not trained in."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
-from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, RobotModelPath, Seed, Within
+from pixel2catch.checks import Count, PhysicsRate, ResultsFolder, Seed, Within
 from pixel2catch.cli.console import progress_bar, say
-from pixel2catch.cli.fields import FieldOptions, with_changes
+from pixel2catch.cli.fields import TaskOptions
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.files import json_text
 from pixel2catch.progress import duration
 from pixel2catch.shipped import PolicyPath, policy_folder
 
 if TYPE_CHECKING:
-    from pixel2catch.evaluation.metrics import Metrics
     from pixel2catch.evaluation.protocol import EvaluationCfg
-    from pixel2catch.evaluation.stress.measuring import Result
 
 THROWS_AT_ONCE = 20
 """Throws of a round. Source: ours: other engines step them one after the other, so that more gain nothing."""
@@ -42,11 +40,7 @@ class Transfer:
     seed: Seed = 0  #: Seed of everything that is drawn.
     jobs: Count = 1  #: Rounds of 20 throws that are tried at once, each in a process with one thread.
     physics_hz: PhysicsRate = 600.0  #: Physics steps in a second, a multiple of 30.
-    #: Makers' models of arm, hand or both, URDF or MJCF: simulated with their axes, masses and collision
-    #: shapes (--env.scene.robot-surface visual: with what is drawn). Default: our models.
-    robot_model: tuple[RobotModelPath, ...] = ()
-    #: Any field of the task, also as --env.throws.peak-z 1.5 1.9. All fields: transfer --env.help.
-    env: FieldOptions = ()
+    task: TaskOptions = field(default_factory=TaskOptions)  #: What is changed of the task.
     out: ResultsFolder = Path("transfer")  #: Folder of the results; other throws need another one.
     json: bool = False  #: Print the table as one JSON object.
 
@@ -68,7 +62,7 @@ class Transfer:
         whole = self._evaluation()
         cfg, num_rounds = replace(whole, trials=1), whole.trials
         settings = transfer_settings(self.engines, self.restitution)
-        settings = tuple(with_changes(each, "transfer", self.env, self.robot_model) for each in settings)
+        settings = tuple(self.task.beneath(each, "transfer") for each in settings)
         policies = find_policies(self.policies or (policy_folder(None),))
         cells = plan_results(policies, settings, self.out)
         results = rounds_of(cells, num_rounds)
@@ -77,12 +71,8 @@ class Transfer:
             left = duration(estimated_seconds(missing, cfg) / min(self.jobs, len(missing)))
             say(f"{len(missing)} rounds of {cfg.num_envs} throws to do: about {left}")
 
-        def report(number: int, result: "Result", metrics: "Metrics") -> None:
-            name, rate = f"{result.policy.name}, {result.setting.title}", 100 * metrics["success_rate"]
-            say(f"{number} of {len(results)}: {name}: success rate {rate:.1f} %")
-
         with progress_bar("transfer") as bar:
-            contents = measure(results, cfg, report, self.jobs, bar.show, throw_metrics)
+            contents = measure(results, cfg, say, self.jobs, bar.show, throw_metrics)
         found = [pooled(contents[i : i + num_rounds]) for i in range(0, len(contents), num_rounds)]
         table = make_table(cells, found)
         print(json_text(table) if self.json else as_markdown(table), end="", flush=True)

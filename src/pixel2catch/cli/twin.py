@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pixel2catch.checks import Domain, OutputFile
-from pixel2catch.cli.console import say
+from pixel2catch.cli.console import say, saying_changes
 from pixel2catch.cli.device import prepare
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.installation import needs_extra
@@ -53,13 +53,10 @@ class Twin:
             os.environ["ROS_DOMAIN_ID"] = str(self.domain)
         policy, _ = load_policy(self.policy)
         task = self._drawn(self.twin.task.make(policy))
-        last = ""
+        hear = saying_changes()
 
         def report(lab_node: "LabNode", stats: "ClockStats") -> bool:
-            nonlocal last
-            if (now := lab_node.summary()) != last:
-                say(f"{lab_node.time:7.1f} s  {now}")
-                last = now
+            hear(lab_node.summary(), lab_node.time)
             return not stop.is_set
 
         say(f"opening the lab; clock {self.twin.clock:g}; Ctrl-C ends it")

@@ -29,6 +29,11 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def rate(name: str, count: int, trials: int) -> Metrics:
+    """A rate by its name, and its interval."""
+    return {name: count / trials, f"{name}_interval": list(wilson_interval(count, trials))}
+
+
 def paired_difference(home: str, other: str) -> Metrics:
     """What happened in the same trials twice, as texts of 0 and 1: the second rate minus the first.
 
@@ -118,8 +123,7 @@ def _rates(trials: Trials, rows: Bool[Tensor, " num_trials"]) -> Metrics:
     }
     result: Metrics = {"trials": num_trials}
     for name, happened in events.items():
-        count = int((happened & rows).sum())
-        result |= {name: count / num_trials, f"{name}_interval": list(wilson_interval(count, num_trials))}
+        result |= rate(name, int((happened & rows).sum()), num_trials)
     caught = record.is_success & rows
     return result | {"hold_palms": _mean(record.hold_palms[caught], caught)}
 

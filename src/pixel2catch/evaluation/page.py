@@ -1,7 +1,7 @@
 """An evaluation as one page: rates, objects, where throws come down, what each kind of miss looks like."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,29 +18,11 @@ from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.comparison.figures import STYLE, objects_figure
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.report import (
-    Cells,
-    objects_rows,
-    percent,
-    png,
-    quality_rows,
-    results_rows,
-    write_files,
-)
+from pixel2catch.evaluation.report import objects_rows, percent, png, quality_rows, results_rows, write_files
 from pixel2catch.evaluation.throw_collection import ThrowCollection
 from pixel2catch.files import json_text
 from pixel2catch.mdp.throws import ThrowCfg
-from pixel2catch.offline_page import (
-    Cell,
-    box,
-    circumstances_lines,
-    element,
-    folded,
-    listing,
-    page,
-    picture,
-    table,
-)
+from pixel2catch.offline_page import box, folded, page, picture, plain_table, section, what_was_run
 from pixel2catch.rendering.film import strips
 from pixel2catch.rendering.storyboard import CAUGHT, OUTCOMES
 from pixel2catch.scene.objects import OBJECT_GROUPS
@@ -98,25 +80,26 @@ def evaluation_page(
     caught = f"Of {result['trials']:,} throws, {low_to_high} % were caught (S.R., 95 % interval)."
     settings = json_text(asdict(cfg))
     rows = {name: result}
+    shown = (picture(film, "webp", _kind(outcome, throws)) for outcome, film in films.items())
     return page(
         f"Evaluation of {result['method']}: {name}",
         [
-            element("h1", f"Evaluation of {result['method']}: {name}"),
             box(caught, "good"),
-            element("h2", "Rates [% of throws]") + element("p", RATES_NOTE),
-            _table(results_rows(rows, result["method"])),
-            element("h2", "By object"),
-            picture(png(_objects_figure(result)), "png", "S.R. with 95 % intervals"),
-            _table(objects_rows(result)),
-            element("h2", "Where throws come down") + element("p", LANDING_NOTE),
-            picture(png(landing_figure(throws)), "png", "Throws by outcome"),
-            element("h2", "Failures and contact"),
-            _table(quality_rows(rows)),
-            element("h2", "What they look like") + element("p", STRIPS_NOTE if films else NO_FILMS),
-            *(picture(film, "webp", _kind(outcome, throws)) for outcome, film in films.items()),
-            element("h2", "What was run"),
-            f"<p>{element('code', ' '.join(when['command']))}</p>",
-            listing([*circumstances_lines(when), f"policy {result.get('policy_sha256', 'unknown')}"]),
+            section("Rates [% of throws]", RATES_NOTE, plain_table(results_rows(rows, result["method"]))),
+            section(
+                "By object",
+                "",
+                picture(png(_objects_figure(result)), "png", "S.R. with 95 % intervals"),
+                plain_table(objects_rows(result)),
+            ),
+            section(
+                "Where throws come down",
+                LANDING_NOTE,
+                picture(png(landing_figure(throws)), "png", "Throws by outcome"),
+            ),
+            section("Failures and contact", "", plain_table(quality_rows(rows))),
+            section("What they look like", STRIPS_NOTE if films else NO_FILMS, *shown),
+            what_was_run(when, f"policy {result.get('policy_sha256', 'unknown')}"),
             folded("Configuration", settings),
         ],
     )
@@ -179,12 +162,6 @@ def _objects_figure(result: Metrics) -> Figure:
 def _kind(outcome: str, throws: ThrowCollection) -> str:
     number = len(throws.landings[outcome])
     return f"{OUTCOMES[outcome]}: {number:,} throw{'' if number == 1 else 's'}"
-
-
-def _table(rows: Sequence[Cells]) -> str:
-    """A table of which the first row has all columns."""
-    columns = list(rows[0])
-    return table(columns, [[Cell(row.get(column, "")) for column in columns] for row in rows])
 
 
 def _webp(image: ndarray) -> bytes:

@@ -43,10 +43,10 @@ Cells = Mapping[str, str]  #: A row of a table, by column.
 def result_tables(results: Mapping[str, Metrics], method: str) -> Iterator[Table]:
     """Tables of one or several sets of objects by name; with the rates of every object where it is one."""
     title = f"{method}: % of trials [95 % interval]; paper: mean ± deviation over 3 seeds"
-    yield _table(title, results_rows(results, method))
+    yield terminal_table(title, results_rows(results, method))
     if len(results) == 1:
-        yield _table("by object", objects_rows(*results.values()))
-    yield _table("failures and contact", quality_rows(results))
+        yield terminal_table("by object", objects_rows(*results.values()))
+    yield terminal_table("failures and contact", quality_rows(results))
 
 
 def results_rows(results: Mapping[str, Metrics], method: str) -> list[Cells]:
@@ -74,13 +74,13 @@ def quality_rows(results: Mapping[str, Metrics]) -> list[Cells]:
     ]
 
 
-def _table(title: str, rows: Sequence[Cells]) -> Table:
+def terminal_table(title: str, rows: Sequence[Cells]) -> Table:
     """A table for the terminal; numbers, right of the first column, are aligned to the right."""
-    table = Table(title=title)
-    for number, column in enumerate(rows[0]):
+    table, columns = Table(title=title), list(rows[0] if rows else ())
+    for number, column in enumerate(columns):
         table.add_column(column, justify="right" if number else "left", no_wrap=not number)
     for row in rows:
-        table.add_row(*(row.get(column, "") for column in rows[0]))
+        table.add_row(*(row.get(column, "") for column in columns))
     return table
 
 

@@ -71,13 +71,8 @@ class ExcitationCfg:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn."""
-        joints_of(self.workcell, self.part)
+        joints_of(self.workcell, self.robot)
         require_valid(self)
-
-    @property
-    def part(self) -> str:
-        """The name of what moves."""
-        return self.robot or self.workcell.name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,7 +267,7 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajecto
         InvalidValueError: If too little time is left for the kinds of motion.
     """
     rng = np.random.default_rng(cfg.seed)
-    joints = joints_of(cfg.workcell, cfg.part)
+    joints = joints_of(cfg.workcell, cfg.robot)
     envelope = Envelope.of(joints, cfg.speed, shrunk, cfg.workcell)
     parts = _parts(rng, envelope, cfg.seconds)
     edges = np.cumsum([0, *(len(offsets) for _, offsets in parts)]) / RATE
@@ -284,7 +279,7 @@ def draw_excitation(cfg: ExcitationCfg, shrunk: Mapping[str, float]) -> Trajecto
         times=np.arange(len(positions)) / RATE,
         positions=positions,
         header={
-            "robot": cfg.part,
+            "robot": cfg.robot or cfg.workcell.name,
             "seed": cfg.seed,
             "speed": cfg.speed,
             "shrunk": dict(shrunk),

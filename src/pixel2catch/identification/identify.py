@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
 from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.encoders import Encoders
-from pixel2catch.identification.fit import Fit, FitCfg, fit_dynamics
+from pixel2catch.identification.fit import LATENCY_UNIT, Fit, FitCfg, fit_dynamics
 from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.joints import groups_of, joints_of, parts
 from pixel2catch.identification.recording import Recording
@@ -35,6 +35,7 @@ RATIOS = {LAG: "s", "armature / stiffness": "s²", "frictionloss / stiffness": "
 """The ratios that decide how a joint follows its command, with their units."""
 
 LEAST_HALF_WIDTH = 0.02  # is always left, as a share (ours; gains drift with temperature and load)
+PerJoint = Float[np.ndarray, " num_joints"]
 Positions = Float[np.ndarray, "num_settled num_joints"]
 
 
@@ -59,17 +60,11 @@ class CheckedRecording:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class Motion(CheckedRecording):
     """A recording beside its simulation."""
 
-    source: CheckedRecording
     before: Positions  #: simulated before the fit, at the measurements compared [rad]
     after: Positions  #: and under the fitted ones
-
-    @property
-    def recording(self) -> Recording:
-        """What was recorded."""
-        return self.source.recording
 
     @property
     def time(self) -> Float[np.ndarray, " num_settled"]:
@@ -99,7 +94,7 @@ class Identification:
 
     def of(self, is_held_out: bool) -> tuple[Motion, ...]:
         """The motions that were held out, or those that were fitted."""
-        return tuple(motion for motion in self.motions if motion.source.is_held_out == is_held_out)
+        return tuple(motion for motion in self.motions if motion.is_held_out == is_held_out)
 
 
 def start_of_fit(
@@ -211,12 +206,12 @@ def identify(
     encoders = Encoders.perfect(len(sources), len(fit.dynamics.joints)), found_encoders(fit, is_out)
     before, after = (motion.split(path) for path in motion.simulate([start.before, fit.dynamics], encoders))
     motions = tuple(
-        Motion(source=source, before=path_before, after=path_after)
+        Motion(**vars(source), before=path_before, after=path_after)
         for source, path_before, path_after in zip(sources, before, after, strict=True)
     )
     file, fitted_joints = identified(fit, start), fit.dynamics.joints
     worse = [name for name in file.worse_than_command if name not in fitted_joints]
-    worse += worse_than_command([motion for motion in motions if motion.source.is_held_out])
+    worse += worse_than_command([motion for motion in motions if motion.is_held_out])
     file = dataclasses.replace(file, worse_than_command=tuple(worse))
     return Identification(start=start, fit=fit, file=file, motions=motions, physics_dt=cfg.physics_dt)
 
@@ -250,36 +245,39 @@ def tracking_errors(motions: Sequence[Motion]) -> dict[str, Float[np.ndarray, " 
     return {name: np.sqrt(np.mean(error**2, axis=0)) for name, error in errors.items()}
 
 
-def half_widths(fit: Fit) -> Float[np.ndarray, "num_joints num_free"]:
-    """Half of each parameter's 95 % interval, in the coordinates of the fit.
-
-    That is of the logarithm, so that 0.1 is ±10 %, and for the latency of 10 ms. Where it is
-    `CONFIDENCE * fit.prior`, the recordings tell nothing. What is in it: `identification/intervals.py`.
-    """
-    return CONFIDENCE * np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
-
-
 @dataclass(frozen=True, kw_only=True)
-class Ratio:
-    """The ratio of two parameters, which is often known where they are not."""
+class Estimate:
+    """A parameter of every joint, or a ratio of two, which is often known where they are not."""
 
-    name: str  #: one of `RATIOS`
-    value: Float[np.ndarray, " num_joints"]  #: of each joint
-    half_width: Float[np.ndarray, " num_joints"]  #: half of the 95 % interval of its logarithm
+    name: str  #: one of `PARAMETERS` or of `RATIOS`
+    value: PerJoint
+    #: Half of the 95 % interval, in the coordinates of the fit: of the logarithm, so that 0.1 is ±10 %, and
+    #: for the latency of 10 ms. Where it is `CONFIDENCE * fit.prior`, the recordings tell nothing. What is in
+    #: it: `identification/intervals.py`.
+    half_width: PerJoint
+
+    @property
+    def interval(self) -> Float[np.ndarray, "num_joints 2"]:
+        """The 95 % intervals."""
+        ends = self.half_width[:, None] * (-1.0, 1.0)
+        if self.name == "latency":
+            return np.maximum(self.value[:, None] + LATENCY_UNIT * ends, 0.0)
+        return self.value[:, None] * np.exp(ends)
 
 
-def ratios(fit: Fit) -> tuple[Ratio, ...]:
-    """The ratios of which both parameters were fitted."""
-    found = []
+def estimates(fit: Fit) -> dict[str, Estimate]:
+    """What was fitted, and the ratios of which both parameters were."""
+    along = dict(zip(fit.free, np.eye(len(fit.free)), strict=True))
+    values = {name: getattr(fit.dynamics, name) for name in fit.free}
     for name in RATIOS:
         above, below = name.split(" / ")
         if {above, below} <= set(fit.free):
-            difference = np.zeros(len(fit.free))
-            difference[fit.free.index(above)], difference[fit.free.index(below)] = 1.0, -1.0
-            variance = np.einsum("a,jab,b->j", difference, fit.covariance, difference)
-            value = getattr(fit.dynamics, above) / getattr(fit.dynamics, below)
-            found.append(Ratio(name=name, value=value, half_width=CONFIDENCE * np.sqrt(variance)))
-    return tuple(found)
+            along[name], values[name] = along[above] - along[below], values[above] / values[below]
+    found = {}
+    for name, direction in along.items():
+        variance = np.einsum("a,jab,b->j", direction, fit.covariance, direction)
+        found[name] = Estimate(name=name, value=values[name], half_width=CONFIDENCE * np.sqrt(variance))
+    return found
 
 
 def identified(fit: Fit, start: Start) -> DynamicsFile:
@@ -299,9 +297,8 @@ def gain_ranges(fit: Fit, before: GainRanges, workcell: WorkcellSpec = UR5E_ALLE
     stiffness is right for that one only.
     """
     unknown = np.full(len(fit.dynamics.joints), np.inf)
-    widths = dict(zip(fit.free, half_widths(fit).T, strict=True))
-    stiffness, damping = (widths.get(name, unknown) for name in ("stiffness", "damping"))
-    lag = next((ratio.half_width for ratio in ratios(fit) if ratio.name == LAG), unknown)
+    widths = {name: found.half_width for name, found in estimates(fit).items()}
+    stiffness, damping, lag = (widths.get(name, unknown) for name in ("stiffness", "damping", LAG))
     if "stiffness" not in widths:
         lag, damping = damping, unknown
     columns = {name: list(values) for name, values in dataclasses.asdict(before.of(workcell)).items()}

@@ -1,6 +1,6 @@
 """Reading a recording, whatever wrote it: our npz files, logs of RTDE, bags of ROS 2."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -138,13 +138,13 @@ def _require_once(option: str, names: Sequence[str]) -> None:
 
 def read_recording(
     path: Path,
-    part: str,
+    part: str | None,
     names: Names | None = None,
     workcell: WorkcellSpec = UR5E_ALLEGRO,
     *,
     is_partial: bool = False,
 ) -> Recording:
-    """Read the motion of a work cell's part, in joint order; what the file or folder is chooses the reader.
+    """Read the motion of a part, or of all, in joint order; what the file or folder is chooses the reader.
 
     A partial recording needs no more than one of the part's joints.
 
@@ -159,27 +159,27 @@ def read_recording(
         return read_rosbag(path, joints, names, workcell, is_partial=is_partial)
     if path.is_dir() and any((path / name).exists() for name in (MEASURED_FILE, COMMAND_FILE)):
         whole = read_rtde(path, workcell, is_partial=is_partial)
-        return whole.select(_wanted(joints, whole.joints, is_partial=is_partial))
-    if path.suffix == ".npz":
+    elif path.suffix == ".npz":
         whole = Recording.load(path, names.ours, workcell)
-        return whole.select(_wanted(joints, whole.joints, is_partial=is_partial))
+    else:
+        raise RecordingError(f"{path}: {_why_not(path)}")
+    found = tuple(joint for joint in joints if joint in whole.joints)
+    return whole.select(found if is_partial and found else joints)
+
+
+def _why_not(path: Path) -> str:
+    """Why a file or folder is not read."""
     if path.suffix == ".parquet":
-        raise RecordingError(
-            f"{path}: parquet is not read; save its columns with numpy.savez as an .npz file of the arrays "
-            "joints, t_cmd, q_cmd, t_meas and q."
+        return (
+            "parquet is not read; save its columns with numpy.savez as an .npz file of the arrays joints, "
+            "t_cmd, q_cmd, t_meas and q."
         )
     if path.is_dir() and (pieces := [each.name for each in sorted(path.iterdir())]):
-        raise RecordingError(
-            f"{path}: unknown format, a folder with {', '.join(pieces[:MOST_NAMED])}; a recording is "
-            f"{FORMATS}. Pieces of a bag need its {METADATA} ('ros2 bag reindex'), or are given file by file."
+        return (
+            f"unknown format, a folder with {', '.join(pieces[:MOST_NAMED])}; a recording is {FORMATS}. "
+            f"Pieces of a bag need its {METADATA} ('ros2 bag reindex'), or are given file by file."
         )
-    raise RecordingError(f"{path}: unknown format; a recording is {FORMATS}.")
-
-
-def _wanted(joints: tuple[str, ...], recorded: Collection[str], *, is_partial: bool) -> tuple[str, ...]:
-    """Those of the joints that are asked for: all, or those that were recorded, if there are any."""
-    found = tuple(joint for joint in joints if joint in recorded)
-    return found if is_partial and found else joints
+    return f"unknown format; a recording is {FORMATS}."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,11 +222,11 @@ def read_rosbag(
     """
     with opened_bag(path, RecordingError, "identification") as reader:
         bag = _Bag(path=path, reader=reader, workcell=workcell, joints=joints, names=names)
-        if is_partial:
-            bag = replace(bag, joints=_wanted(joints, _measured_joints(bag), is_partial=True))
         topics = names.command_topics or (CommandTopic(name=_only_command_topic(bag)),)
-        command_ns, q_cmd = _merged(bag, topics)
         measured = _read_topic(bag, CommandTopic(name=names.measured_topic))
+        if is_partial and measured.joints:
+            bag = replace(bag, joints=measured.joints)
+        command_ns, q_cmd = _merged(bag, topics)
     _require_all(f"{path}, topic {names.measured_topic}", bag.joints, [measured])
     start = min(command_ns[0], measured.times[0])
     return Recording(
@@ -240,13 +240,6 @@ def read_rosbag(
         qd=measured.fields.get("velocity"),
         effort=measured.fields.get("effort"),
     )
-
-
-def _measured_joints(bag: _Bag) -> set[str]:
-    """All joints that the measurements name."""
-    topic = bag.names.measured_topic
-    place = Place(source=f"{bag.path}, topic {topic}", row="message")
-    return {name for _, motion in _messages(bag, place, topic) for name in motion.joints}
 
 
 def _only_command_topic(bag: _Bag) -> str:

@@ -58,15 +58,15 @@ def find_part(workcell: WorkcellSpec, name: str) -> tuple[str, ...]:
     return known.get(name, known[meant[0]] if len(meant) == 1 else ())
 
 
-def joints_of(workcell: WorkcellSpec, part: str) -> tuple[str, ...]:
-    """The joints of one of the `parts`.
+def joints_of(workcell: WorkcellSpec, part: str | None) -> tuple[str, ...]:
+    """The joints of one of the `parts`; none is everything.
 
     Raises:
         UnknownNameError: If there is no such part.
     """
-    joints = find_part(workcell, part)
+    joints = find_part(workcell, part or workcell.name)
     if not joints:
-        raise UnknownNameError("robot", part, parts(workcell))
+        raise UnknownNameError("robot", str(part), parts(workcell))
     return joints
 
 

@@ -1,6 +1,5 @@
 """What joints were commanded and did, each on its own clock, and targets that they shall follow; as files."""
 
-import io
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
@@ -10,9 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float64, Shaped
 
-from pixel2catch.archives import read_arrays
+from pixel2catch.archives import read_arrays, write_arrays
 from pixel2catch.errors import InvalidValueError, RecordingError, UnknownNameError
-from pixel2catch.files import json_object, reading, write_atomically
+from pixel2catch.files import json_object, reading
 from pixel2catch.identification.joints import MOTION_RANGES, groups_of, largest_step, specs_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells import known_workcell
@@ -109,13 +108,9 @@ class Recording:
         """Write the canonical file: an npz with the arrays under the names of the fields.
 
         Raises:
-            RecordingError: If the file exists; nothing is overwritten.
+            InvalidValueError: If the file exists; nothing is overwritten.
         """
-        try:
-            with path.open("xb") as file:
-                np.savez_compressed(file, allow_pickle=False, joints=np.array(self.joints), **self._arrays())
-        except FileExistsError:
-            raise RecordingError(f"{path} exists; choose another name or remove it.") from None
+        write_arrays(path, joints=np.array(self.joints), **self._arrays())
 
     @staticmethod
     def load(
@@ -280,14 +275,9 @@ class Trajectory:
         Raises:
             InvalidValueError: If it exists; nothing is overwritten.
         """
-        if path.exists():
-            raise InvalidValueError(f"{path} exists; choose another name or remove it.")
         header = {"format_version": FORMAT_VERSION, "workcell": self.workcell.name, **self.header}
         arrays = {"joints": np.array(self.joints), "times": self.times, "positions": self.positions}
-        buffer = io.BytesIO()
-        text = json.dumps(header, allow_nan=False)
-        np.savez_compressed(buffer, allow_pickle=False, header=np.array(text), **arrays)
-        write_atomically({path: buffer.getvalue()})
+        write_arrays(path, header=np.array(json.dumps(header, allow_nan=False)), **arrays)
 
     @staticmethod
     def load(path: Path) -> "Trajectory":

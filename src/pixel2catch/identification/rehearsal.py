@@ -18,7 +18,7 @@ from pixel2catch.checks import Above, Share, Within, require_valid
 from pixel2catch.identification.checks import Check, check_recording
 from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of, watched_model
 from pixel2catch.identification.recording import Recording, Trajectory
-from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, friction_torque, is_settled
+from pixel2catch.identification.simulation import FIT_DT, RecordedMotion, is_settled
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.mdp.randomization import GainRanges
 from pixel2catch.robots.joint_dynamics import JointDynamics
@@ -126,46 +126,39 @@ def unlike_nominal(rng: Generator, nominal: JointDynamics, latency: float = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rule:
-    """A distance to keep."""
+class Clearance:
+    """A distance to keep, and the least there was."""
 
     name: str  #: between what
-    margin: float  #: the distance [m]
+    margin: float  #: the distance to keep [m]
     is_of_hand: bool  #: whether only joints of what the arm carries change it
-
-
-RULES = (
-    Rule(name="robot and table", margin=0.05, is_of_hand=False),
-    Rule(name="arm and robot", margin=0.02, is_of_hand=False),
-    Rule(name="hand and hand", margin=0.005, is_of_hand=True),
-)
-"""What is kept apart. Source: ours. A lab's table, and what stands on it, differ by some centimetres; our arm
-is made of capsules; the maker's covers of the fingers run 5.5 to 9 mm beyond the boxes of his description,
-which are ours, too."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Clearance:
-    """The least distance under one rule."""
-
-    rule: Rule  #: the rule
-    distance: float = np.inf  #: the distance [m]; infinite beyond the horizon
+    distance: float = np.inf  #: the least there was [m]; infinite beyond the horizon
     bodies: tuple[str, str] = ("", "")  #: between which bodies it was
     time: float = 0.0  #: when it was [s]
 
     @property
     def is_kept(self) -> bool:
         """Whether the distance is large enough."""
-        return self.distance >= self.rule.margin
+        return self.distance >= self.margin
 
     def sentence(self) -> str:
         """What was found, in words."""
         if np.isinf(self.distance):
-            return f"{self.rule.name}: never nearer than {1e3 * HORIZON:.0f} mm"
+            return f"{self.name}: never nearer than {1e3 * HORIZON:.0f} mm"
         return (
-            f"{self.rule.name}: {1e3 * self.distance:.1f} mm between {' and '.join(self.bodies)} "
-            f"at {self.time:.2f} s; {1e3 * self.rule.margin:.0f} mm are to be kept"
+            f"{self.name}: {1e3 * self.distance:.1f} mm between {' and '.join(self.bodies)} "
+            f"at {self.time:.2f} s; {1e3 * self.margin:.0f} mm are to be kept"
         )
+
+
+RULES = (
+    Clearance(name="robot and table", margin=0.05, is_of_hand=False),
+    Clearance(name="arm and robot", margin=0.02, is_of_hand=False),
+    Clearance(name="hand and hand", margin=0.005, is_of_hand=True),
+)
+"""What is kept apart. Source: ours. A lab's table, and what stands on it, differ by some centimetres; our arm
+is made of capsules; the maker's covers of the fingers run 5.5 to 9 mm beyond the boxes of his description,
+which are ours, too."""
 
 
 def clearances(
@@ -183,20 +176,20 @@ def clearances(
     data.qpos[:] = [spec.home for spec in workcell.joints]
     columns = [int(model.joint(name).qposadr[0]) for name in joints]
     rules = _rule_of_pairs(model, workcell)
-    least = [Clearance(rule=rule) for rule in RULES]
+    least = list(RULES)
     for now, row in zip(time, positions, strict=True):
         data.qpos[columns] = row
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         pairs, distances = data.contact.geom, data.contact.dist
         rule_of_contact = rules[pairs[:, 0], pairs[:, 1]]
-        for i, rule in enumerate(RULES):
+        for i, known in enumerate(least):
             contacts = np.flatnonzero(rule_of_contact == i)
             nearest = contacts[np.argmin(distances[contacts])] if len(contacts) else None
-            if nearest is not None and distances[nearest] < least[i].distance:
+            if nearest is not None and distances[nearest] < known.distance:
                 bodies = tuple(model.body(model.geom_bodyid[geom]).name for geom in pairs[nearest])
-                distance = float(distances[nearest])
-                least[i] = Clearance(rule=rule, distance=distance, bodies=bodies, time=float(now))
+                found = {"distance": float(distances[nearest]), "bodies": bodies, "time": float(now)}
+                least[i] = dataclasses.replace(known, **found)
     return tuple(least)
 
 
@@ -276,7 +269,7 @@ def _clearance_faults(recording: Recording, near: Sequence[Clearance]) -> list[F
     groups, faults = groups_of(recording.workcell), []
     for clearance in near:
         if not clearance.is_kept:
-            role = "hand" if clearance.rule.is_of_hand else "arm"
+            role = "hand" if clearance.is_of_hand else "arm"
             moved = tuple(joint for joint in recording.joints if groups[joint].role == role)
             faults.append(Fault(text=clearance.sentence(), joints=moved or recording.joints))
     return faults
@@ -293,5 +286,6 @@ def _torque_share(
     for q, before, jump in zip(recording.q[1:], speed, np.diff(speed, axis=0), strict=False):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, before, jump / FIT_DT
         mujoco.mj_inverse(model, data)
-        top = np.maximum(top, np.abs(data.qfrc_inverse - friction_torque(dynamics.frictionloss, before)))
+        friction = dynamics.frictionloss * np.sign(before)
+        top = np.maximum(top, np.abs(data.qfrc_inverse + friction))
     return top / np.array([specs_of(recording.workcell)[joint].effort_limit for joint in recording.joints])

@@ -17,8 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pixel2catch.files import json_text, require_free_folder, write_atomically
-from pixel2catch.identification.fit import LATENCY_UNIT
-from pixel2catch.identification.identify import Identification, Motion, half_widths, ratios, tracking_errors
+from pixel2catch.identification.identify import RATIOS, Identification, Motion, estimates, tracking_errors
 from pixel2catch.identification.intervals import CONFIDENCE
 from pixel2catch.identification.joints import short, specs_of
 from pixel2catch.identification.recording import Trajectory
@@ -35,7 +34,7 @@ from pixel2catch.identification.report_tables import (
     ratios_grid,
     whole_checks_grid,
 )
-from pixel2catch.offline_page import box, circumstances_lines, element, listing, page, picture, table
+from pixel2catch.offline_page import box, element, listing, page, picture, section, table, what_was_run
 from pixel2catch.robots.joint_dynamics import PARAMETERS
 
 DYNAMICS, PAGE, NUMBERS = "dynamics.json", "report.html", "result.json"  # names of the files
@@ -100,17 +99,20 @@ def report_page(result: Identification, circumstances: Mapping[str, Any]) -> str
     title, ratio = f"System identification: {result.start.robot}", ratios_grid(result.fit)
     open_ends = listing(open_questions(result.fit)) or element("p", "Every direction is identified.")
     parts = [
-        element("h1", title),
         *_summary(result),
         _section(errors_grid(result), TRACKING),
         _section(parameters_grid(result)),
         _section(ratio) if ratio.rows else "",
-        element("h2", "What is not identified") + open_ends,
+        section("What is not identified", "", open_ends),
         _section(ranges_grid(result), RANDOMISATION),
-        *_pictures(result),
+        _pictures(result),
         _section(whole_checks_grid(result.motions)),
         *(_section(joint_checks_grid(motion), tag="h3") for motion in result.motions),
-        *_circumstances(result, circumstances),
+        what_was_run(
+            circumstances,
+            f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
+            *(f"{each.recording.name}: {_kind(each)}" for each in result.motions),
+        ),
     ]
     return page(title, parts)
 
@@ -132,16 +134,19 @@ def _summary(result: Identification) -> Iterable[str]:
     texts |= dict.fromkeys(warnings, "weak")
     if open_questions(result.fit):
         texts["Not everything is identified; below is what to fix, or how to move for it."] = "weak"
-    failed = {c.joint for m in result.motions for c in m.source.checks if c.is_good is False}
+    failed = {c.joint for m in result.motions for c in m.checks if c.is_good is False}
     if names := ", ".join(short(joint) for joint in joints if joint in failed):
         texts[f"The motion of {names} is weaker than the data checks ask for."] = "weak"
     return [box(text, verdict) for text, verdict in texts.items()]
 
 
-def _pictures(result: Identification) -> list[str]:
+def _kind(motion: Motion) -> str:
+    return "held out" if motion.is_held_out else "fitted"
+
+
+def _pictures(result: Identification) -> str:
     """The motion that was held out, or the last if none was, joint by joint."""
     shown = (result.of(is_held_out=True) or result.motions)[-1]
-    kind = "held out" if shown.source.is_held_out else "fitted"
     key = "".join(f'<span style="background: {color}"></span>{name}' for name, color in COLORS.items())
     errors = tracking_errors([shown])
     figures = []
@@ -149,25 +154,12 @@ def _pictures(result: Identification) -> list[str]:
         before, after = (1e3 * errors[name][j] for name in ("before", "after"))
         caption = f"{short(joint)}: {before:.2f} mrad before, {after:.2f} mrad after"
         figures.append(picture(joint_picture(shown, j), "png", caption))
-    title = element("h2", f"Motion: {shown.recording.name} ({kind})")
-    return [title, f'<p class="key">{key}</p>', *figures]
-
-
-def _circumstances(result: Identification, circumstances: Mapping[str, Any]) -> list[str]:
-    lines = [
-        *circumstances_lines(circumstances),
-        f"free: {', '.join(result.fit.free)}; physics at {1 / result.physics_dt:.0f} Hz",
-        *(
-            f"{motion.recording.name}: {'held out' if motion.source.is_held_out else 'fitted'}"
-            for motion in result.motions
-        ),
-    ]
-    command = f"<p>{element('code', circumstances['command'])}</p>"
-    return [element("h2", "What was run"), command, listing(lines)]
+    title = f"Motion: {shown.recording.name} ({_kind(shown)})"
+    return section(title, "", f'<p class="key">{key}</p>', *figures)
 
 
 def _section(grid: Grid, text: str = "", tag: str = "h2") -> str:
-    return element(tag, grid.title) + (element("p", text) if text else "") + table(grid.columns, grid.rows)
+    return section(grid.title, text, table(grid.columns, grid.rows), tag=tag)
 
 
 def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content:
@@ -193,7 +185,9 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
         },
         "parameters": by_joint(_parameters(result, j) for j in range(len(joints))),
         "ratios": {
-            ratio.name: by_joint(map(_interval, ratio.value, ratio.half_width)) for ratio in ratios(fit)
+            name: by_joint(map(_told, each.value, each.interval))
+            for name, each in estimates(fit).items()
+            if name in RATIOS
         },
         "not_identified": open_questions(fit),
         "worse_than_command": list(result.file.worse_than_command),
@@ -205,8 +199,8 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
         "recordings": [
             {
                 "name": motion.recording.name,
-                "is_held_out": motion.source.is_held_out,
-                "checks": [asdict(check) for check in motion.source.checks],
+                "is_held_out": motion.is_held_out,
+                "checks": [asdict(check) for check in motion.checks],
             }
             for motion in result.motions
         ],
@@ -216,31 +210,22 @@ def numbers(result: Identification, circumstances: Mapping[str, Any]) -> Content
 
 def _parameters(result: Identification, j: int) -> Content:
     """Value before and after of every parameter of a joint, and its 95 % interval if it was fitted."""
-    fit = result.fit
-    widths = dict(zip(fit.free, half_widths(fit)[j], strict=True))
-    found: Content = {}
+    found, known = dict[str, Content](), estimates(result.fit)
     for name in PARAMETERS:
-        value, before = (float(getattr(each, name)[j]) for each in (fit.dynamics, result.start.before))
+        value, before = (float(getattr(each, name)[j]) for each in (result.fit.dynamics, result.start.before))
         content: Content = {"value": value, "before": before}
-        if name in widths and name == "latency":
-            content |= _plus_minus(value, LATENCY_UNIT * widths[name], least=0.0)
-        elif name in widths:
-            content |= _interval(value, widths[name])
+        if name in known:
+            content["interval"] = known[name].interval[j].tolist()
         found[name] = {key: each if np.all(np.isfinite(each)) else None for key, each in content.items()}
     return found
 
 
-def _plus_minus(value: float, half_width: float, least: float = -np.inf) -> Content:
-    """A value that has an interval itself."""
-    return {
-        "value": float(value),
-        "interval": [max(float(value - half_width), least), float(value + half_width)],
-    }
+def _plus_minus(value: float, half_width: float) -> Content:
+    return _told(value, value + half_width * np.array((-1.0, 1.0)))
 
 
-def _interval(value: float, half_width: float) -> Content:
-    """A value whose logarithm has an interval."""
-    return {"value": float(value), "interval": [float(value * np.exp(way * half_width)) for way in (-1, 1)]}
+def _told(value: float, interval: np.ndarray) -> Content:
+    return {"value": float(value), "interval": interval.tolist()}
 
 
 def joint_picture(motion: Motion, column: int) -> bytes:

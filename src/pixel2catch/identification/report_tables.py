@@ -12,10 +12,10 @@ from pixel2catch.identification.checks import Check, num_reversals, smoothed
 from pixel2catch.identification.fit import LATENCY_UNIT, SCALE, Fit
 from pixel2catch.identification.identify import (
     RATIOS,
+    Estimate,
     Identification,
     Motion,
-    half_widths,
-    ratios,
+    estimates,
     tracking_errors,
     worse_than_command,
 )
@@ -108,7 +108,7 @@ def whole_checks_grid(motions: Sequence[Motion]) -> Grid:
     rows = tuple(
         (Cell(motion.recording.name), Cell(check.name), _verdict(check), Cell(check.detail))
         for motion in motions
-        for check in motion.source.checks
+        for check in motion.checks
         if check.joint is None
     )
     return Grid(title="Data checks", columns=("recording", "check", "verdict", "found"), rows=rows)
@@ -116,8 +116,8 @@ def whole_checks_grid(motions: Sequence[Motion]) -> Grid:
 
 def joint_checks_grid(motion: Motion) -> Grid:
     """The checks of every joint of a recording."""
-    names = list(dict.fromkeys(check.name for check in motion.source.checks if check.joint))
-    by_joint = {(check.joint, check.name): check for check in motion.source.checks}
+    names = list(dict.fromkeys(check.name for check in motion.checks if check.joint))
+    by_joint = {(check.joint, check.name): check for check in motion.checks}
     rows = []
     for joint in motion.recording.joints:
         found = (by_joint[joint, name] for name in names)
@@ -155,22 +155,17 @@ def errors_grid(result: Identification) -> Grid:
 
 def parameters_grid(result: Identification) -> Grid:
     """Value of every parameter with its 95 % interval, and what it was before."""
-    fit, before = result.fit, result.start.before
-    widths = dict(zip(fit.free, half_widths(fit).T, strict=True))
+    fit, known = result.fit, estimates(result.fit)
     names = [name for name in PARAMETERS if name not in FILTER or fit.dynamics.has_filter.any()]
-    rows = []
-    for j, joint in enumerate(fit.dynamics.joints):
-        cells = [Cell(short(joint))]
-        for name in names:
-            value, old = getattr(fit.dynamics, name)[j], getattr(before, name)[j]
-            width = widths[name][j] if name in widths else None
-            cells.append(_parameter(name, value, old, width))
-        rows.append(tuple(cells))
+    rows = tuple(
+        (Cell(short(joint)), *(_parameter(result, known.get(name), name, j) for name in names))
+        for j, joint in enumerate(fit.dynamics.joints)
+    )
     columns = ("joint", *(f"{name} [{TOLD[name].unit}]" for name in names))
     return Grid(
         title="Parameters with 95 % intervals",
         columns=columns,
-        rows=tuple(rows),
+        rows=rows,
         warnings=(*drift_warnings(result), *play_warnings(result.fit)),
     )
 
@@ -208,40 +203,42 @@ def play_warnings(fit: Fit) -> list[str]:
     ]
 
 
-def _parameter(name: str, value: float, old: float, width: float | None) -> Cell:
-    scale = 1e3 if name == "latency" else 1.0
-    note = f"before {_number(scale * old)}" if np.isfinite(old) else "no filter before"
-    if width is None:
-        text = _number(scale * value) if np.isfinite(value) else "no filter"
-        return Cell(text, "unknown", "not fitted" if value == old else f"assumed; {note}")
-    return _interval(name, value, width, note)
+def _parameter(result: Identification, known: Estimate | None, name: str, j: int) -> Cell:
+    value, old = (getattr(each, name)[j] for each in (result.fit.dynamics, result.start.before))
+    note = f"before {_number(name, old)}" if np.isfinite(old) else "no filter before"
+    if known:
+        return _estimate(known, j, note)
+    text = _number(name, value) if np.isfinite(value) else "no filter"
+    return Cell(text, "unknown", "not fitted" if value == old else f"assumed; {note}")
 
 
-def _number(value: float) -> str:
+def _number(name: str, value: float) -> str:
+    """A parameter in the unit in which it is told."""
+    value *= 1e3 if name == "latency" else 1.0
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
-def _interval(name: str, value: float, width: float, note: str = "") -> Cell:
-    """A value with half of its interval, which is of its logarithm but for the latency."""
+def _estimate(known: Estimate, j: int, note: str = "") -> Cell:
+    """A joint's value with half of its interval."""
+    name, value, width = known.name, known.value[j], known.half_width[j]
     if width > UNKNOWN_WIDTH:
-        scale = 1e3 if name == "latency" else 1.0
-        return Cell(f"not identifiable ({_number(scale * value)})", "BAD", note)
+        return Cell(f"not identifiable ({_number(name, value)})", "BAD", note)
     if name == "latency":
         text = f"{1e3 * value:.2f} ± {1e3 * LATENCY_UNIT * width:.2f}"
     else:
-        text = f"{_number(value)} ± {100 * width:.1f} %"
+        text = f"{_number(name, value)} ± {100 * width:.1f} %"
     return Cell(text.replace(" ", NO_BREAK), "good" if width <= WELL_KNOWN else "weak", note)
 
 
 def ratios_grid(fit: Fit) -> Grid:
     """Ratios of parameters with their 95 % intervals; no rows if there are none."""
-    found = ratios(fit)
-    rows = []
-    for j, joint in enumerate(fit.dynamics.joints if found else ()):
-        cells = (_interval(ratio.name, ratio.value[j], ratio.half_width[j]) for ratio in found)
-        rows.append((Cell(short(joint)), *cells))
+    found = [each for name, each in estimates(fit).items() if name in RATIOS]
+    rows = tuple(
+        (Cell(short(joint)), *(_estimate(ratio, j) for ratio in found))
+        for j, joint in enumerate(fit.dynamics.joints if found else ())
+    )
     columns = ("joint", *(f"{ratio.name} [{RATIOS[ratio.name]}]" for ratio in found))
-    return Grid(title="Ratios with 95 % intervals", columns=columns, rows=tuple(rows))
+    return Grid(title="Ratios with 95 % intervals", columns=columns, rows=rows)
 
 
 def ranges_grid(result: Identification) -> Grid:

@@ -83,11 +83,6 @@ def step_commands(
     return np.stack(columns, axis=1)
 
 
-def friction_torque(frictionloss: np.ndarray, joint_vel: np.ndarray) -> np.ndarray:
-    """Torque of dry friction [N·m] of joints that move at some speeds [rad/s]."""
-    return -frictionloss * np.sign(joint_vel)
-
-
 class DryFriction:
     """Dry friction of all copies: that of `envs/actuators.py`, of NumPy arrays."""
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import torch
@@ -16,8 +17,10 @@ class GraphedFunction(Generic[Result]):
     """A function on a CUDA device whose first calls run as they are and whose later ones are replayed.
 
     It owns whatever a recording reads and writes: the function with all that it refers to, copies of its
-    arguments, the constants that it asks for, and its result. Tensors that the function reads besides its
-    arguments must be changed in place.
+    arguments, the constants that it asks for, its result, and unless it shares memory, the stream of the
+    recording: cuBLAS has one workspace for a stream, so that recordings of the same stream must not be
+    replayed side by side (PyTorch, issue 193402). Tensors that the function reads besides its arguments must
+    be changed in place.
     """
 
     def __init__(
@@ -63,8 +66,12 @@ class GraphedFunction(Generic[Result]):
         self._graph.replay()
         return self._result
 
+    @cached_property
+    def _stream(self) -> torch.cuda.Stream:
+        return torch.cuda.Stream(self._device)
+
     def _run_aside(self, arguments: tuple[Tensor, ...]) -> Result:
-        stream = torch.cuda.Stream(self._device)
+        stream = self._stream
         stream.wait_stream(torch.cuda.current_stream(self._device))
         with torch.cuda.stream(stream):
             result = self._function(*arguments)
@@ -76,11 +83,12 @@ class GraphedFunction(Generic[Result]):
         graph = torch.cuda.CUDAGraph()
         if self._generator is not None:
             graph.register_generator_state(self._generator)
+        stream = self._stream if self._pool is None else None  # of one stream, memory can be shared
         # Other threads may use the device meanwhile (NCCL's do), which "global" would forbid.
         with (
             keeping(self._constants),
             torch.cuda.device(self._device),
-            torch.cuda.graph(graph, self._pool, capture_error_mode="thread_local"),
+            torch.cuda.graph(graph, self._pool, stream, capture_error_mode="thread_local"),
             self._around(),
         ):
             self._result = self._function(*self._arguments)

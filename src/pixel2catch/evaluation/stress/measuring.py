@@ -106,7 +106,7 @@ def plan_results(
 def measure(
     results: Sequence[Result],
     cfg: EvaluationCfg,
-    on_result: Callable[[int, Result, Metrics], None] = lambda *_: None,
+    say: Callable[[str], None] = lambda _: None,
     jobs: int = 1,
     on_share: Callable[[float], None] = lambda _: None,
     summarize: Callable[[Trials], Metrics] = metrics,
@@ -115,9 +115,9 @@ def measure(
     """Compute the results that are not there, so many jobs at once, and return all.
 
     Of the task only the physics rate counts, the rest is each policy's. Each job is a process of its own;
-    only on the CPU there may be more than one. `on_result` is called with number, result and metrics of every
-    one that was computed, as soon as it was; `on_share` with the share of them that is done, more often. What
-    is kept of the throws is what `summarize`, a module's function, makes of them. With an executor every
+    only on the CPU there may be more than one. `say` is told of every one that was computed, as soon as it
+    was; `on_share` the share of them that is done, more often. What is kept of the throws is what
+    `summarize`, a module's function, makes of them. With an executor every
     result is a job of its cluster, on any device, and all are handed over at once.
 
     Raises:
@@ -151,7 +151,8 @@ def measure(
         each, content = results[number], origins[number] | {"metrics": found}
         write_files(each.file.parent, {each.file.name: json_text(content)})
         contents[number] = content
-        on_result(number + 1, each, found)
+        title, success = f"{each.policy.name}, {each.setting.title}", 100 * found["success_rate"]
+        say(f"{number + 1} of {len(results)}: {title}: success rate {success:.1f} %")
     return tuple(content for content in contents if content is not None)
 
 
@@ -180,7 +181,7 @@ def _measure(
     is_alone: bool = False,
     on_share: Callable[[float], None] = lambda _: None,
 ) -> Metrics:
-    evaluation = _evaluation(result, cfg, cfg.device)
+    evaluation = evaluation_of(result, cfg, cfg.device)
     return summarize(throw_rounds(*evaluation, is_alone=is_alone, on_share=on_share))
 
 
@@ -204,7 +205,8 @@ def _entry(folder: Path) -> PolicyEntry:
     return PolicyEntry(name=name, folder=folder, method=method.name, task=policy.contract.task)
 
 
-def _evaluation(result: Result, cfg: EvaluationCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
+def evaluation_of(result: Result, cfg: EvaluationCfg, device: str) -> tuple[Actor, Method, EvaluationCfg]:
+    """What a result takes: its policy on a device, the method, and what is thrown at it."""
     policy, method = load_policy(result.policy.folder, device)
     task = result.setting.level.change(task_of(policy, cfg.task.scene.physics_hz))
     return policy, method, replace(cfg, device=device, task=task, seed=cfg.seed + result.skipped)
@@ -212,7 +214,7 @@ def _evaluation(result: Result, cfg: EvaluationCfg, device: str) -> tuple[Actor,
 
 def _origin(result: Result, cfg: EvaluationCfg) -> Json:
     """Everything that decides a result's metrics, as JSON."""
-    _, method, evaluation = _evaluation(result, cfg, "cpu")
+    _, method, evaluation = evaluation_of(result, cfg, "cpu")
     evaluation = replace(evaluation, device=cfg.device)
     return {
         "policy": result.policy.name,

@@ -113,6 +113,11 @@ class Axis:
     unit: str
     levels: tuple[Level, ...]
 
+    @property
+    def settings(self) -> "tuple[Setting, ...]":
+        """One for each level."""
+        return tuple(Setting(axis=self, level=level) for level in self.levels)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
@@ -303,4 +308,4 @@ def select_settings(names: Sequence[str]) -> tuple[Setting, ...]:
         if name not in AXES:
             raise UnknownNameError("axis", name, AXES)
     chosen = [axis for axis in AXES.values() if not names or axis.name in names]
-    return tuple(Setting(axis=axis, level=level) for axis in chosen for level in axis.levels)
+    return tuple(setting for axis in chosen for setting in axis.settings)

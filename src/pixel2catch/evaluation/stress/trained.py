@@ -63,9 +63,8 @@ def _is_field_within(name: str, changed: Any, trained: Any) -> bool:
 
 def _is_inside(inner: Any, outer: Any) -> bool:
     """Whether numbers, ranges, or structures of these lie within others; anything else must be the same."""
-    if _is_amount(inner) and _is_amount(outer):
-        (low, high), (least, most) = _as_range(inner), _as_range(outer)
-        return least - TOLERANCE <= low and high <= most + TOLERANCE
+    if (drawn := _as_range(inner)) and (known := _as_range(outer)):
+        return known[0] - TOLERANCE <= drawn[0] and drawn[1] <= known[1] + TOLERANCE
     if isinstance(inner, tuple) and isinstance(outer, tuple) and len(inner) == len(outer):
         return all(_is_inside(a, b) for a, b in zip(inner, outer, strict=True))
     if is_dataclass(inner) and not isinstance(inner, type) and type(inner) is type(outer):
@@ -96,14 +95,8 @@ def _values(limits: tuple[float, float], grid: float) -> list[float]:
     return [first + number * grid for number in range(count)]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _is_amount(value: Any) -> bool:
-    is_range = isinstance(value, tuple) and len(value) == 2 and all(map(_is_number, value))
-    return _is_number(value) or is_range
-
-
-def _as_range(value: Any) -> tuple[float, float]:
-    return value if isinstance(value, tuple) else (value, value)
+def _as_range(value: Any) -> tuple[float, float] | None:
+    """A number, or a range of numbers, as a range; nothing for anything else."""
+    ends: Any = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
+    is_range = all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
+    return ends if is_range else None

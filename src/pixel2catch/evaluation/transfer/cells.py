@@ -5,22 +5,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.evaluation.loading import load_policy, task_of
-from pixel2catch.evaluation.metrics import Metrics, metrics, pooled_counts, wilson_interval
+from pixel2catch.evaluation.metrics import Metrics, metrics, pooled_counts, rate
 from pixel2catch.evaluation.protocol import ROUND_STEPS, EvaluationCfg, Trials, round_steps
-from pixel2catch.evaluation.stress.measuring import Json, Result
+from pixel2catch.evaluation.stress.measuring import Json, Result, evaluation_of
 from pixel2catch.evaluation.stress.suite import Axis, Level, Setting, part, together
 from pixel2catch.sim.factory import INELASTIC
 
 AS_TRAINED = "as trained"  #: Label of the restitutions that the task draws.
-RATES = {
+PAIRED = {
     "tracking_rate": "is_tracked",
     "success_rate": "is_success",
     "verified_hold_rate": "is_verified",
 }
-"""Rates of the tables, and what is noted of every throw for them, so that engines are compared in pairs."""
-
-PAIRED = tuple(RATES.values())
+"""Rates that are compared throw by throw, and what is noted of every throw for them."""
 
 PROBE_STEPS = 3  #: Control steps by which the time of a cell is estimated. Source: ours.
 
@@ -40,33 +37,21 @@ def transfer_settings(engines: Sequence[str], restitutions: Sequence[float]) -> 
             raise InvalidValueError(
                 f"nothing bounces in engine '{engine}': give --restitution 0 too, and another engine first"
             )
-        levels = [(f"{value:g}", {"restitution": (value, value)}) for value in values]
-        levels = levels or [(AS_TRAINED, {})]
         steps = part("scene", engine=engine)
-        axis = Axis(
-            name=engine,
-            unit="",
-            levels=tuple(
-                Level(
-                    label=label,
-                    change=together(steps, part("randomization", **changed)) if changed else steps,
-                    source="the caller's",
-                )
-                for label, changed in levels
-            ),
+        drawn = {f"{value:g}": part("randomization", restitution=(value, value)) for value in values}
+        levels = tuple(
+            Level(label=label, change=together(steps, change), source="the caller's")
+            for label, change in (drawn or {AS_TRAINED: together()}).items()
         )
-        settings += [Setting(axis=axis, level=level) for level in axis.levels]
+        settings += Axis(name=engine, unit="", levels=levels).settings
     return tuple(settings)
 
 
 def throw_metrics(trials: Trials) -> Metrics:
     """Metrics of all throws, and of each throw what happened: a text of 0 and 1."""
-    columns = {
-        "is_tracked": trials.record.is_tracked,
-        "is_success": trials.record.is_success,
-        "is_verified": trials.is_verified,
-    }
-    return {**metrics(trials), "throws": {name: _as_text(columns[name].tolist()) for name in PAIRED}}
+    happened = vars(trials.record) | vars(trials)
+    throws = {name: "".join(map(str, happened[name].int().tolist())) for name in PAIRED.values()}
+    return {**metrics(trials), "throws": throws}
 
 
 def rounds_of(results: Sequence[Result], num_rounds: int) -> list[Result]:
@@ -84,10 +69,9 @@ def pooled(contents: Sequence[Json]) -> Json:
     """What `throw_metrics` found in the rounds of a result, together."""
     parts = [content["metrics"] for content in contents]
     found: Metrics = {"trials": sum(part["trials"] for part in parts)}
-    for name in RATES:
-        count, trials = pooled_counts(parts, name)
-        found |= {name: count / trials, f"{name}_interval": list(wilson_interval(count, trials))}
-    found["throws"] = {name: "".join(part["throws"][name] for part in parts) for name in PAIRED}
+    for name in PAIRED:
+        found |= rate(name, *pooled_counts(parts, name))
+    found["throws"] = {name: "".join(part["throws"][name] for part in parts) for name in PAIRED.values()}
     found["failures"] = {
         name: sum(part["failures"][name] * part["trials"] for part in parts) / found["trials"]
         for name in parts[0]["failures"]
@@ -95,28 +79,19 @@ def pooled(contents: Sequence[Json]) -> Json:
     return found | {"max_penetration": max(part["max_penetration"] for part in parts)}
 
 
-def _as_text(happened: Sequence[bool]) -> str:
-    return "".join("1" if each else "0" for each in happened)
-
-
 def estimated_seconds(results: Sequence[Result], cfg: EvaluationCfg) -> float:
-    """How long the cells that are missing will take, one after the other [s]: a few steps of each engine."""
-    seconds: dict[str, float] = {}
-    total = 0.0
-    for each in results:
-        if each.read() is None:
-            engine = each.setting.axis.name
-            if engine not in seconds:
-                seconds[engine] = _step_seconds(each, cfg)
-            total += seconds[engine] * ROUND_STEPS * cfg.trials
-    return total
+    """How long results will take, one after the other [s]: a few steps of each engine tell."""
+    engines = [each.setting.axis.name for each in results]
+    seconds = {
+        engine: _step_seconds(results[engines.index(engine)], cfg) for engine in dict.fromkeys(engines)
+    }
+    return ROUND_STEPS * cfg.trials * sum(seconds[engine] for engine in engines)
 
 
 def _step_seconds(result: Result, cfg: EvaluationCfg) -> float:
     """Time of a control step of a cell [s]."""
-    policy, method = load_policy(result.policy.folder)
-    task = result.setting.level.change(task_of(policy, cfg.task.scene.physics_hz))
-    env = replace(cfg, task=task).make_env(method)
+    policy, method, evaluation = evaluation_of(result, cfg, cfg.device)
+    env = evaluation.make_env(method)
     try:
         steps = round_steps(env, policy)
         next(steps)

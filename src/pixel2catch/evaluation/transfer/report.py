@@ -9,14 +9,11 @@ from pixel2catch import offline_page
 from pixel2catch.circumstances import circumstances
 from pixel2catch.evaluation.heat_map import heat_map
 from pixel2catch.evaluation.metrics import Metrics, paired_difference
-from pixel2catch.evaluation.report import Cells, csv_text, markdown, percent, write_files
+from pixel2catch.evaluation.report import RATES, Cells, csv_text, markdown, percent, write_files
 from pixel2catch.evaluation.stress.measuring import Json, Result
 from pixel2catch.evaluation.stress.report import REAL_ROBOT, compare_methods
-from pixel2catch.evaluation.transfer.cells import RATES
+from pixel2catch.evaluation.transfer.cells import PAIRED
 from pixel2catch.files import json_text
-
-TITLES = {"T.R.": "tracking_rate", "S.R.": "success_rate", "verified hold": "verified_hold_rate"}
-"""Rates of the tables."""
 
 REAL_ORDER = (
     f"The paper's real robot has {' > '.join(REAL_ROBOT)}, an S.R. of "
@@ -35,7 +32,7 @@ def make_table(results: Sequence[Result], metrics: Sequence[Metrics]) -> Json:
     for each, found in zip(results, metrics, strict=True):
         policy, engine, label = place = _place(each)
         rates = {}
-        for name, noted in RATES.items():
+        for name, noted in PAIRED.items():
             rates[name] = {"rate": found[name], "interval": found[f"{name}_interval"]}
             if engine != home:
                 rates[name] |= paired_difference(texts[policy, home, label][noted], texts[place][noted])
@@ -83,31 +80,29 @@ def as_markdown(table: Json) -> str:
     """Rates in percent with their 95 % intervals, differences from home, and how throws failed."""
     lines = ["# Transfer"]
     for title, text, rows in _sections(table):
-        lines += [f"## {title}"] * bool(title) + [text, markdown(rows, num_text_columns=3)]
+        lines += [f"## {title}", text, markdown(rows, num_text_columns=3)]
     return "\n\n".join(lines)
 
 
 def as_page(table: Json, image: bytes, when: Json) -> str:
     """The same as one HTML page that opens offline, with the picture."""
-    parts = [offline_page.element("h1", "Transfer")]
-    for title, text, rows in _sections(table):
-        cells = [[offline_page.Cell(cell) for cell in row.values()] for row in rows]
-        parts += [offline_page.element("h2", title)] * bool(title)
-        parts += [offline_page.element("p", text), offline_page.table(list(rows[0]), cells)]
-    parts.insert(2, offline_page.picture(image, "png", "S.R. [%] and its difference from home in points"))
-    lines = offline_page.circumstances_lines(when)
-    return offline_page.page("Transfer", [*parts, offline_page.listing(lines)])
+    parts = [
+        offline_page.picture(image, "png", "S.R. [%] and its difference from home in points"),
+        *(offline_page.section(*words, offline_page.plain_table(rows)) for *words, rows in _sections(table)),
+        offline_page.what_was_run(when),
+    ]
+    return offline_page.page("Transfer", parts)
 
 
 def _sections(table: Json) -> Iterator[tuple[str, str, list[Cells]]]:
-    """Title, text and rows of each part of the report; the first has no title."""
+    """Title, text and rows of each part of the report."""
     rows = sorted(table["cells"], key=lambda cell: _order(table, cell))
     head = (
         f"{rows[0]['throws']} throws each, the same in all engines; home is {table['home']}. Rates in % with "
         "their 95 % interval; the difference of S.R. in points with its 95 % interval, the throws that were "
         "lost and won by it, and the p value of McNemar's exact test. Failures in % of the throws."
     )
-    yield "", head, [_row(cell) for cell in rows]
+    yield "Engine by engine", head, [_row(cell) for cell in rows]
     if table["orders"]:
         yield "Beside the real robot", REAL_ORDER, _order_rows(table)
 
@@ -118,7 +113,7 @@ def as_csv(table: Json) -> str:
     columns += ("lost", "won", "difference", "difference_low", "difference_high", "p_value")
     rows = []
     for cell in table["cells"]:
-        for name in RATES:
+        for name in PAIRED:
             rate = cell[name]
             place = (*(cell[key] for key in columns[:4]), name)
             low, high = rate.get("difference_interval", ("", ""))
@@ -159,7 +154,11 @@ def _order(table: Json, cell: Json) -> tuple[int, int]:
 def _row(cell: Json) -> Cells:
     success = cell["success_rate"]
     row = {name: cell[name] for name in ("policy", "restitution", "engine")}
-    row |= {title: percent(cell[name]["rate"], cell[name]["interval"]) for title, name in TITLES.items()}
+    row |= {
+        title: percent(cell[name]["rate"], cell[name]["interval"])
+        for title, name in RATES.items()
+        if name in cell
+    }
     difference, counts, p = "home", "", ""
     if "lost" in success:
         low, high = (100.0 * bound for bound in success["difference_interval"])
