@@ -191,7 +191,7 @@ def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int = 25
 
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
     """
-    policy = Policy(contract_of(method, WORKCELL))
+    policy = Policy(replace(contract_of(method, WORKCELL), task="sizes"))
     optimizer = torch.optim.Adam(policy.parameters())
     pairs = {agent.name: (list[Tensor](), list[Tensor]()) for agent in method.agents}
     for number in range(num_rounds):

@@ -141,6 +141,7 @@ def test_shipped_policies_of_every_compared_method():
         "catch_alone+fit",
         "catch_teacher+age",
         "fr3_allegro",
+        "two_ur5e_allegro",
         "ur5e_leap",
     }
     assert load_policy(None)[1] == find_method(DEFAULT_POLICY)
