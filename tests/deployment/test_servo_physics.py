@@ -19,7 +19,7 @@ PHYSICS_HZ = 510.0
 """A tick of the servo is a step of the physics; it must be a multiple of the control rate."""
 
 FASTEST = 3.14  #: Speed limit of a UR5e's joints [rad/s]; its specification here has 2.79.
-SPUN_OUT = 5  #: Ticks in which what came before a stop still accelerates joints.
+SPUN_OUT = 14  #: Ticks in which what came before a stop, such as a swing's end, still accelerates joints.
 SWING = np.array([0.5, 0.3, 0.3, 0.5, 0.5])
 """From side to side of the start pose, as far as no joint comes to the end of its travel."""
 
