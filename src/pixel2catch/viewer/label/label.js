@@ -119,9 +119,9 @@ canvas.addEventListener("pointermove", (event) => {
   drag = [...drag.slice(0, 2), ...place(event)];
   draw();
 });
-canvas.addEventListener("pointerup", () => {
+canvas.addEventListener("pointerup", (event) => {
   if (!drag) return;
-  const dragged = edges(drag);
+  const dragged = edges([...drag.slice(0, 2), ...place(event)]);
   drag = null;
   if (Math.min(dragged[2] - dragged[0], dragged[3] - dragged[1]) >= LEAST_SIDE) label(dragged);
   draw();
