@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,10 @@ from torch.distributions import Normal
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning.config import PRESETS, TrainCfg, preset
+from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.gradient_step import mini_batches
 from pixel2catch.learning.mappo import Mappo
+from pixel2catch.learning.networks import learn_together
 from pixel2catch.mdp.masks import assign
 from pixel2catch.policy import Policy
 
@@ -80,12 +83,12 @@ def plain_update(mappo: Mappo, agent: str) -> list[torch.Tensor]:
     returns = (advantages + rollout.values).flatten()
     values, log_prob, advantages = rollout.values.flatten(), rollout.log_prob.flatten(), advantages.flatten()
     advantages = (advantages - advantages.mean()) / advantages.std()
-    networks.value_scale.learn(values)
+    learn_together(Workers(), [(networks.value_scale, values)])
     values = networks.value_scale(values)
-    networks.value_scale.learn(returns)
+    learn_together(Workers(), [(networks.value_scale, returns)])
     returns = networks.value_scale(returns)
-    networks.observation_scale.learn(observations)
-    networks.state_scale.learn(states)
+    inputs = [(networks.observation_scale, observations), (networks.state_scale, states)]
+    learn_together(Workers(), inputs)
     optimizer = torch.optim.Adam(networks.parameters(), lr=cfg.learning_rate)
     for _ in range(cfg.epochs):
         normal = Normal(networks.policy(networks.observation_scale(observations)), networks.log_std.exp())
@@ -124,6 +127,19 @@ SQUARES = {"linear": 103.0941, "kl": 103.2317, "teacher": 102.0613, "start": 102
 """Sums of the squares of all weights of the policies then."""
 
 
+class DrawsOfSkrl:
+    """Mini-batches as skrl drew them: for all epochs of an agent, then for those of the next one."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Sequence[torch.Tensor]] = []
+
+    def __call__(self, cfg: TrainCfg) -> Sequence[torch.Tensor]:
+        if not self._waiting:
+            drawn = [[mini_batches(cfg) for _ in range(cfg.epochs)] for _ in CONTRACT.agents]
+            self._waiting = [batches for epoch in zip(*drawn, strict=True) for batches in epoch]
+        return self._waiting.pop(0)
+
+
 @pytest.mark.parametrize("name", FROZEN)
 def test_training_gives_the_numbers_of_skrl(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -148,6 +164,7 @@ def test_training_gives_the_numbers_of_skrl(
         return load(folder, *options)
 
     monkeypatch.setattr(Policy, "load", drawing)
+    monkeypatch.setattr("pixel2catch.learning.mappo.mini_batches", DrawsOfSkrl())
     mappo, metrics = Mappo(cfg, env, CONTRACT), {}
     for progress in (0.0, 0.25, 0.5, 0.75):
         roll_out(mappo, env)

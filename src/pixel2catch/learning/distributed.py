@@ -71,24 +71,26 @@ class Workers:
         for tensor, part in zip(tensors, parts, strict=True):
             tensor.copy_(part.view_as(tensor))
 
-    def moments(self, mean: Tensor, variance: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        """Return mean and unbiased variance of the samples of all processes.
+    def moments(self, found: Sequence[tuple[Tensor, Tensor]], count: int) -> Sequence[tuple[Tensor, Tensor]]:
+        """Return means and unbiased variances of the samples of all processes, by one exchange.
 
         They follow from those of this process's samples, of which every process has the same number. Source:
         law of total variance: the mean of the variances, and the variance of the means.
         """
         if self.size == 1:
-            return mean, variance
-        joint_mean = mean.to(torch.float64, copy=True)
-        self.average([joint_mean])
-        spread = variance.double() * ((count - 1) / count) + (mean - joint_mean).square()
-        self.average([spread])
+            return found
+        means, squares = [], []
+        for mean, variance in found:
+            means.append(mean.to(torch.float64, copy=True))
+            squares.append(variance.double() * ((count - 1) / count) + means[-1].square())
+        self.average([*means, *squares])
         total = count * self.size
-        return joint_mean, spread * (total / (total - 1))
+        joint = zip(means, squares, strict=True)
+        return [(mean, (square - mean.square()) * (total / (total - 1))) for mean, square in joint]
 
     def standardized(self, values: Tensor, epsilon: float) -> Tensor:
         """Return values with mean 0 and standard deviation 1 (but for epsilon) over all processes."""
-        mean, variance = self.moments(values.mean(), values.var(), values.numel())
+        ((mean, variance),) = self.moments([(values.mean(), values.var())], values.numel())
         return (values - mean.to(values)) / (variance.to(values).sqrt() + epsilon)
 
     @contextlib.contextmanager

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor, nn
 
 from pixel2catch.learning.config import TrainCfg
-from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.networks import ActorCritic, recall_all
 
 HIGHEST_LEARNING_RATE = 1e-2  #: Upper bound of the adaptive learning rate. Source: release (skrl).
@@ -38,9 +37,9 @@ class Batch(NamedTuple):
 class GradientStep:
     """Takes gradient steps for one agent."""
 
-    def __init__(self, cfg: TrainCfg, networks: ActorCritic, rollout: Batch, workers: Workers) -> None:
+    def __init__(self, cfg: TrainCfg, networks: ActorCritic, rollout: Batch) -> None:
         """Prepare for one agent's networks and for its rollouts, which are always in the same memory."""
-        self._cfg, self._networks, self._workers = cfg, networks, workers
+        self._cfg, self._networks = cfg, networks
         # Of recurrent networks, the steps of an environment stay together and in order.
         self._dim = 1 if cfg.recurrent else 0
         self._rollout = rollout if cfg.recurrent else rollout.each(partial(torch.flatten, end_dim=1))
@@ -54,6 +53,7 @@ class GradientStep:
         #: Sums of policy loss, value loss and KL divergence over the steps since they were put to zero; of
         #: all processes together, like the gradients.
         self.totals = torch.zeros(3, device=cfg.device)
+        self._losses_now = self.totals.clone()
         #: How far the policy follows a teacher instead of its rewards, to be changed in place.
         self.teacher_weight = torch.zeros((), device=cfg.device)
         self._policy_weight = torch.ones((), device=cfg.device)
@@ -67,16 +67,22 @@ class GradientStep:
         """Some transitions of the rollout, or some environments of recurrent networks."""
         return self._rollout.each(partial(torch.index_select, dim=self._dim, index=indices))
 
-    def take(self, indices: Tensor) -> None:
-        """Take one step on some of the rollout, whose values and returns are standardised; nothing waits."""
-        objective, losses = self._losses(indices)
+    def differentiate(self, indices: Tensor) -> None:
+        """Find gradients and losses on some of the rollout, whose values and returns are standardised."""
+        objective, self._losses_now = self._losses(indices)
         objective.backward()
-        parameters = [each for each in self._networks.parameters() if each.grad is not None]
-        self._workers.average([*(p.grad for p in parameters if p.grad is not None), losses])
-        nn.utils.clip_grad_norm_(parameters, self._cfg.gradient_clip)
+
+    @property
+    def exchanged(self) -> list[Tensor]:
+        """What all processes average before it is applied: gradients and losses."""
+        return [*(p.grad for p in self._networks.parameters() if p.grad is not None), self._losses_now]
+
+    def apply(self) -> None:
+        """Take the step that the gradients say; nothing waits."""
+        nn.utils.clip_grad_norm_(self._networks.parameters(), self._cfg.gradient_clip)
         self.optimizer.step()
         self.optimizer.zero_grad()  # at the end, so that a recorded step begins without gradients
-        self.totals += losses
+        self.totals += self._losses_now
 
     def rest_policy(self) -> None:
         """Let the value network alone learn, until `wake_policy`."""

@@ -4,7 +4,7 @@ Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and va
 standardised inputs and values. Ours: imitation of a teacher, resting policies, several processes.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -17,7 +17,7 @@ from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.environment import Environment, Observation, Step
 from pixel2catch.learning.gradient_step import Batch, GradientStep, adapted_rate, mini_batches
-from pixel2catch.learning.networks import EPSILON, ActorCritic
+from pixel2catch.learning.networks import EPSILON, ActorCritic, Standardizer, learn_together
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.sim.graphs import GraphedFunction
 
@@ -57,7 +57,7 @@ class Mappo:
         self.cfg, self.contract, self.workers = cfg, contract, workers or Workers(device=cfg.device)
         self.agents = tuple(contract.agents)
         self.networks = {
-            agent: ActorCritic(cfg, self.workers, env.observation_sizes[agent], env.state_size, num_actions)
+            agent: ActorCritic(cfg, env.observation_sizes[agent], env.state_size, num_actions)
             for agent, num_actions in env.action_sizes.items()
         }
         self._teacher = _load_teacher(cfg, contract) if cfg.teacher else None
@@ -88,7 +88,7 @@ class Mappo:
             for agent, num_actions in env.action_sizes.items()
         }
         self.steps = {
-            agent: GradientStep(cfg, networks, self.rollout[agent], self.workers)
+            agent: GradientStep(cfg, networks, self.rollout[agent])
             for agent, networks in self.networks.items()
         }
         self.rewards = {agent: buffer() for agent in self.agents}
@@ -97,20 +97,14 @@ class Mappo:
             for agent, batch in self.rollout.items()
         }
         self._num_steps = 0
-        is_alone_on_cuda = cfg.device.startswith("cuda") and self.workers.size == 1
-        stream = partial(torch.cuda.Stream, cfg.device) if is_alone_on_cuda else lambda: None
-        #: On which each agent is updated: side by side, but in one order where processes exchange gradients.
-        self._streams = {agent: stream() for agent in self.agents}
+        stream = partial(torch.cuda.Stream, cfg.device) if cfg.device.startswith("cuda") else lambda: None
+        self._streams = {agent: stream() for agent in self.agents}  #: On which each is differentiated.
         self._draw = {agent: self._fused(networks.act) for agent, networks in self.networks.items()}
         self._record_epochs()
 
     def _record_epochs(self) -> None:
         """Let the next epochs be recorded anew, the first one of an update and all others apart."""
-        self._epochs = {
-            (agent, is_first): self._recorded(partial(self._epoch, agent, is_first=is_first))
-            for agent in self.agents
-            for is_first in (True, False)
-        }
+        self._epochs = [self._recorded(partial(self._epoch, is_first=is_first)) for is_first in (False, True)]
 
     def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function as one launch of few kernels, if steps are fused; else as it is."""
@@ -201,39 +195,56 @@ class Mappo:
         }
 
     def _update_agents(self) -> Tensor:
-        """Update every agent; return its `METRICS`, a row each."""
-        rows = []
+        """Update all agents; return their `METRICS`, a row each."""
+        cfg, steps = self.cfg, self.steps.values()
+        for agent in self.agents:
+            self._estimate_advantages(agent)
+        epochs = []
+        for epoch in range(cfg.epochs):
+            epochs.append(self._epochs[epoch == 0]().clone())
+            if cfg.schedule == "kl":
+                for step, kl in zip(steps, epochs[-1][:, 2].tolist(), strict=True):
+                    step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), kl))
+        stds = [networks.log_std.detach().exp().mean() for networks in self.networks.values()]
+        rest = torch.stack((torch.stack(stds), torch.stack([step.learning_rate for step in steps])), dim=-1)
+        return torch.cat((torch.stack(epochs).mean(dim=0), rest), dim=-1)
+
+    def _epoch(self, *, is_first: bool) -> Tensor:
+        """Pass over the rollout, in the first epoch of an update for the scales, too; return mean losses.
+
+        Mini-batch after mini-batch, all agents' gradients are found side by side and exchanged at once.
+        """
+        for step in self.steps.values():
+            step.totals.zero_()
+        drawn = {agent: mini_batches(self.cfg) for agent in self.agents}
+        for number in range(self.cfg.mini_batches):
+            indices = {agent: batches[number] for agent, batches in drawn.items()}
+            if is_first:
+                self._learn_scales(indices)
+            for agent, step in self._side_by_side():
+                step.differentiate(indices[agent])
+            self.workers.average([part for step in self.steps.values() for part in step.exchanged])
+            for _, step in self._side_by_side():
+                step.apply()
+        return torch.stack([step.totals for step in self.steps.values()]) / self.cfg.mini_batches
+
+    def _side_by_side(self) -> Iterator[tuple[str, GradientStep]]:
+        """Every agent and its steps, on a CUDA device each within a stream of its own."""
         for agent, stream in self._streams.items():
             if stream:
                 stream.wait_stream(torch.cuda.current_stream(stream.device))
             with torch.cuda.stream(stream):
-                rows.append(self._update_agent(agent))
+                yield agent, self.steps[agent]
         for stream in filter(None, self._streams.values()):
             torch.cuda.current_stream(stream.device).wait_stream(stream)
-        return torch.stack(rows)
 
-    def _update_agent(self, agent: str) -> Tensor:
-        cfg, step, networks = self.cfg, self.steps[agent], self.networks[agent]
-        self._estimate_advantages(agent)
-        epochs = []
-        for epoch in range(cfg.epochs):
-            epochs.append(self._epochs[agent, epoch == 0]().clone())
-            if cfg.schedule == "kl":
-                step.learning_rate.fill_(adapted_rate(cfg, step.learning_rate.item(), epochs[-1][2].item()))
-        std = networks.log_std.detach().exp().mean()
-        return torch.cat((torch.stack(epochs).mean(0), std[None], step.learning_rate[None]))
-
-    def _epoch(self, agent: str, *, is_first: bool) -> Tensor:
-        """Pass over the rollout, in the first epoch of an update for the scale, too; return mean losses."""
-        step, networks = self.steps[agent], self.networks[agent]
-        step.totals.zero_()
-        for indices in mini_batches(self.cfg):
-            if is_first:
-                batch = step.batch(indices)
-                networks.observation_scale.learn(batch.observations)
-                networks.state_scale.learn(batch.states)
-            step.take(indices)
-        return step.totals / self.cfg.mini_batches
+    def _learn_scales(self, indices: Mapping[str, Tensor]) -> None:
+        """Count what the networks are about to see into the scales of their inputs."""
+        seen: list[tuple[Standardizer, Tensor]] = []
+        for agent, networks in self.networks.items():
+            batch = self.steps[agent].batch(indices[agent])
+            seen += [(networks.observation_scale, batch.observations), (networks.state_scale, batch.states)]
+        learn_together(self.workers, seen)
 
     @torch.no_grad()
     def _estimate_advantages(self, agent: str) -> None:
@@ -245,7 +256,7 @@ class Mappo:
         returns = discounted_returns(self.cfg, self.rewards[agent], self.is_done, values, last)
         rollout.advantages.copy_(self.workers.standardized(returns - values, EPSILON))
         for target, given in ((values, values), (rollout.returns, returns)):
-            scale.learn(given)
+            learn_together(self.workers, [(scale, given)])
             target.copy_(scale(given))
 
     def _rest_policies(self, is_resting: bool) -> None:

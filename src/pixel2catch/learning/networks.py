@@ -1,6 +1,7 @@
 """What learning needs of networks: policy and value function of an agent, and the scale of what they see."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -14,16 +15,15 @@ EPSILON = 1e-8  #: Added to a standard deviation before dividing by it. Source: 
 
 
 class Standardizer(nn.Module):
-    """Brings values to mean 0 and standard deviation 1 by the statistics of all processes, and clips them."""
+    """Brings values to mean 0 and standard deviation 1 by what it has learned of them, and clips them."""
 
     mean: Tensor
     variance: Tensor
     count: Tensor
 
-    def __init__(self, workers: Workers, *size: int) -> None:
+    def __init__(self, *size: int) -> None:
         """Begin as if one sample of mean 0 and variance 1 had been seen."""
         super().__init__()
-        self._workers = workers
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
         self.register_buffer("count", torch.ones((), dtype=torch.float64))
@@ -34,12 +34,11 @@ class Standardizer(nn.Module):
         return self.variance.float().sqrt() + EPSILON
 
     @torch.no_grad()
-    def learn(self, values: Tensor) -> None:
-        """Count in values, (..., *size). Source: parallel variance (Chan et al. 1979)."""
-        values = values.reshape(-1, *self.mean.shape)
-        num = len(values)
-        mean, variance = self._workers.moments(values.mean(dim=0), values.var(dim=0), num)
-        num *= self._workers.size
+    def learn(self, mean: Tensor, variance: Tensor, num: int) -> None:
+        """Count in that many values by their mean and unbiased variance.
+
+        Source: parallel variance (Chan et al. 1979).
+        """
         total, delta = self.count + num, mean - self.mean
         squares = self.variance * self.count + variance * num + delta**2 * self.count * num / total
         self.mean.copy_(self.mean + delta * num / total)
@@ -55,12 +54,19 @@ class Standardizer(nn.Module):
         return self.variance.float().sqrt() * values.clamp(-INPUT_CLIP, INPUT_CLIP) + self.mean.float()
 
 
+@torch.no_grad()
+def learn_together(workers: Workers, seen: Sequence[tuple[Standardizer, Tensor]]) -> None:
+    """Count values of all processes, (..., *size), into standardisers, by one exchange."""
+    values = [given.reshape(-1, *scale.mean.shape) for scale, given in seen]
+    found = workers.moments([(each.mean(dim=0), each.var(dim=0)) for each in values], len(values[0]))
+    for (scale, _), (mean, variance) in zip(seen, found, strict=True):
+        scale.learn(mean, variance, len(values[0]) * workers.size)
+
+
 class ActorCritic(nn.Module):
     """Networks of one agent: a Gaussian policy of its observation, and a value function of the state."""
 
-    def __init__(
-        self, cfg: TrainCfg, workers: Workers, num_observations: int, num_states: int, num_actions: int
-    ) -> None:
+    def __init__(self, cfg: TrainCfg, num_observations: int, num_states: int, num_actions: int) -> None:
         """Build untrained networks; the global torch generator of the CPU decides on their weights."""
         super().__init__()
         size = cfg.recurrent
@@ -69,9 +75,9 @@ class ActorCritic(nn.Module):
         self.log_std = nn.Parameter(torch.full((num_actions,), cfg.initial_log_std))
         self.value_gru = nn.GRUCell(num_states, size) if size else None
         self.value = build_mlp(size or num_states, 1, cfg.hidden)
-        self.observation_scale = Standardizer(workers, num_observations)
-        self.state_scale = Standardizer(workers, num_states)
-        self.value_scale = Standardizer(workers)
+        self.observation_scale = Standardizer(num_observations)
+        self.state_scale = Standardizer(num_states)
+        self.value_scale = Standardizer()
         self.to(cfg.device)
 
     @property
