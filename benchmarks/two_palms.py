@@ -8,7 +8,7 @@ Run: python benchmarks/two_palms.py --throws 600 --out runs/two-scripted
 """
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import SIZES_TASK
 from pixel2catch.evaluation.metrics import metrics
-from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, run_round
+from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, run_round
 from pixel2catch.mdp.columns import take
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method, find_method
@@ -33,7 +33,7 @@ from pixel2catch.workcells import find_workcell
 
 WORKCELL = find_workcell("two_ur5e_allegro")
 FARTHEST_X = 0.88  # where an object is met at the farthest [m]
-BATCH = 512  # of a gradient step of imitation
+BATCH = 2  # of a gradient step of imitation, transitions of each environment
 
 COLUMNS = {"6": 0, "10": 0, "16": 1, "22": 2, "28": 3}  # of the table, by the size in an object's name [cm]
 CATCH: dict[str, tuple] = {
@@ -66,9 +66,9 @@ class Script:
 
     def __init__(self, env: CatchEnv) -> None:
         self._env, self._is_planned = env, False
-        self._chains = [chain_of(WORKCELL, palm, dtype=torch.float64) for palm in WORKCELL.palms]
+        self._chains = [chain_of(WORKCELL, palm, env.device, torch.float64) for palm in WORKCELL.palms]
         rows = [(c.anchor, c.offset, c.scale, c.lower, c.upper) for c in commands_of(WORKCELL)]
-        self._commands = torch.tensor(rows, dtype=torch.float64).T
+        self._commands = self._tensor(rows).T
 
     def reset(self, is_ended: Tensor | None = None) -> None:
         """Plan anew if all episodes begin."""
@@ -107,8 +107,8 @@ class Script:
         env, throw = self._env, self._env._episode.throw
         thrown = [env.world.objects.names[i] for i in env._episode.record.object_id.tolist()]
         columns = [COLUMNS[name.split("_")[1]] for name in thrown]
-        catch = {name: torch.tensor(row, dtype=torch.float64)[columns] for name, row in CATCH.items()}
-        radius = torch.tensor([OBJECTS[name].radius for name in thrown], dtype=torch.float64)
+        catch = {name: self._tensor(row)[columns] for name, row in CATCH.items()}
+        radius = self._tensor([OBJECTS[name].radius for name in thrown])
         pos, speed = throw.pos.double(), throw.lin_vel.double()
         rise = throw.aim[:, 2].double() + catch["above"] - pos[:, 2]
         root = (speed[:, 2] ** 2 - 2.0 * GRAVITY * rise).clamp(min=0.0).sqrt()
@@ -121,14 +121,17 @@ class Script:
         self._poses = []
         for side, palm, chain in zip((1.0, -1.0), WORKCELL.palms, self._chains, strict=True):
             joints = WORKCELL.joints[palm.carriers]
-            limits = torch.tensor([(j.lower, j.upper, j.home) for j in joints], dtype=torch.float64)
+            limits = self._tensor([(j.lower, j.upper, j.home) for j in joints])
             start, ways = limits[:, 2].expand(len(met), -1), list[Tensor]()
             for when, place in enumerate((met, along)):
                 start = inverse(chain, limits, _palm_pose(catch, when, side, place, radius), start)
                 ways.append(start)
             self._poses.append((limits[:, 2], *ways, (catch["palms"] > 1) | (side * met[:, 1] >= 0.0)))
         self._catch, self._duration, self._hover_steps = catch, duration, throw.hover_steps.clone()
-        self._is_touched, self._is_planned = torch.zeros(len(thrown), dtype=torch.bool), True
+        self._is_touched, self._is_planned = torch.zeros_like(self._hover_steps, dtype=torch.bool), True
+
+    def _tensor(self, rows: Sequence) -> Tensor:
+        return torch.tensor(rows, dtype=torch.float64, device=self._env.device)
 
 
 def _palm_pose(
@@ -165,8 +168,8 @@ def inverse(
         return torch.cat(off, dim=-1)
 
     joints, found = start.clone(), error(start)
-    weight = torch.full((len(start), 1, 1), 1e-2, dtype=torch.float64)
-    nudges = 1e-5 * torch.eye(len(home), dtype=torch.float64)
+    weight = start.new_full((len(start), 1, 1), 1e-2)
+    nudges = 1e-5 * torch.eye(len(home)).to(start)
     for _ in range(steps):
         slope = torch.stack([(error(joints + nudge) - found) / 1e-5 for nudge in nudges], dim=-1)
         square = slope.mT @ slope
@@ -186,20 +189,20 @@ def throws_task(episode: EpisodeCfg) -> CatchEnvCfg:
     return replace(SIZES_TASK, scene=scene, episode=episode)
 
 
-def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int = 256) -> Policy:
+def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int, device: str) -> Policy:
     """A policy of the script's actions, in states that the script comes to, and later the policy.
 
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
     """
-    policy = Policy(replace(contract_of(method, WORKCELL), task="sizes"))
+    policy = Policy(replace(contract_of(method, WORKCELL), task="sizes")).to(device)
     optimizer = torch.optim.Adam(policy.parameters())
     pairs = {agent.name: (list[Tensor](), list[Tensor]()) for agent in method.agents}
     for number in range(num_rounds):
         episode = EpisodeCfg(max_steps=125, rest_steps=40)
-        env = CatchEnv(throws_task(episode), method, num_envs=num_envs, seed=3000 + number)
+        env = CatchEnv(throws_task(episode), method, num_envs=num_envs, device=device, seed=3000 + number)
         script, observed = Script(env), env.reset().policy
-        is_scripted = torch.rand(num_envs, 1) < (1.0, 0.45, 0.3, 0.15, 0.0)[min(number, 4)]
-        is_running, is_caught = torch.ones(2, num_envs, dtype=torch.bool)
+        is_scripted = torch.rand(num_envs, 1, device=device) < (1.0, 0.45, 0.3, 0.15, 0.0)[min(number, 4)]
+        is_running, is_caught = torch.ones(2, num_envs, dtype=torch.bool, device=device)
         while is_running.any():
             wanted, actions = script.act(observed), policy.act(observed)
             for name, (inputs, outputs) in pairs.items():
@@ -211,13 +214,15 @@ def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int = 25
             is_caught = torch.where(is_running, step.record.is_success, is_caught)
             observed, is_running = step.observation.policy, is_running & ~step.terminated
         env.close()
-        learn(policy, optimizer, pairs, num_steps * (1 if number < num_rounds - 1 else 8))
+        learn(policy, optimizer, pairs, num_steps * (1 if number < num_rounds - 1 else 8), BATCH * num_envs)
         rates = f"S.R. {is_caught.float().mean():.2f}, {is_scripted.float().mean():.2f} scripted"
         print(f"round {number}: {rates}", flush=True)
     return policy
 
 
-def learn(policy: Policy, optimizer: torch.optim.Optimizer, pairs: Mapping, num_steps: int) -> None:
+def learn(
+    policy: Policy, optimizer: torch.optim.Optimizer, pairs: Mapping, num_steps: int, batch_size: int
+) -> None:
     """Gradient steps on the mean square of what actions differ by; inputs are scaled at the first call."""
     for name, lists in pairs.items():
         inputs, outputs = (torch.cat(values) for values in lists)
@@ -226,8 +231,8 @@ def learn(policy: Policy, optimizer: torch.optim.Optimizer, pairs: Mapping, num_
             network.input_mean.copy_(inputs.mean(dim=0))
             network.input_std.copy_(inputs.std(dim=0).clamp(min=0.02))
         for step in range(num_steps):
-            batch = torch.randint(len(inputs), (BATCH,))
-            actions, _ = network(inputs[batch], inputs.new_zeros(BATCH, 0))
+            batch = torch.randint(len(inputs), (batch_size,), device=inputs.device)
+            actions, _ = network(inputs[batch], inputs.new_zeros(batch_size, 0))
             loss = (actions - outputs[batch]).square().mean()
             optimizer.zero_grad()
             loss.backward()
@@ -246,21 +251,28 @@ def main() -> None:
     parser.add_argument(
         "--steps", type=int, default=200, help="gradient steps of a round, 8 times in the last"
     )
+    parser.add_argument("--num-envs", type=int, default=256, help="of a round of imitation")
+    parser.add_argument("--device", default="cpu", help="to play and learn on")
     parser.add_argument("--out", type=Path, help="folder of a policy that imitates the script")
     options = parser.parse_args()
     method = find_method(options.method, WORKCELL)
     cfg = EvaluationCfg(
-        objects=SIZES, num_envs=options.throws, trials=1, seed=options.seed, task=throws_task(EpisodeCfg())
+        objects=SIZES,
+        num_envs=options.throws,
+        trials=1,
+        seed=options.seed,
+        device=options.device,
+        task=throws_task(EpisodeCfg()),
     )
     actors: list[Callable[[CatchEnv], Actor]] = [Script]
     if options.out:
         torch.manual_seed(0)
-        policy = imitated(method, options.rounds, options.steps)
+        policy = imitated(method, options.rounds, options.steps, options.num_envs, options.device)
         policy.save(options.out / "policy")
         actors.append(lambda _: policy)
     for actor in actors:
         env = cfg.make_env(method)
-        found = metrics(run_round(env, actor(env)))
+        found = metrics(Trials.concatenate([run_round(env, actor(env))]))
         for name, rates in ({"all": found} | found["objects"]).items():
             columns = ("trials", "tracking_rate", "success_rate", "verified_hold_rate", "hold_palms")
             print(f"{name:8}", *(f"{column} {rates[column] or 0:.3g}" for column in columns))
