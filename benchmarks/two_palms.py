@@ -197,9 +197,10 @@ def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int, dev
     policy = Policy(replace(contract_of(method, WORKCELL), task="sizes")).to(device)
     optimizer = torch.optim.Adam(policy.parameters())
     pairs = {agent.name: (list[Tensor](), list[Tensor]()) for agent in method.agents}
+    task = throws_task(EpisodeCfg(max_steps=125, rest_steps=40))
+    env = CatchEnv(task, method, num_envs=num_envs, device=device)
     for number in range(num_rounds):
-        episode = EpisodeCfg(max_steps=125, rest_steps=40)
-        env = CatchEnv(throws_task(episode), method, num_envs=num_envs, device=device, seed=3000 + number)
+        env.seed(3000 + number)
         script, observed = Script(env), env.reset().policy
         is_scripted = torch.rand(num_envs, 1, device=device) < (1.0, 0.45, 0.3, 0.15, 0.0)[min(number, 4)]
         is_running, is_caught = torch.ones(2, num_envs, dtype=torch.bool, device=device)
@@ -213,10 +214,10 @@ def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int, dev
             step = env.step(actions)
             is_caught = torch.where(is_running, step.record.is_success, is_caught)
             observed, is_running = step.observation.policy, is_running & ~step.terminated
-        env.close()
         learn(policy, optimizer, pairs, num_steps * (1 if number < num_rounds - 1 else 8), BATCH * num_envs)
         rates = f"S.R. {is_caught.float().mean():.2f}, {is_scripted.float().mean():.2f} scripted"
         print(f"round {number}: {rates}", flush=True)
+    env.close()
     return policy
 
 
