@@ -59,6 +59,10 @@ class JointActuators:
         self._servos = Servos.on(simulation.device, simulation.dtype, dynamics, efforts, velocity_limits)
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
+        # Those of the present episodes, whose values in MuJoCo's parameters are ten times as far apart.
+        self._stiffnesses, self._dampings = (
+            each.expand_as(self._ctrl).clone() for each in (self._stiffness, self._damping)
+        )
         self._command, self._last_vel = torch.zeros_like(self._ctrl), torch.zeros_like(self._ctrl)
         self._path, self._dry_friction, self._implicit = None, None, 1.0
         if dynamics != nominal:
@@ -86,6 +90,8 @@ class JointActuators:
             (self._gainprm[..., 0], stiffness),
             (self._biasprm[..., 1], -stiffness),
             (self._biasprm[..., 2], -self._implicit * damping),
+            (self._stiffnesses, stiffness),
+            (self._dampings, damping),
         ):
             write(mask, value, target)
 
@@ -102,8 +108,8 @@ class JointActuators:
         state = ServoState(
             joint_pos=self._qpos,
             joint_vel=self._qvel,
-            stiffness=self._gainprm[..., 0],
-            damping=-self._biasprm[..., 2] / self._implicit,
+            stiffness=self._stiffnesses,
+            damping=self._dampings,
         )
         self._ctrl.copy_(self._servos.limited(aim, state))
         if self._dry_friction is None:

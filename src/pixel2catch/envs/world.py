@@ -13,6 +13,7 @@ from torch import Tensor
 from pixel2catch.camera.pinhole import camera_center, is_unoccluded, ray_directions
 from pixel2catch.envs.actuators import JointActuators
 from pixel2catch.envs.episode import StepExtremes
+from pixel2catch.envs.occlusion import Occluders
 from pixel2catch.mdp.columns import Columns, merged, take
 from pixel2catch.mdp.masks import write
 from pixel2catch.mdp.randomization import EpisodeParameters
@@ -55,8 +56,7 @@ class _Fields:
     sensordata: Tensor
     site_xpos: Tensor
     site_xmat: Tensor
-    xpos: Tensor
-    xmat: Tensor
+    geom_xpos: Tensor
 
 
 class ContactColumns(NamedTuple):
@@ -156,6 +156,7 @@ class CatchWorld:
         thrown = [OBJECTS[name].scaled(scene.object_scale) for name in self.objects.names]
         points = np.stack([surface_points(spec, NUM_SURFACE_POINTS) for spec in thrown])
         self._surface = torch.as_tensor(points).to(self.device, torch.float32)
+        self._occluders = Occluders(model, OCCLUDER_GROUPS, self._surface)
         self._reach = torch.tensor([reach_of(spec.radius) for spec in thrown], device=self.device)
         first = self.objects.indices.dofs.start
         self._linear = slice(first, first + 3)
@@ -256,7 +257,7 @@ class CatchWorld:
                 dim=1,
             ).float(),
             fingertip_pos=torch.stack([fields.site_xpos[:, tip] for tip in self._tips], dim=1).float(),
-            object_pos=_snapshot(fields.xpos[:, self.objects.indices.body]),
+            object_pos=_snapshot(fields.qpos[:, self.objects.indices.qpos])[:, :3],
             object_lin_vel=_snapshot(fields.qvel[:, self._linear]),
             object_reach=self._reach[self._object_id],
             is_touching=log.is_touching,
@@ -270,15 +271,17 @@ class CatchWorld:
         self, camera: CameraSpec = RGB_CAMERA
     ) -> tuple[Float[Tensor, "num_envs num_points 3"], Bool[Tensor, "num_envs num_points"]]:
         """Surface points of the object, world frame [m], and which of them robot and table do not hide."""
-        body = self.objects.indices.body
-        rotation = _snapshot(self._fields.xmat[:, body]).view(-1, 3, 3)
+        pos, quat = _snapshot(self._fields.qpos[:, self.objects.indices.qpos]).split((3, 4), dim=-1)
         points = torch.baddbmm(
-            _snapshot(self._fields.xpos[:, body])[:, None],
-            self._surface[self._object_id],
-            rotation.transpose(1, 2),
+            pos[:, None], self._surface[self._object_id], rotation_matrix(quat).transpose(1, 2)
         )
+        may_hide = None
+        if self.device.type == "cpu":  # others cast all rays at once
+            geoms = _snapshot(self._fields.geom_xpos)
+            may_hide = self._occluders.may_hide(camera_center(camera, points), pos, self._object_id, geoms)
         directions = ray_directions(camera, points).to(self.simulation.dtype)
-        hit = self.simulation.ray(camera_center(camera, directions), directions, OCCLUDER_GROUPS)
+        origin = camera_center(camera, directions)
+        hit = self.simulation.ray(origin, directions, OCCLUDER_GROUPS, may_hide)
         return points, is_unoccluded(hit)
 
     def _set_object(self, mask: Tensor, parameters: EpisodeParameters) -> None:
@@ -326,3 +329,14 @@ class CatchWorld:
 def _snapshot(live: Tensor) -> Tensor:
     """A float32 copy: where the simulation is float32 itself, a cast alone would follow the simulation."""
     return live.to(torch.float32, copy=True)
+
+
+def rotation_matrix(quat: Float[Tensor, "num_envs 4"]) -> Float[Tensor, "num_envs 3 3"]:
+    """Rotations of quaternions (w, x, y, z) of length 1."""
+    w, x, y, z = quat.unbind(dim=-1)
+    rows = (
+        *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        *(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        *(2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    return torch.stack(rows, dim=-1).view(-1, 3, 3)

@@ -43,7 +43,7 @@ Contact = tuple[mujoco.mjtObj, str]
 REDUCE_MINDIST = 1  #: Of several contacts a sensor reports the deepest.
 
 GEOM_FIELDS = ("geom_dataid", "geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound")
-BODY_FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_invweight0")
+BODY_FIELDS = ("body_mass", "body_subtreemass", "body_inertia", "body_invweight0")
 DOF_FIELDS = ("dof_M0", "dof_length", "dof_invweight0")  #: Model fields that depend on the object.
 
 

@@ -84,11 +84,12 @@ class Simulation(ABC):
         origin: Float[Tensor, "3"],
         directions: Float[Tensor, "num_envs num_rays 3"],
         groups: tuple[int, ...],
+        mask: Bool[Tensor, " num_envs"] | None = None,
     ) -> Float[Tensor, "num_envs num_rays"]:
         """Distance to the nearest geom along each ray in units of the direction's length, -1 for a miss.
 
         Rays begin at a common origin [m] and hit geoms of some groups; origin and directions are in the world
-        frame.
+        frame. Those outside the mask may be left out, and miss then.
         """
 
     def record(
