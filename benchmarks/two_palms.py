@@ -24,7 +24,7 @@ from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, run_ro
 from pixel2catch.mdp.columns import take
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method, find_method
-from pixel2catch.policy import Policy, contract_of
+from pixel2catch.policy import HIDDEN, Policy, contract_of
 from pixel2catch.robots.chain import Chain
 from pixel2catch.robots.geometry import chain_of
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
@@ -189,17 +189,18 @@ def throws_task(episode: EpisodeCfg) -> CatchEnvCfg:
     return replace(SIZES_TASK, scene=scene, episode=episode)
 
 
-def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int, device: str) -> Policy:
+def imitated(method: Method, options: argparse.Namespace) -> Policy:
     """A policy of the script's actions, in states that the script comes to, and later the policy.
 
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
     """
-    policy = Policy(replace(contract_of(method, WORKCELL), task="sizes")).to(device)
+    num_envs, device = options.num_envs, options.device
+    policy = Policy(replace(contract_of(method, WORKCELL), task="sizes"), options.hidden).to(device)
     optimizer = torch.optim.Adam(policy.parameters())
     pairs = {agent.name: (list[Tensor](), list[Tensor]()) for agent in method.agents}
     task = throws_task(EpisodeCfg(max_steps=125, rest_steps=40))
     env = CatchEnv(task, method, num_envs=num_envs, device=device)
-    for number in range(num_rounds):
+    for number in range(options.rounds):
         env.seed(3000 + number)
         script, observed = Script(env), env.reset().policy
         is_scripted = torch.rand(num_envs, 1, device=device) < (1.0, 0.45, 0.3, 0.15, 0.0)[min(number, 4)]
@@ -214,7 +215,8 @@ def imitated(method: Method, num_rounds: int, num_steps: int, num_envs: int, dev
             step = env.step(actions)
             is_caught = torch.where(is_running, step.record.is_success, is_caught)
             observed, is_running = step.observation.policy, is_running & ~step.terminated
-        learn(policy, optimizer, pairs, num_steps * (1 if number < num_rounds - 1 else 8), BATCH * num_envs)
+        num_steps = options.steps * (1 if number < options.rounds - 1 else 8)
+        learn(policy, optimizer, pairs, num_steps, BATCH * num_envs)
         rates = f"S.R. {is_caught.float().mean():.2f}, {is_scripted.float().mean():.2f} scripted"
         print(f"round {number}: {rates}", flush=True)
     env.close()
@@ -252,6 +254,7 @@ def main() -> None:
     parser.add_argument(
         "--steps", type=int, default=200, help="gradient steps of a round, 8 times in the last"
     )
+    parser.add_argument("--hidden", type=int, nargs="+", default=HIDDEN, help="sizes of the policy's layers")
     parser.add_argument("--num-envs", type=int, default=256, help="of a round of imitation")
     parser.add_argument("--device", default="cpu", help="to play and learn on")
     parser.add_argument("--out", type=Path, help="folder of a policy that imitates the script")
@@ -268,7 +271,7 @@ def main() -> None:
     actors: list[Callable[[CatchEnv], Actor]] = [Script]
     if options.out:
         torch.manual_seed(0)
-        policy = imitated(method, options.rounds, options.steps, options.num_envs, options.device)
+        policy = imitated(method, options)
         policy.save(options.out / "policy")
         actors.append(lambda _: policy)
     for actor in actors:
