@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from pixel2catch.agents import commands_of
+from pixel2catch.cli.device import prepare
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import SIZES_TASK
@@ -259,6 +260,7 @@ def main() -> None:
     parser.add_argument("--device", default="cpu", help="to play and learn on")
     parser.add_argument("--out", type=Path, help="folder of a policy that imitates the script")
     options = parser.parse_args()
+    options.device = prepare(options.device)
     method = find_method(options.method, WORKCELL)
     cfg = EvaluationCfg(
         objects=SIZES,
