@@ -22,6 +22,7 @@ from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.envs.tasks import SIZES_TASK
 from pixel2catch.evaluation.metrics import metrics
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, run_round
+from pixel2catch.files import json_text, read_json_object
 from pixel2catch.mdp.columns import take
 from pixel2catch.mdp.terminations import EpisodeCfg
 from pixel2catch.methods import Method, find_method
@@ -34,39 +35,51 @@ from pixel2catch.workcells import find_workcell
 
 WORKCELL = find_workcell("two_ur5e_allegro")
 FARTHEST_X = 0.88  # where an object is met at the farthest [m]
+NOISE = 0.1  # of actions, while states for imitation are collected, and in a search
+CANDIDATES, ELITE = 48, 10  # of a generation of a search
 BATCH = 2  # of a gradient step of imitation, transitions of each environment
 
-COLUMNS = {"6": 0, "10": 0, "16": 1, "22": 2, "28": 3}  # of the table, by the size in an object's name [cm]
+SIZE_NAMES = ("6", "10", "16", "22", "28")  # In the names of objects [cm], and of the columns of the table.
 CATCH: dict[str, tuple] = {
     # Of the palms to each other, and towards the thrower, before they go along and after [degrees].
-    "tilt": ((-9.2, -13.6), (57.3, 54.3), (55.6, 51.1), (55.2, 53.8)),
-    "lean": ((32, 43.6), (23.6, 32.7), (20.1, 32.7), (19.7, 22.6)),
+    "tilt": ((-9.2, -13.6), (-9.2, -13.6), (57.3, 54.3), (55.6, 51.1), (55.2, 53.8)),
+    "lean": ((32, 43.6), (32, 43.6), (23.6, 32.7), (20.1, 32.7), (19.7, 22.6)),
     # Between palm and the ball of the object's volume, and of that from the palm's middle to the fingers [m].
-    "gap": ((0.008, 0.001), (0.03, 0.01), (0.029, 0.01), (0.031, 0.011)),
-    "along": ((0.032, 0.033), (0.005, 0.027), (-0.021, 0.031), (-0.015, 0.049)),
+    "gap": ((0.008, 0.001), (0.008, 0.001), (0.03, 0.01), (0.029, 0.01), (0.031, 0.011)),
+    "along": ((0.032, 0.033), (0.032, 0.033), (0.005, 0.027), (-0.021, 0.031), (-0.015, 0.049)),
     # Height of the meeting over the aim, and how much lower the palms are than that [m].
-    "above": (0.103, 0.102, 0.107, 0.129),
-    "below": (-0.001, 0.02, 0.019, 0.012),
+    "above": (0.103, 0.103, 0.102, 0.107, 0.129),
+    "below": (-0.001, -0.001, 0.02, 0.019, 0.012),
     # Time before the meeting at which they begin to go along [s], and how far they go [m].
-    "lead": (0.079, 0.077, 0.075, 0.082),
-    "give": (0.21, 0.162, 0.146, 0.181),
+    "lead": (0.079, 0.079, 0.077, 0.075, 0.082),
+    "give": (0.21, 0.21, 0.162, 0.146, 0.181),
     # Angles of the fingers' first joints and of the others, before and after [rad]; the ring finger's share.
-    "first": ((0.25, 1.75), (0.39, 0.21), (0.42, 0.21), (0.5, 0.18)),
-    "others": ((0.2, 0.64), (0.39, 0.52), (0.42, 0.62), (0.5, 0.61)),
-    "ring": (1.37, 0.22, 0.06, 0.27),
+    "first": ((0.25, 1.75), (0.25, 1.75), (0.39, 0.21), (0.42, 0.21), (0.5, 0.18)),
+    "others": ((0.2, 0.64), (0.2, 0.64), (0.39, 0.52), (0.42, 0.62), (0.5, 0.61)),
+    "ring": (1.37, 1.37, 0.22, 0.06, 0.27),
     # Of the thumb's joints, and of its first one, afterwards [rad].
-    "thumb": (1.06, 1.4, 1.39, 1.25),
-    "thumb_base": (0.78, -0.03, -0.09, -0.06),
-    "palms": (1, 2, 2, 2),  # One: the nearer.
+    "thumb": (1.06, 1.06, 1.4, 1.39, 1.25),
+    "thumb_base": (0.78, 0.78, -0.03, -0.09, -0.06),
+    "palms": (1, 1, 2, 2, 2),  # One: the nearer.
 }
-"""Where palms and fingers wait and go. Found by the cross-entropy method, 200 to 320 throws a generation."""
+"""Where palms and fingers wait and go."""
+
+SPREAD = {
+    **dict.fromkeys(("tilt", "lean"), 6.0),
+    **dict.fromkeys(("gap", "along", "above", "below"), 0.012),
+    **dict.fromkeys(("lead", "give"), 0.02),
+    **dict.fromkeys(("first", "others", "ring", "thumb", "thumb_base"), 0.2),
+    "palms": 0.0,
+}
+"""Standard deviations of the first generation of a search [units of the table]."""
 
 
 class Script:
     """Chooses the actions of a scripted catch in every environment."""
 
-    def __init__(self, env: CatchEnv) -> None:
-        self._env, self._is_planned = env, False
+    def __init__(self, env: CatchEnv, tables: Mapping[str, Tensor]) -> None:
+        """Script of one of several tables, (num_tables, num_sizes, ...), in every environment."""
+        self._env, self._tables, self._is_planned = env, tables, False
         self._chains = [chain_of(WORKCELL, palm, env.device, torch.float64) for palm in WORKCELL.palms]
         rows = [(c.anchor, c.offset, c.scale, c.lower, c.upper) for c in commands_of(WORKCELL)]
         self._commands = self._tensor(rows).T
@@ -106,10 +119,11 @@ class Script:
     def _plan(self) -> None:
         """Where and when the object is met, and the arms' joints there, before and after."""
         env, throw = self._env, self._env._episode.throw
-        thrown = [env.world.objects.names[i] for i in env._episode.record.object_id.tolist()]
-        columns = [COLUMNS[name.split("_")[1]] for name in thrown]
-        catch = {name: self._tensor(row)[columns] for name, row in CATCH.items()}
-        radius = self._tensor([OBJECTS[name].radius for name in thrown])
+        radii = self._tensor([OBJECTS[name].radius for name in env.world.objects.names])
+        objects = env._episode.record.object_id
+        sizes, radius = _sizes(env)[objects], radii[objects]
+        envs = torch.arange(env.num_envs, device=env.device)
+        catch = {name: tables[envs % len(tables), sizes] for name, tables in self._tables.items()}
         pos, speed = throw.pos.double(), throw.lin_vel.double()
         rise = throw.aim[:, 2].double() + catch["above"] - pos[:, 2]
         root = (speed[:, 2] ** 2 - 2.0 * GRAVITY * rise).clamp(min=0.0).sqrt()
@@ -133,6 +147,12 @@ class Script:
 
     def _tensor(self, rows: Sequence) -> Tensor:
         return torch.tensor(rows, dtype=torch.float64, device=self._env.device)
+
+
+def _sizes(env: CatchEnv) -> Tensor:
+    """The column of the table of each object of an environment, -1 of those that are not of `SIZES`."""
+    columns = {name: SIZE_NAMES.index(name.split("_")[1]) for name in SIZES}
+    return torch.tensor([columns.get(name, -1) for name in env.world.objects.names], device=env.device)
 
 
 def _palm_pose(
@@ -184,13 +204,63 @@ def inverse(
     return joints
 
 
+def search(env: CatchEnv, table: Mapping[str, Tensor], num_generations: int, path: Path) -> None:
+    """Better numbers for the script, by the cross-entropy method; those of each size on their own.
+
+    Joints are disturbed as a policy's would be. Writes the table of every generation's mean.
+    """
+    mean, std = table, {name: torch.full_like(rows, SPREAD[name]) for name, rows in table.items()}
+    for number in range(num_generations):
+        drawn = {
+            name: rows + std[name] * torch.randn(CANDIDATES, *rows.shape).to(rows)
+            for name, rows in mean.items()
+        }
+        trials = run_round(env, Disturbed(Script(env, drawn)))
+        record = trials.record
+        score = 0.6 * record.is_success.double() + 0.4 * trials.is_verified - 0.5 * record.is_robot_contact
+        cell = torch.arange(env.num_envs, device=env.device) % CANDIDATES * len(SIZE_NAMES)
+        cell += _sizes(env)[record.object_id]
+        total, count = score.new_zeros(2, CANDIDATES * len(SIZE_NAMES))
+        total.index_add_(0, cell, score)
+        count.index_add_(0, cell, torch.ones_like(score))
+        scores = (total / count.clamp(min=1.0)).view(CANDIDATES, -1)
+        best, columns = scores.topk(ELITE, dim=0).indices, torch.arange(len(SIZE_NAMES), device=env.device)
+        for name, values in drawn.items():
+            elite = values[best, columns]
+            mean[name] = 0.3 * mean[name] + 0.7 * elite.mean(dim=0)
+            std[name] = 0.3 * std[name] + 0.7 * elite.std(dim=0)
+        print(f"generation {number}:", *(f"{rate:.3f}" for rate in scores.mean(dim=0).tolist()), flush=True)
+        path.write_text(json_text({name: rows.tolist() for name, rows in mean.items()}))
+
+
+class Disturbed:
+    """Plays a script with errors in every action, some of which stay for an episode."""
+
+    def __init__(self, script: Script) -> None:
+        self._script, self._errors = script, dict[str, Tensor]()
+
+    def reset(self, is_ended: Tensor | None = None) -> None:
+        """Other errors if all episodes begin."""
+        self._script.reset(is_ended)
+        if is_ended is None:
+            self._errors.clear()
+
+    def act(self, observations: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The script's actions and what an imitation's may differ by."""
+        actions = self._script.act(observations)
+        for name, action in actions.items():
+            error = self._errors.setdefault(name, 0.5 * NOISE * torch.randn_like(action))
+            action += error + 0.5 * NOISE * torch.randn_like(action)
+        return actions
+
+
 def throws_task(episode: EpisodeCfg) -> CatchEnvCfg:
     """Throws of `sizes` as they are in training."""
     scene = replace(SIZES_TASK.scene, workcell=WORKCELL.name, physics_hz=120.0, cone="pyramidal")
     return replace(SIZES_TASK, scene=scene, episode=episode)
 
 
-def imitated(method: Method, options: argparse.Namespace) -> Policy:
+def imitated(method: Method, tables: Mapping[str, Tensor], options: argparse.Namespace) -> Policy:
     """A policy of the script's actions, in states that the script comes to, and later the policy.
 
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
@@ -203,7 +273,7 @@ def imitated(method: Method, options: argparse.Namespace) -> Policy:
     env = CatchEnv(task, method, num_envs=num_envs, device=device)
     for number in range(options.rounds):
         env.seed(3000 + number)
-        script, observed = Script(env), env.reset().policy
+        script, observed = Script(env, tables), env.reset().policy
         is_scripted = torch.rand(num_envs, 1, device=device) < (1.0, 0.45, 0.3, 0.15, 0.0)[min(number, 4)]
         is_running, is_caught = torch.ones(2, num_envs, dtype=torch.bool, device=device)
         while is_running.any():
@@ -211,7 +281,7 @@ def imitated(method: Method, options: argparse.Namespace) -> Policy:
             for name, (inputs, outputs) in pairs.items():
                 inputs.append(observed[name][is_running])
                 outputs.append(wanted[name][is_running])
-                disturbed = actions[name] + 0.1 * torch.randn_like(actions[name])
+                disturbed = actions[name] + NOISE * torch.randn_like(actions[name])
                 actions[name] = torch.where(is_scripted, wanted[name], disturbed)
             step = env.step(actions)
             is_caught = torch.where(is_running, step.record.is_success, is_caught)
@@ -258,6 +328,8 @@ def main() -> None:
     parser.add_argument("--hidden", type=int, nargs="+", default=HIDDEN, help="sizes of the policy's layers")
     parser.add_argument("--num-envs", type=int, default=256, help="of a round of imitation")
     parser.add_argument("--device", default="cpu", help="to play and learn on")
+    parser.add_argument("--generations", type=int, help="search for a better table, with --throws in each")
+    parser.add_argument("--table", type=Path, help="of the script, one that a search has written")
     parser.add_argument("--out", type=Path, help="folder of a policy that imitates the script")
     options = parser.parse_args()
     options.device = prepare(options.device)
@@ -270,10 +342,19 @@ def main() -> None:
         device=options.device,
         task=throws_task(EpisodeCfg()),
     )
-    actors: list[Callable[[CatchEnv], Actor]] = [Script]
+    rows = read_json_object(options.table) if options.table else CATCH
+    table = {
+        name: torch.tensor(row, dtype=torch.float64, device=options.device) for name, row in rows.items()
+    }
+    if options.generations:
+        options.out.mkdir(parents=True, exist_ok=True)
+        search(cfg.make_env(method), table, options.generations, options.out / "table.json")
+        return
+    tables = {name: row[None] for name, row in table.items()}
+    actors: list[Callable[[CatchEnv], Actor]] = [lambda env: Script(env, tables)]
     if options.out:
         torch.manual_seed(0)
-        policy = imitated(method, options)
+        policy = imitated(method, tables, options)
         policy.save(options.out / "policy")
         actors.append(lambda _: policy)
     for actor in actors:
