@@ -36,6 +36,7 @@ from pixel2catch.workcells import find_workcell
 WORKCELL = find_workcell("two_ur5e_allegro")
 FARTHEST_X = 0.88  # where an object is met at the farthest [m]
 NOISE = 0.1  # of actions, while states for imitation are collected, and in a search
+HUBER = 0.1  # Difference of actions from which on it counts linearly: where two ways blur, one is chosen.
 CANDIDATES, ELITE = 48, 10  # of a generation of a search
 BATCH = 2  # of a gradient step of imitation, transitions of each environment
 
@@ -297,7 +298,7 @@ def imitated(method: Method, tables: Mapping[str, Tensor], options: argparse.Nam
 def learn(
     policy: Policy, optimizer: torch.optim.Optimizer, pairs: Mapping, num_steps: int, batch_size: int
 ) -> None:
-    """Gradient steps on the mean square of what actions differ by; inputs are scaled at the first call."""
+    """Gradient steps on Huber's loss of the actions; inputs are scaled at the first call."""
     for name, lists in pairs.items():
         inputs, outputs = (torch.cat(values) for values in lists)
         network = policy.network(name)
@@ -307,7 +308,7 @@ def learn(
         for step in range(num_steps):
             batch = torch.randint(len(inputs), (batch_size,), device=inputs.device)
             actions, _ = network(inputs[batch], inputs.new_zeros(batch_size, 0))
-            loss = (actions - outputs[batch]).square().mean()
+            loss = torch.nn.functional.smooth_l1_loss(actions, outputs[batch], beta=HUBER)
             optimizer.zero_grad()
             loss.backward()
             optimizer.param_groups[0]["lr"] = 1e-3 * (1.0 - step / num_steps)
