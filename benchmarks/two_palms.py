@@ -210,7 +210,8 @@ def search(env: CatchEnv, table: Mapping[str, Tensor], num_generations: int, pat
 
     Joints are disturbed as a policy's would be. Writes the table of every generation's mean.
     """
-    mean, std = table, {name: torch.full_like(rows, SPREAD[name]) for name, rows in table.items()}
+    mean = dict(table)
+    std = {name: torch.full_like(rows, SPREAD[name]) for name, rows in table.items()}
     for number in range(num_generations):
         drawn = {
             name: rows + std[name] * torch.randn(CANDIDATES, *rows.shape).to(rows)
