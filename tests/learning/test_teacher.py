@@ -57,15 +57,18 @@ def test_rewards_alone_count_after_its_share(teacher: Path):
         assert torch.equal(tensor, taught.export().state_dict()[name]), name
 
 
-def test_its_weight_falls_evenly(teacher: Path):
-    cfg = dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.4)
+@pytest.mark.parametrize(
+    ("final", "expected"), [(0.0, [1.0, 0.75, 0.5, 0.0, 0.0]), (0.2, [1.0, 0.8, 0.6, 0.2, 0.2])]
+)
+def test_its_weight_falls_evenly(teacher: Path, final: float, expected: list[float]):
+    cfg = dataclasses.replace(SMALL, teacher=teacher, teacher_share=0.4, final_teacher_weight=final)
     mappo, env = Mappo(cfg, TaughtEnv(cfg), CONTRACT), TaughtEnv(cfg)
     weights = []
     for progress in (0.0, 0.1, 0.2, 0.4, 0.9):
         roll_out(mappo, env)
         mappo.update(progress)
         weights += [step.teacher_weight.item() for step in mappo.steps.values()][:1]
-    assert weights == pytest.approx([1.0, 0.75, 0.5, 0.0, 0.0])
+    assert weights == pytest.approx(expected)
 
 
 def test_a_run_with_a_teacher_does_not_go_on_without(teacher: Path, tmp_path: Path):

@@ -90,8 +90,11 @@ class TrainCfg:
     """Policy whose actions are imitated at first, in the states that the pupil comes to, named likewise; it
     may be of another method, such as one that is told where the object is."""
     teacher_share: Share = 0.5
-    """Share of the training over which the weight of imitation falls from 1 to 0, and that of the rewards
-    rises from 0 to 1. Source: ours."""
+    """Share of the training over which the weight of imitation falls from 1 to its final one, and that of the
+    rewards rises from 0 to the rest. Source: ours."""
+    final_teacher_weight: Share = 0.0
+    """Weight of imitation that stays to the end, for a policy that goes on from an imitation and would else
+    lose by chance what rewards alone do not teach. Source: ours."""
     transitions: Annotated[int, Within(1)] = 51_200_000
     """Length of the training: control steps, summed over the environments. Source: release."""
     rollout_steps: Count = 8

@@ -178,11 +178,12 @@ class Mappo:
 
     def update(self, progress: float) -> dict[str, float]:
         """Learn from a full rollout after a share of the training, 0 to 1, and return the metrics."""
-        cfg, share = self.cfg, self.cfg.teacher_share
+        cfg = self.cfg
+        taught = min(progress / cfg.teacher_share, 1.0) if cfg.teacher_share else 1.0
         begun = progress * cfg.transitions / cfg.start_transitions if cfg.start else 2.0
         self._rest_policies(begun < 1.0)
         for step in self.steps.values():
-            step.teacher_weight.fill_(1.0 - progress / share if progress < share else 0.0)
+            step.teacher_weight.fill_(1.0 - taught * (1.0 - cfg.final_teacher_weight))
             if cfg.schedule == "linear":
                 rate = cfg.learning_rate + (cfg.final_learning_rate - cfg.learning_rate) * min(progress, 1.0)
                 step.learning_rate.fill_(rate * (begun - 1.0 if 1.0 <= begun < 2.0 else 1.0))
