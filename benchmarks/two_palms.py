@@ -43,24 +43,24 @@ BATCH = 2  # of a gradient step of imitation, transitions of each environment
 SIZE_NAMES = ("6", "10", "16", "22", "28")  # In the names of objects [cm], and of the columns of the table.
 CATCH: dict[str, tuple] = {
     # Of the palms to each other, and towards the thrower, before they go along and after [degrees].
-    "tilt": ((-9.2, -13.6), (-9.2, -13.6), (57.3, 54.3), (55.6, 51.1), (55.2, 53.8)),
-    "lean": ((32, 43.6), (32, 43.6), (23.6, 32.7), (20.1, 32.7), (19.7, 22.6)),
+    "tilt": ((-7.1, -14.6), (-8.1, -16.2), (52.9, 55.9), (55.2, 47.3), (56.2, 52.6)),
+    "lean": ((47.1, 40.6), (35.8, 41.4), (31, 34.1), (21, 31.9), (30.7, 20.8)),
     # Between palm and the ball of the object's volume, and of that from the palm's middle to the fingers [m].
-    "gap": ((0.008, 0.001), (0.008, 0.001), (0.03, 0.01), (0.029, 0.01), (0.031, 0.011)),
-    "along": ((0.032, 0.033), (0.032, 0.033), (0.005, 0.027), (-0.021, 0.031), (-0.015, 0.049)),
+    "gap": ((0.014, -0.003), (0.015, 0.008), (0.04, 0.007), (0.039, 0.023), (0.038, 0.01)),
+    "along": ((0.03, 0.027), (0.035, 0.038), (-0.003, 0.024), (-0.002, 0.018), (-0.004, 0.061)),
     # Height of the meeting over the aim, and how much lower the palms are than that [m].
-    "above": (0.103, 0.103, 0.102, 0.107, 0.129),
-    "below": (-0.001, -0.001, 0.02, 0.019, 0.012),
+    "above": (0.099, 0.099, 0.101, 0.093, 0.128),
+    "below": (0.007, -0.001, 0.021, 0.01, 0.021),
     # Time before the meeting at which they begin to go along [s], and how far they go [m].
-    "lead": (0.079, 0.079, 0.077, 0.075, 0.082),
-    "give": (0.21, 0.21, 0.162, 0.146, 0.181),
+    "lead": (0.082, 0.079, 0.08, 0.088, 0.065),
+    "give": (0.221, 0.217, 0.134, 0.149, 0.174),
     # Angles of the fingers' first joints and of the others, before and after [rad]; the ring finger's share.
-    "first": ((0.25, 1.75), (0.25, 1.75), (0.39, 0.21), (0.42, 0.21), (0.5, 0.18)),
-    "others": ((0.2, 0.64), (0.2, 0.64), (0.39, 0.52), (0.42, 0.62), (0.5, 0.61)),
-    "ring": (1.37, 1.37, 0.22, 0.06, 0.27),
+    "first": ((0.46, 1.87), (0.29, 1.63), (0.16, 0.12), (0.29, 0.17), (0.42, 0.15)),
+    "others": ((0.19, 0.76), (0.15, 0.54), (0.36, 0.61), (0.21, 0.79), (0.2, 0.75)),
+    "ring": (1.36, 1.43, 0.06, -0.06, 0.3),
     # Of the thumb's joints, and of its first one, afterwards [rad].
-    "thumb": (1.06, 1.06, 1.4, 1.39, 1.25),
-    "thumb_base": (0.78, 0.78, -0.03, -0.09, -0.06),
+    "thumb": (1.35, 0.95, 1.41, 1.58, 1.45),
+    "thumb_base": (0.51, 0.73, 0.05, -0.16, -0.11),
     "palms": (1, 1, 2, 2, 2),  # One: the nearer.
 }
 """Where palms and fingers wait and go."""

@@ -26,7 +26,7 @@ class ProgressBar:
         self._name, self._total, self._console = name, total, console
         self._line_seconds, self._next_line = line_seconds, 0.0
         self._begin = self._now = done, time.monotonic()
-        self._is_announced = False
+        self._is_warm = self._is_announced = False
         self._text = Text("", no_wrap=True, overflow="ellipsis")
         self._left = TextColumn("")
         self._bar = Progress(
@@ -55,7 +55,9 @@ class ProgressBar:
         self._now = done, time.monotonic()
         seconds = self.seconds_left()
         left = "" if seconds is None else f"{duration(seconds)} left"
-        if seconds is not None and not self._is_announced and self._seconds() >= SETTLING_SECONDS:
+        if not self._is_warm:  # What was compiled and read before the first report tells no speed.
+            self._is_warm, self._begin = done > self._begin[0], self._now
+        elif seconds is not None and not self._is_announced and self._seconds() >= SETTLING_SECONDS:
             self._is_announced = True
             if seconds > LONG_SECONDS:
                 self._console.print(f"{self._name}: this takes about {duration(seconds)}", markup=False)
@@ -68,7 +70,10 @@ class ProgressBar:
             self._console.print(" · ".join(filter(None, parts)), markup=False, soft_wrap=True)
 
     def seconds_left(self) -> float | None:
-        """Time that the rest takes at the mean speed so far [s]; nothing before there is one."""
+        """Time that the rest takes at the mean speed since the first report, if there is one [s].
+
+        Nothing before there is a speed.
+        """
         done = self._now[0] - self._begin[0]
         return self._seconds() * max(self._total - self._now[0], 0.0) / done if done > 0.0 else None
 
