@@ -159,6 +159,16 @@ def together(agents: tuple[AgentSpec, ...]) -> AgentSpec:
     return sum(others, start=first)
 
 
+def agents_by_robot(workcell: WorkcellSpec, agents: tuple[AgentSpec, ...]) -> tuple[AgentSpec, ...]:
+    """One agent for each robot of a work cell, in place of those of its joint groups."""
+    robots = []
+    for placed in workcell.robots:
+        own = {placed.prefix + group.name for part in placed.robot.parts for group in part.groups}
+        robot = together(tuple(agent for agent in agents if agent.name in own))
+        robots.append(replace(robot, name=f"{placed.prefix}robot"))
+    return tuple(robots)
+
+
 def sharing(agents: tuple[AgentSpec, ...]) -> tuple[AgentSpec, ...]:
     """The agents, each of which is paid the sum of all rewards."""
     return tuple(

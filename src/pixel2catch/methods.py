@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_of, sharing, together
+from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
 from pixel2catch.camera.box_history import NUM_BOXES
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
@@ -110,10 +110,11 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
     """All methods for the joint groups of a work cell, by name.
 
     Source: paper, Sec. V-A; ours: `object_position`, an oracle that sees the object in 3D,
-    `object_extent`, one that also sees how large it is, and `shared_reward`, in which all agents are paid the
-    sum of their rewards; release: `journal`, which adds palm displacement and joint targets; ours: `catch`, a
-    `shared_reward` that also pays for unrest after a catch and for touching itself, `catch_alone`, the same
-    as a single agent, and `catch_teacher`, which sees the object in 3D and can be imitated.
+    `object_extent`, one that also sees how large it is, `shared_reward`, in which all agents are paid the
+    sum of their rewards, and `agent_per_robot`, with an agent for each robot; release: `journal`, which adds
+    palm displacement and joint targets; ours: `catch`, a `shared_reward` that also pays for unrest after a
+    catch and for touching itself, `catch_alone`, the same as a single agent, and `catch_teacher`, which sees
+    the object in 3D and can be imitated.
     """
     agents, resting = agents_of(workcell), agents_of(workcell, RESTING_REWARDS)
     alone = together(resting)
@@ -136,6 +137,7 @@ def methods_of(workcell: WorkcellSpec) -> dict[str, Method]:
             pixel_features=(),
         ),
         replace(proposed, name="shared_reward", agents=sharing(agents)),
+        replace(proposed, name="agent_per_robot", agents=agents_by_robot(workcell, agents)),
         replace(proposed, name="journal", agents=_seeing(agents, *observations.JOURNAL_TERMS)),
         replace(proposed, name="catch", agents=sharing(resting)),
         replace(proposed, name="catch_alone", agents=(alone,)),

@@ -1,5 +1,6 @@
 import csv
 import io
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 from made_up import plan, write_study
 from numpy import ndarray
 
+from pixel2catch.evaluation.comparison import figures
 from pixel2catch.evaluation.comparison.plan import ComparisonFolder
 from pixel2catch.evaluation.comparison.summary import Columns, all_curves, binned, curves_csv, gather
+from pixel2catch.methods import METHODS
 
 
 def log(transitions: list[float], episodes: list[float], rate: list[float]) -> Columns:
@@ -68,3 +71,8 @@ def test_curves_of_a_study(tmp_path: Path):
 
 def test_a_study_without_logs_has_no_curves(tmp_path: Path):
     assert all_curves(ComparisonFolder(tmp_path), plan()) is None
+
+
+@pytest.mark.parametrize("drawn", [figures.look, figures.line])
+def test_no_two_methods_look_alike(drawn: Callable[[str], dict]):
+    assert len({str(drawn(method)) for method in METHODS}) == len(METHODS)

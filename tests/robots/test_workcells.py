@@ -173,6 +173,18 @@ def test_two_robots_have_an_agent_for_each_group():
     assert alone.palms == (slice(0, 2),)
 
 
+def test_an_agent_for_each_robot():
+    two = find_workcell("two_ur5e_allegro")
+    left, right = find_method("agent_per_robot", two).agents
+    assert [left.name, right.name] == ["left_robot", "right_robot"]
+    assert [left.joints, right.joints] == [(slice(0, 19),), (slice(19, 38),)]
+    assert [left.palms, right.palms] == [(slice(0, 1),), (slice(1, 2),)]
+    assert (*left.reward_names, *right.reward_names) == find_method("single_agent", two).agents[
+        0
+    ].reward_names
+    assert METHODS["agent_per_robot"].agents == METHODS["single_agent"].agents
+
+
 def test_robots_that_hit_each_other_are_told_from_one_that_touches_itself():
     """Two arms that are turned to each other touch; their agents pay for it, and the only robot's cannot."""
     workcell = find_workcell("two_ur5e_allegro")

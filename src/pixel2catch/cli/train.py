@@ -60,8 +60,9 @@ class Train:
     """Train a policy. What is not given comes from the preset, or from the run that goes on."""
 
     #: What to train: proposed, without_pf, only_wh, only_center, single_agent, object_position,
-    #: object_extent, shared_reward, journal, catch, catch_alone, catch_teacher, or FILE.py:NAME, a method of
-    #: your own; with a memory METHOD+age, +boxes, +boxes5 (any number) or +fit. Default: proposed.
+    #: object_extent, shared_reward, agent_per_robot, journal, catch, catch_alone, catch_teacher, or
+    #: FILE.py:NAME, a method of your own; with a memory METHOD+age, +boxes, +boxes5 (any number) or +fit.
+    #: Default: proposed.
     method: Positional[str | None] = None
     #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
     #: WORKCELLS; other commands know those of a file by `--import FILE.py`. Default: ur5e_allegro.

@@ -16,7 +16,8 @@ from pixel2catch.methods import METHODS
 PALETTE = ("#0072B2", "#E69F00", "#CC79A7", "#D55E00", "#009E73", "#3C3C3C", "#56B4E9")
 """Colours that people with any kind of colour vision tell apart. Source: Okabe and Ito 2008; grey: ours."""
 
-MARKERS = "oDPsv^X"  #: Marks beside the colours, for print without colour.
+MARKERS = "oDPsv^X<>p*hd8"  #: Marks beside the colours, for print without colour.
+LINES = ("-", (0, (4, 1.5)))  #: Of the methods that come first and, in the same colours, of the others.
 
 STYLE: dict[Any, Any] = {
     "font.size": 10,
@@ -33,9 +34,20 @@ STYLE: dict[Any, Any] = {
 
 def look(method: str) -> dict[str, Any]:
     """Colour and mark of a method, the same in every picture of every study."""
-    names, name = list(METHODS), method.partition("+")[0]
-    number = names.index(name) if name in names else len(names)
+    number = _number(method)
     return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
+
+
+def line(method: str) -> dict[str, Any]:
+    """Colour and dashes of a method's curve."""
+    number = _number(method)
+    dashes = LINES[number // len(PALETTE) % len(LINES)]
+    return {"color": PALETTE[number % len(PALETTE)], "linestyle": dashes, "linewidth": 1.8}
+
+
+def _number(method: str) -> int:
+    names, name = list(METHODS), method.partition("+")[0]
+    return names.index(name) if name in names else len(names)
 
 
 def shown(name: str) -> str:
@@ -52,10 +64,10 @@ def curves_figure(curves: Curves) -> Figure:
         for axes, (title, name) in zip(panels, MAIN_RATES.items(), strict=True):
             for method in curves.rates:
                 mean, deviation = (100.0 * values for values in curves.mean_and_deviation(method, name))
-                color, between = look(method)["color"], (mean - deviation, mean + deviation)
-                axes.fill_between(millions, *between, color=color, alpha=0.2, linewidth=0)
+                drawn, between = line(method), (mean - deviation, mean + deviation)
+                axes.fill_between(millions, *between, color=drawn["color"], alpha=0.2, linewidth=0)
                 alone = {"marker": "o", "markersize": 3} if np.isfinite(mean).sum() == 1 else {}
-                axes.plot(millions, mean, color=color, linewidth=1.8, label=shown(method), **alone)
+                axes.plot(millions, mean, label=shown(method), **drawn, **alone)
             axes.set(title=f"{title} in training", xlabel="transitions [millions]")
             axes.set(xlim=(0.0, curves.edges[-1] / 1e6), ylim=(0.0, 100.0))
             axes.grid()
