@@ -53,11 +53,11 @@ class ProgressBar:
     def show(self, done: float, text: str = "") -> None:
         """Show how much is done, and what is to be said of it."""
         self._now = done, time.monotonic()
-        seconds = self.seconds_left()
-        left = "" if seconds is None else f"{duration(seconds)} left"
         if not self._is_warm:  # What was compiled and read before the first report tells no speed.
             self._is_warm, self._begin = done > self._begin[0], self._now
-        elif seconds is not None and not self._is_announced and self._seconds() >= SETTLING_SECONDS:
+        seconds = self._seconds_left()
+        left = "" if seconds is None else f"{duration(seconds)} left"
+        if seconds is not None and not self._is_announced and self._seconds() >= SETTLING_SECONDS:
             self._is_announced = True
             if seconds > LONG_SECONDS:
                 self._console.print(f"{self._name}: this takes about {duration(seconds)}", markup=False)
@@ -69,11 +69,8 @@ class ProgressBar:
             parts = [f"{self._name}: {100 * done / self._total:.1f} %", text, left]
             self._console.print(" · ".join(filter(None, parts)), markup=False, soft_wrap=True)
 
-    def seconds_left(self) -> float | None:
-        """Time that the rest takes at the mean speed since the first report, if there is one [s].
-
-        Nothing before there is a speed.
-        """
+    def _seconds_left(self) -> float | None:
+        """Time that the rest takes at the mean speed since the first report [s]; nothing before the second."""
         done = self._now[0] - self._begin[0]
         return self._seconds() * max(self._total - self._now[0], 0.0) / done if done > 0.0 else None
 
