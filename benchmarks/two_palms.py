@@ -38,6 +38,7 @@ FARTHEST_X = 0.88  # where an object is met at the farthest [m]
 NOISE = 0.1  # of actions, while states for imitation are collected, and in a search
 HUBER = 0.1  # Difference of actions from which on it counts linearly: where two ways blur, one is chosen.
 CANDIDATES, ELITE = 48, 10  # of a generation of a search
+LARGEST_RADIUS = round(max(OBJECTS[name].radius for name in SIZES), 3)
 BATCH = 2  # of a gradient step of imitation, transitions of each environment
 
 SIZE_NAMES = ("6", "10", "16", "22", "28")  # In the names of objects [cm], and of the columns of the table.
@@ -268,7 +269,8 @@ def imitated(method: Method, tables: Mapping[str, Tensor], options: argparse.Nam
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
     """
     num_envs, device = options.num_envs, options.device
-    policy = Policy(replace(contract_of(method, WORKCELL), task="sizes"), options.hidden).to(device)
+    contract = replace(contract_of(method, WORKCELL), task="sizes", object_radius=LARGEST_RADIUS)
+    policy = Policy(contract, options.hidden).to(device)
     optimizer = torch.optim.Adam(policy.parameters())
     pairs = {agent.name: (list[Tensor](), list[Tensor]()) for agent in method.agents}
     task = throws_task(EpisodeCfg(max_steps=125, rest_steps=40))

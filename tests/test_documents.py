@@ -31,7 +31,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def commands(text: str) -> list[str]:
     """The lines of a text that are commands of ours."""
-    return re.findall(r"^ *(?:torchrun .* -m )?(pixel2catch .*)$", text, re.MULTILINE)
+    return re.findall(r"^ *(?:torchrun .* -m (?:-- )?)?(pixel2catch .*)$", text, re.MULTILINE)
 
 
 COMMANDS = {line: page.name for page in PAGES for line in commands("".join(blocks(page, "sh")))}

@@ -70,7 +70,7 @@ class ProgressBar:
             self._console.print(" · ".join(filter(None, parts)), markup=False, soft_wrap=True)
 
     def _seconds_left(self) -> float | None:
-        """Time that the rest takes at the mean speed since the first report [s]; nothing before the second."""
+        """Time that the rest takes at the mean speed since the first report [s]; none before the second."""
         done = self._now[0] - self._begin[0]
         return self._seconds() * max(self._total - self._now[0], 0.0) / done if done > 0.0 else None
 

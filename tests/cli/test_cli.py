@@ -265,12 +265,14 @@ def test_what_is_not_given_to_train_is_of_the_preset():
 def test_training_and_evaluating_its_policy(tmp_path: Path):
     out = tmp_path / "run"
     size = ("--num-envs", "8", "--rollout-steps", "4", "--transitions", "64", "--hidden", "16")
-    result = pixel2catch("train", "only_center", "--device", "cpu", *size, "--out", out)
+    thrown = ("--env.objects", "ball_16", "cube_s")
+    result = pixel2catch("train", "only_center", "--device", "cpu", *size, *thrown, "--out", out)
     assert result.returncode == 0, result.stderr
     assert "finished" in result.stdout
     policy, method = load_policy(out)
     assert isinstance(policy, Policy)
     assert (method.name, policy.hidden) == ("only_center", (16,))
+    assert policy.contract.object_radius == 0.08
 
 
 def test_evaluations_of_a_recurrent_policy_repeat(tmp_path: Path):

@@ -16,6 +16,7 @@ from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.learning.config import preset
 from pixel2catch.policy import Policy
 from pixel2catch.scene.cfg import SceneCfg
+from pixel2catch.scene.constants import OBJECT_RADIUS
 from pixel2catch.shipped import policy_folder
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -50,6 +51,7 @@ def test_training_is_for_the_task(out: Path):
     """The run says which, with all of its ranges; images of nominal episodes are as late as ever."""
     policy, method = load_policy(out)
     assert (policy.contract.task, method.name) == ("wide", "catch+fit")
+    assert policy.contract.object_radius == OBJECT_RADIUS
     config = json.loads((out / "config.json").read_text())
     assert config["train"]["task"] == "wide"
     assert config["env"]["is_value_told"]

@@ -6,7 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from loop_lab import BOX, HOME, PROFILE, Box, EverythingRed, moved, new_pipeline, picture, remembering
+from loop_lab import (
+    BOX,
+    HOME,
+    PROFILE,
+    RED,
+    Box,
+    EverythingRed,
+    moved,
+    new_pipeline,
+    picture,
+    remembering,
+)
 
 from pixel2catch.deployment.policy_pipeline import (
     BOX_AGE,
@@ -14,15 +25,18 @@ from pixel2catch.deployment.policy_pipeline import (
     LONGEST_LOOK,
     Controller,
     PolicyPipeline,
+    make_pipeline,
 )
 from pixel2catch.deployment.sight import LONGEST_GAP, MOTION, NUM_JUMPS, STILL_TIME
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
 from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import BoxPrompt
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import LOSS_TIME
 from pixel2catch.servo.link import PolicyCommand
 from pixel2catch.workcells import find_workcell
@@ -52,6 +66,19 @@ def test_nothing_is_ordered_before_the_object_is_pointed_out():
     pipeline = new_pipeline()
     assert see(pipeline, frame(1.0), 1.01).verdict is Verdict.NO_PROMPT
     assert pipeline.decide(HOME, 1.01) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("two_ur5e_allegro", Verdict.SEEN), ("proposed", Verdict.NOT_FOUND)]
+)
+def test_what_the_policy_was_trained_for_is_never_too_large(name: str, expected: Verdict):
+    """A box of 28 cm where it is caught, which cannot be one of the paper's objects."""
+    policy, _ = load_policy(Path(name))
+    controller = Controller(policy, find_workcell(policy.contract.workcell))
+    pipeline = make_pipeline(controller, ColorThreshold(RED), Prompter(), RGB_CAMERA, None)
+    large = (300.0, 200.0, 460.0, 360.0)
+    pipeline.point(BoxPrompt(box=large))
+    assert see(pipeline, CameraFrame(image=picture(large), stamp=1.0), 1.01).verdict is expected
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pixel2catch.camera.pinhole import nominal_projection
-from pixel2catch.envs.tasks import HUMAN_THROWS
+from pixel2catch.envs.tasks import HUMAN_THROWS, SIDEWAYS
 from pixel2catch.mdp.throws import ThrowCfg, sample_throws
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict, is_jump, judge
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY, RGB_CAMERA
@@ -55,15 +55,28 @@ def test_a_box_grows_no_faster_than_what_was_hidden_appears(by: float, expected:
     assert is_jump(CFG, torch.tensor([grown]), torch.tensor([OBJECT]), 1.0) is expected
 
 
-@pytest.mark.parametrize(("throws", "quantile"), [(ThrowCfg(), 1.0), (HUMAN_THROWS, 0.999)])
-def test_no_flight_of_the_task_is_a_jump(throws: ThrowCfg, quantile: float):
-    """Spheres of 15 cm, from the release until they come down to the height of the catch."""
+@pytest.mark.parametrize(("radius", "scale"), [(0.02, 1.0), (0.04, 1.0), (0.08, 2.0), (0.14, 3.5)])
+def test_limits_grow_with_what_is_thrown(radius: float, scale: float):
+    """In proportion where it is larger than the paper's objects, the sides, and the area by its square."""
+    cfg = PlausibilityCfg.up_to(radius)
+    sides = cfg.largest_side / CFG.largest_side, cfg.largest_growth / CFG.largest_growth
+    assert (*sides, cfg.largest_share / CFG.largest_share) == pytest.approx((scale, scale, scale**2))
+    assert (cfg.least_area, cfg.largest_jump) == (CFG.least_area, CFG.largest_jump)
+
+
+FLIGHTS = [(ThrowCfg(), 0.075, 1.0), (HUMAN_THROWS, 0.075, 0.999), (SIDEWAYS, 0.14, 1.0)]
+
+
+@pytest.mark.parametrize(("throws", "radius", "quantile"), FLIGHTS)
+def test_no_flight_of_the_task_is_a_jump(throws: ThrowCfg, radius: float, quantile: float):
+    """Spheres of 15 and 28 cm, from the release until they come down to the height of the catch."""
+    cfg = PlausibilityCfg.up_to(radius)
     thrown = sample_throws(throws, 2000, torch.Generator().manual_seed(0))
     time = CONTROL_DT * torch.arange(60)[:, None]
     pos = thrown.pos + thrown.lin_vel * time[..., None]
     pos[..., 2] -= 0.5 * GRAVITY * time**2
     pixels, depth = zip(*(nominal_projection(RGB_CAMERA, at).pixels(at[:, None]) for at in pos), strict=True)
-    center, half = torch.stack(pixels)[:, :, 0], 0.075 * RGB_CAMERA.fx / torch.stack(depth)[:, :, 0, None]
+    center, half = torch.stack(pixels)[:, :, 0], radius * RGB_CAMERA.fx / torch.stack(depth)[:, :, 0, None]
     boxes = torch.cat((center - half, center + half), dim=-1)
     in_view = (center > 0.0).all(dim=-1) & (center < torch.tensor([640.0, 480.0])).all(dim=-1)
     flies = in_view & (time < thrown.flight_time())
@@ -71,5 +84,10 @@ def test_no_flight_of_the_task_is_a_jump(throws: ThrowCfg, quantile: float):
     first, last = change.split(2, dim=-1)
     speed, growth = (0.5 * (first + last)).norm(dim=-1), (last - first).amax(dim=-1)
     assert len(change) > 20_000
-    assert 60.0 < speed.quantile(quantile) < CFG.largest_jump
-    assert growth.quantile(quantile) < 0.2 * CFG.largest_growth
+    assert 60.0 < speed.quantile(quantile) < cfg.largest_jump
+    assert growth.quantile(quantile) < 0.2 * cfg.largest_growth
+    side = float(2.0 * half[flies[..., None]].quantile(quantile))
+    area = RGB_CAMERA.width * RGB_CAMERA.height
+    assert side < cfg.largest_side
+    assert side**2 < cfg.largest_share * area
+    assert side**2 > CFG.largest_share * area or radius < 0.1

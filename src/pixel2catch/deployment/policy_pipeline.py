@@ -18,8 +18,8 @@ from pixel2catch.mdp.columns import put
 from pixel2catch.mdp.observations import Frame, pixel_columns
 from pixel2catch.mdp.snapshot import History, Measurement
 from pixel2catch.methods import Method
-from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor
-from pixel2catch.perception.plausibility import Verdict
+from pixel2catch.perception.extractor import CameraFrame, Extraction, ExtractorCfg, PixelFeatureExtractor
+from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import Prompt, Segmenter
@@ -53,6 +53,7 @@ class Controller:
         self.method = method_of(policy.contract)  #: What the policy was trained with.
         policy.contract.require(contract_of(self.method, workcell, camera))
         self._policy = policy
+        self.object_radius = policy.contract.object_radius  #: Of the largest object that it knows [m].
         self._action_map = ActionMap.of(commands_of(workcell), torch.device("cpu"))
         self._geometry, self.joints = WorkcellGeometry(workcell), workcell.joints
         #: Which joints are an arm's, in joint order.
@@ -307,5 +308,6 @@ def make_pipeline(
     The prompter points the object out, and is told where the operator does. The motion of a robot that is
     given is not the object's.
     """
-    extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot, camera=camera, waits=True)
+    cfg = ExtractorCfg(plausibility=PlausibilityCfg.up_to(controller.object_radius))
+    extractor = PixelFeatureExtractor(segmenter, prompter, robot=robot, camera=camera, cfg=cfg, waits=True)
     return PolicyPipeline(controller, extractor, prompter)

@@ -97,7 +97,8 @@ class BackgroundSubtraction(Segmenter):
         guess = prompt.box if isinstance(prompt, BoxPrompt) and prompt.is_guess else None
         if self._track is not None and guess is not None and not self._resembles(image, guess):
             return self.track(image, motion)
-        self._track, self._appearance = ImageTrack(center=prompt.center), Appearance()
+        self._track = ImageTrack(center=prompt.center, plausibility=self.plausibility)
+        self._appearance = Appearance()
         self._size, self._num_still = None, inf
         return self._follow(motion, prompt)
 

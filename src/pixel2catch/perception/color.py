@@ -66,7 +66,7 @@ class ColorThreshold(Segmenter):
 
     def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """Begin at the prompt: see `Segmenter.start`."""
-        self._track = ImageTrack(center=prompt.center)
+        self._track = ImageTrack(center=prompt.center, plausibility=self.plausibility)
         return self.track(image)
 
     def track(self, image: Image, motion: Motion | None = None) -> Segmentation:

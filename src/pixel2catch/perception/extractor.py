@@ -182,6 +182,8 @@ class PixelFeatureExtractor:
         self.clock = StageClock()  #: How long each stage took.
         self._segmenter, self._prompter, self._robot = segmenter, prompter, robot
         self._camera, self._cfg = camera, cfg or ExtractorCfg()
+        for each in (segmenter, prompter):
+            each.expect(self._cfg.plausibility)
         self._foreground, self._state = Foreground(), TrackState()
         self._is_checked, self._has_begun = False, not waits
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Int32
 
+from pixel2catch.perception.plausibility import USUAL, PlausibilityCfg
 from pixel2catch.perception.segmenter import NOT_FOUND, Mask, Segmentation
 
 NUM_NEIGHBORS = 8
@@ -17,10 +18,6 @@ SPECK = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 """Pieces of one thing that are no further apart than this belong together [px]."""
-
-LEAST_AREA, LARGEST_SIDE = 6, 100
-"""Smallest region, and longest side of a region, that is taken for the object [px]. Source: ours, twice the
-side in rendered catches (49 px)."""
 
 REACH, REACH_GROWTH, LARGEST_REACH = 45.0, 30.0, 150.0
 """Largest distance of the object from the way between where it was and where it is expected, how much more it
@@ -68,10 +65,9 @@ class Blob:
     window: Window
     shape: tuple[int, int]
 
-    @property
-    def is_plausible(self) -> bool:
+    def is_plausible(self, cfg: PlausibilityCfg) -> bool:
         """Whether it has the size of an object."""
-        return self.area >= LEAST_AREA and max(self.width, self.height) <= LARGEST_SIDE
+        return self.area >= cfg.least_area and max(self.width, self.height) <= cfg.largest_side
 
     @property
     def box(self) -> tuple[float, float, float, float]:
@@ -156,6 +152,7 @@ class ImageTrack:
         num_missed: Images since then.
         num_seen: How often it was seen; its velocity is known from the second time on.
         others: Middles of the things in the last image that were not the object [px].
+        plausibility: What can be the object.
     """
 
     center: tuple[float, float]
@@ -163,6 +160,7 @@ class ImageTrack:
     num_missed: int = 0
     num_seen: int = 0
     others: tuple[tuple[float, float], ...] = ()
+    plausibility: PlausibilityCfg = USUAL
 
     @property
     def expected(self) -> tuple[float, float]:
@@ -178,7 +176,8 @@ class ImageTrack:
         """The track after an image with the object [px]."""
         steps = self.num_missed + 1
         velocity = (center[0] - self.center[0]) / steps, (center[1] - self.center[1]) / steps
-        return ImageTrack(center=center, velocity=velocity, num_seen=self.num_seen + 1)
+        num_seen, cfg = self.num_seen + 1, self.plausibility
+        return ImageTrack(center=center, velocity=velocity, num_seen=num_seen, plausibility=cfg)
 
     def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
         """The track after the next image, in which the object is this one of the regions, and its mask.
@@ -207,7 +206,8 @@ class ImageTrack:
         In reach is what is near to the way from its last place to there: a hand may have stopped it. What was
         another thing in the last image is not the object in this one.
         """
-        plausible = (blob for blob in blobs if blob.is_plausible and not self._is_other(blob, blobs))
+        sized = (blob for blob in blobs if blob.is_plausible(self.plausibility))
+        plausible = (blob for blob in sized if not self._is_other(blob, blobs))
         near = (blob for blob in plausible if self._distance(blob.center) <= self.reach)
         return sorted(near, key=lambda blob: blob.distance(self.expected))
 

@@ -7,7 +7,7 @@ from math import hypot
 from jaxtyping import Float
 from torch import Tensor
 
-from pixel2catch.scene.constants import CameraSpec
+from pixel2catch.scene.constants import OBJECT_RADIUS, CameraSpec
 
 
 class Verdict(StrEnum):
@@ -37,9 +37,25 @@ class PlausibilityCfg:
 
     least_area: int = 6  #: Fewest pixels.
     largest_share: float = 0.02  #: Largest share of the image. Source: ours; 0.5 % at most in those images.
+    largest_side: float = (
+        100.0  #: Longest side of a region of an image [px]. Source: ours; 49 in those images.
+    )
     largest_jump: float = 90.0  #: Of the middle of the box in a control step [px]; 61 in those images.
     largest_growth: float = 50.0  #: Of a side of the box in a control step [px].
     largest_sides: int = 1  #: Most sides of the image that the box touches; an object passes one at a time.
+
+    @classmethod
+    def up_to(cls, radius: float) -> "PlausibilityCfg":
+        """Limits where objects may be larger than the paper's: up to a ball of this radius [m]."""
+        usual, scale = cls(), max(radius / OBJECT_RADIUS, 1.0)
+        return cls(
+            largest_share=scale**2 * usual.largest_share,
+            largest_side=scale * usual.largest_side,
+            largest_growth=scale * usual.largest_growth,
+        )
+
+
+USUAL = PlausibilityCfg()  #: Limits for the paper's objects.
 
 
 def judge(

@@ -7,6 +7,7 @@ import numpy as np
 from pixel2catch.perception.color import ColorRange
 from pixel2catch.perception.foreground import Weakness, closed
 from pixel2catch.perception.image_track import LARGEST_CHANGE, Blob, find_blobs
+from pixel2catch.perception.plausibility import USUAL, PlausibilityCfg
 from pixel2catch.perception.segmenter import BoxPrompt, Image, Mask, Motion, Prompt
 
 Region = tuple[float, float, float, float]
@@ -42,9 +43,13 @@ class Prompter:
             colors: The object's colours, if they are known.
             region: Where it may be found by colour or flight; the whole image if absent.
         """
-        self._usual = prompt
+        self._usual, self._plausibility = prompt, USUAL
         self._colors, self._region = colors, region
         self.reset()
+
+    def expect(self, plausibility: PlausibilityCfg) -> None:
+        """Learn what can be the object, before the first image."""
+        self._plausibility = plausibility
 
     def reset(self) -> None:
         """Begin a new throw; what is known of the background stays."""
@@ -71,14 +76,15 @@ class Prompter:
         if self._colors is None:
             return None
         blobs = find_blobs(_within(self._colors.mask(image), self._region))
-        return next((BoxPrompt(box=blob.box) for blob in blobs if blob.is_plausible), None)
+        sized = (blob for blob in blobs if blob.is_plausible(self._plausibility))
+        return next((BoxPrompt(box=blob.box) for blob in sized), None)
 
     def _flying(self, motion: Motion | None) -> BoxPrompt | None:
         """What flew in the last three images; a thrower's arm is longer than an object."""
         if motion is None or motion.doubt == Weakness.FEW_IMAGES:
             return None
         whole = _within(closed(motion.moving), self._region)
-        newest = [blob for blob in find_blobs(whole) if blob.is_plausible]
+        newest = [blob for blob in find_blobs(whole) if blob.is_plausible(self._plausibility)]
         oldest, middle = self._before
         self._before = (middle, newest)
         triples = product(newest, middle, oldest)

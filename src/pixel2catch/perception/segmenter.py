@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from pixel2catch.errors import PerceptionError
+from pixel2catch.perception.plausibility import USUAL, PlausibilityCfg
 
 Image = UInt8[np.ndarray, "height width 3"]  #: Red, green, blue; upper row first.
 Mask = Bool[np.ndarray, "height width"]  #: Which pixels of an image are meant.
@@ -81,6 +82,11 @@ class Segmenter(ABC):
     """
 
     uses_motion: ClassVar[bool] = False  #: Whether it must be told what moves in each image.
+    plausibility = USUAL  #: What can be the object, for one that chooses among regions.
+
+    def expect(self, plausibility: PlausibilityCfg) -> None:
+        """Learn what can be the object, before the first image."""
+        self.plausibility = plausibility
 
     @abstractmethod
     def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:

@@ -62,10 +62,11 @@ class LastPlace(ImageTrack):
     box: tuple[float, float, float, float]  #: Its box there [px].
 
     @classmethod
-    def of(cls, prompt: Prompt) -> "LastPlace":
+    def of(cls, prompt: Prompt, plausibility: PlausibilityCfg) -> "LastPlace":
         """Where a prompt says."""
         u, v = prompt.center
-        return cls(center=(u, v), box=prompt.box if isinstance(prompt, BoxPrompt) else (u, v, u, v))
+        box = prompt.box if isinstance(prompt, BoxPrompt) else (u, v, u, v)
+        return cls(center=(u, v), box=box, plausibility=plausibility)
 
     def after(self, blob: Blob | None) -> "LastPlace":
         """The place after the next image, in which it is this region, or none."""
@@ -76,11 +77,12 @@ class LastPlace(ImageTrack):
     def likeliest(self, mask: Mask | None) -> Blob | None:
         """The largest region of a mask that can be the object in the next image; others are specks."""
         blobs = [] if mask is None else find_blobs(mask)
-        return next((blob for blob in blobs if blob.is_plausible and not self._is_jump(blob)), None)
+        sized = (blob for blob in blobs if blob.is_plausible(self.plausibility))
+        return next((blob for blob in sized if not self._is_jump(blob)), None)
 
     def _is_jump(self, blob: Blob) -> bool:
         before, now = torch.tensor([self.box]), torch.tensor([blob.box])
-        return is_jump(PlausibilityCfg(), now, before, self.num_missed + 1.0)
+        return is_jump(self.plausibility, now, before, self.num_missed + 1.0)
 
 
 class SideBySide(Segmenter):
@@ -102,11 +104,17 @@ class SideBySide(Segmenter):
         self._last: LastPlace | None = None
         self._num_unbelieved, self._is_trusted = 0, True
 
+    def expect(self, plausibility: PlausibilityCfg) -> None:
+        """See `Segmenter.expect`."""
+        super().expect(plausibility)
+        self._background.expect(plausibility)
+
     def start(self, image: Image, prompt: Prompt, motion: Motion | None = None) -> Segmentation:
         """See `Segmenter.start`."""
         begin = time.perf_counter()
         self._tell(image, prompt)
-        self._last, self._num_unbelieved, self._is_trusted = LastPlace.of(prompt), 0, True
+        self._last = LastPlace.of(prompt, self.plausibility)
+        self._num_unbelieved, self._is_trusted = 0, True
         other = self._background.start(image, prompt, motion)
         return self._judged(image, self._last, other, begin, is_asked=True)
 

@@ -25,7 +25,7 @@ from pixel2catch.mdp.snapshot import Measurement
 from pixel2catch.methods import METHODS, Memory, Method, find_memory, find_method
 from pixel2catch.own_files import OPTION, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
+from pixel2catch.scene.constants import CONTROL_DT, OBJECT_RADIUS, RGB_CAMERA, CameraSpec
 from pixel2catch.workcells import known_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -64,6 +64,8 @@ class PolicyContract:
     camera: dict[str, int | float | tuple[float, ...]]
     workcell: str  #: Name of the work cell.
     task: str = "nominal"  #: Name of the task that it was trained for; it may act in others.
+    #: Radius of the ball of the volume of the largest object that it was trained to catch [m].
+    object_radius: float = OBJECT_RADIUS
     format_version: int = FORMAT_VERSION  #: Version of the file format.
 
     def to_dict(self) -> dict[str, Any]:
@@ -102,7 +104,7 @@ class PolicyContract:
         Raises:
             PolicyMismatchError: They differ; the message names every field that does, with both values.
         """
-        same_task = dataclasses.replace(expected, task=self.task)
+        same_task = dataclasses.replace(expected, task=self.task, object_radius=self.object_radius)
         ours, theirs = dict(leaves(self.to_dict())), dict(leaves(same_task.to_dict()))
         fields = [name for name in ours | theirs if ours.get(name) != theirs.get(name)]
         if fields:

@@ -14,6 +14,9 @@ DECIMATION = 4  #: Physics steps in a control step. Source: paper.
 CONTROL_DT = DECIMATION * PHYSICS_DT  #: Control time step [s]: the policy runs at 30 Hz. Source: paper.
 
 
+OBJECT_RADIUS = 0.04
+"""Of the ball of the volume of the largest object of the paper's task [m]. Source: ours, of our stand-ins."""
+
 SPEED_MARGIN = 0.9
 """Share of a joint's speed limit that is asked for; the rest is for the pull of the other joints (ours)."""
 
