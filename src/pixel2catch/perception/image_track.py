@@ -176,8 +176,12 @@ class ImageTrack:
         """The track after an image with the object [px]."""
         steps = self.num_missed + 1
         velocity = (center[0] - self.center[0]) / steps, (center[1] - self.center[1]) / steps
-        num_seen, cfg = self.num_seen + 1, self.plausibility
-        return ImageTrack(center=center, velocity=velocity, num_seen=num_seen, plausibility=cfg)
+        return ImageTrack(
+            center=center,
+            velocity=velocity,
+            num_seen=self.num_seen + 1,
+            plausibility=self.plausibility,
+        )
 
     def advanced(self, blobs: list[Blob], blob: Blob | None) -> tuple["ImageTrack", Segmentation]:
         """The track after the next image, in which the object is this one of the regions, and its mask.

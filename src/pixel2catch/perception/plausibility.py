@@ -37,9 +37,8 @@ class PlausibilityCfg:
 
     least_area: int = 6  #: Fewest pixels.
     largest_share: float = 0.02  #: Largest share of the image. Source: ours; 0.5 % at most in those images.
-    largest_side: float = (
-        100.0  #: Longest side of a region of an image [px]. Source: ours; 49 in those images.
-    )
+    #: Longest side of a region of an image [px]. Source: ours; 49 in those images.
+    largest_side: float = 100.0
     largest_jump: float = 90.0  #: Of the middle of the box in a control step [px]; 61 in those images.
     largest_growth: float = 50.0  #: Of a side of the box in a control step [px].
     largest_sides: int = 1  #: Most sides of the image that the box touches; an object passes one at a time.
