@@ -1,5 +1,7 @@
 """Background subtraction on painted streams: noise, texture, other things that move, a robot."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import painted
 import pytest
@@ -189,6 +191,37 @@ def test_what_fills_a_third_of_its_box_is_followed():
     left, top, right, bottom = held_box().box
     worst = errors((), BoxPrompt(box=(left - 6.0, top - 6.0, right + 6.0, bottom + 6.0)))
     assert (worst[1:] <= 2.0).all()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coming(Disc):
+    """A disc that comes nearer from an image on."""
+
+    first: int
+
+    def mask(self, step: int) -> painted.Mask:
+        nearer = replace(self, radius=self.radius * 1.06 ** max(step - self.first, 0))
+        return super(Coming, nearer).mask(step)
+
+
+def test_what_comes_nearer_while_the_edge_of_the_image_cuts_it_is_followed():
+    """Twice as wide when it comes back as when it was last seen whole: four times the area."""
+    first = NUM_EMPTY + NUM_STILL
+    height = np.concatenate((np.full(NUM_STILL, 60.0), np.linspace(54.0, 6.0, 9), np.full(6, 4.0)))
+    height = np.concatenate((height, np.linspace(14.0, 80.0, 7)))
+    place = np.stack((100.0 + 4.0 * np.clip(np.arange(len(height)) - NUM_STILL, 0, None), height), axis=1)
+    path = np.concatenate((np.full((NUM_EMPTY, 2), -100.0), place))
+    ball, segmenter, worst = Coming(path=path, radius=12.0, first=first), Follower(), []
+    xmin, ymin, xmax, ymax = painted.box_of(ball.mask(NUM_EMPTY)).tolist()
+    for step, image in enumerate(painted.images((ball,), len(path))):
+        if step == NUM_EMPTY:
+            found = segmenter.start(image, BoxPrompt(box=(xmin, ymin, xmax, ymax)))
+        else:
+            found = segmenter.track(image)
+        if step >= NUM_EMPTY:
+            truth = painted.box_of(ball.mask(step))
+            worst.append(np.inf if found.mask is None else np.abs(painted.box_of(found.mask) - truth).max())
+    assert max(worst) <= 3.0
 
 
 def test_what_comes_back_is_found_while_the_edge_of_the_image_cuts_it():

@@ -135,7 +135,7 @@ class BackgroundSubtraction(Segmenter):
         if blob is not None and not _touches(blob, motion.unknown):
             mask = blob.mask()
             is_box = maybe is not None and np.array_equal(mask, maybe)  # its area is not the object's
-            if not (is_box or blob.is_cut):
+            if not is_box:
                 self._resize(blob, self._track.num_seen)
             self._later = partial(self._learn, motion, mask, grown(mask, GAP))
         return replace(segmentation, doubt=motion.doubt)
@@ -193,12 +193,20 @@ class BackgroundSubtraction(Segmenter):
         return max(width + height, AREA_WEIGHT * area)
 
     def _resize(self, blob: Blob, num_seen: int) -> None:
-        """Learn the size of the object, seen so often, as a mean in which later images count more."""
-        if self._size is None:
-            self._size = _size(blob)
+        """Learn the size of the object, seen so often, as a mean in which later images count more.
+
+        What the image's edge cuts is as much larger than before as the side that it leaves whole.
+        """
+        size, before = _size(blob), self._size
+        if before is None:
+            self._size = None if blob.is_cut else size
             return
         memory = np.minimum(SIZE_MEMORY, num_seen / (num_seen + 1.0))
-        self._size = memory * self._size + (1.0 - memory) * _size(blob)
+        learned = memory * before + (1.0 - memory) * size
+        if blob.is_cut:
+            growth = np.max((learned / before)[:2], initial=1.0, where=np.array(blob.is_whole))
+            learned = before * (growth, growth, growth**2)
+        self._size = learned
 
     @property
     def _is_fresh(self) -> bool:

@@ -76,10 +76,15 @@ class Blob:
         return u - x, v - y, u + x, v + y
 
     @property
+    def is_whole(self) -> tuple[bool, bool]:
+        """Whether all of its width is in the image, and of its height: no end of it touches the edge."""
+        xmin, ymin, xmax, ymax = self.box
+        return xmin > 0.0 and xmax < self.shape[1], ymin > 0.0 and ymax < self.shape[0]
+
+    @property
     def is_cut(self) -> bool:
         """Whether it touches the edge of the image, beyond which it may go on."""
-        xmin, ymin, xmax, ymax = self.box
-        return min(xmin, ymin) <= 0.0 or ymax >= self.shape[0] or xmax >= self.shape[1]
+        return not all(self.is_whole)
 
     @property
     def place(self) -> Window:
