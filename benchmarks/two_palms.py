@@ -64,7 +64,7 @@ CATCH: dict[str, tuple] = {
     "thumb_base": (0.51, 0.73, 0.05, -0.16, -0.11),
     "palms": (1, 1, 2, 2, 2),  # One: the nearer.
 }
-"""Where palms and fingers wait and go."""
+"""Where palms and fingers wait and go. Source: ours, of `--device cuda:0 --throws 6144 --generations 24`."""
 
 SPREAD = {
     **dict.fromkeys(("tilt", "lean"), 6.0),
