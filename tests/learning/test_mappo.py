@@ -3,7 +3,6 @@
 import copy
 import dataclasses
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from torch.distributions import Normal
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.learning.config import PRESETS, TrainCfg, preset
 from pixel2catch.learning.distributed import Workers
-from pixel2catch.learning.gradient_step import mini_batches
+from pixel2catch.learning.gradient_step import shuffled
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.networks import learn_together
 from pixel2catch.mdp.masks import assign
@@ -59,7 +58,8 @@ def test_mini_batches_hold_every_transition_once(mappo: Mappo) -> None:
     step = mappo.steps["arm"]
     for tensor in (mappo.rollout["arm"].values, mappo.rollout["arm"].advantages):
         tensor.copy_(torch.arange(1024.0).view(16, 64))
-    batches = [step.batch(indices) for indices in mini_batches(SMALL)]
+    step.shuffle(shuffled(SMALL))
+    batches = [step.batch(number) for number in range(SMALL.mini_batches)]
     assert [len(batch.values) for batch in batches] == [256] * 4
     assert all(torch.equal(batch.values, batch.advantages) for batch in batches)
     drawn = torch.cat([batch.values for batch in batches]).tolist()
@@ -128,15 +128,15 @@ SQUARES = {"linear": 103.0941, "kl": 103.2317, "teacher": 102.0613, "start": 102
 
 
 class DrawsOfSkrl:
-    """Mini-batches as skrl drew them: for all epochs of an agent, then for those of the next one."""
+    """Orders as skrl drew them: for all epochs of an agent, then for those of the next one."""
 
     def __init__(self) -> None:
-        self._waiting: list[Sequence[torch.Tensor]] = []
+        self._waiting: list[torch.Tensor] = []
 
-    def __call__(self, cfg: TrainCfg) -> Sequence[torch.Tensor]:
+    def __call__(self, cfg: TrainCfg) -> torch.Tensor:
         if not self._waiting:
-            drawn = [[mini_batches(cfg) for _ in range(cfg.epochs)] for _ in CONTRACT.agents]
-            self._waiting = [batches for epoch in zip(*drawn, strict=True) for batches in epoch]
+            drawn = [[shuffled(cfg) for _ in range(cfg.epochs)] for _ in CONTRACT.agents]
+            self._waiting = [order for epoch in zip(*drawn, strict=True) for order in epoch]
         return self._waiting.pop(0)
 
 
@@ -164,7 +164,7 @@ def test_training_gives_the_numbers_of_skrl(
         return load(folder, *options)
 
     monkeypatch.setattr(Policy, "load", drawing)
-    monkeypatch.setattr("pixel2catch.learning.mappo.mini_batches", DrawsOfSkrl())
+    monkeypatch.setattr("pixel2catch.learning.mappo.shuffled", DrawsOfSkrl())
     mappo, metrics = Mappo(cfg, env, CONTRACT), {}
     for progress in (0.0, 0.25, 0.5, 0.75):
         roll_out(mappo, env)

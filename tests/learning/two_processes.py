@@ -7,7 +7,6 @@ import dataclasses
 import json
 import os
 import sys
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -26,12 +25,12 @@ TOLERANCES = {"cpu": (1e-5, 2e-6), "cuda": (1e-2, 1e-3)}
 """Relative and absolute; a CUDA device rounds the networks' products to TF32."""
 
 
-def ordered(cfg: TrainCfg) -> Sequence[torch.Tensor]:
-    """Mini-batches in an order by which one of the whole is made of one of each half."""
+def ordered(cfg: TrainCfg) -> torch.Tensor:
+    """An order by which a mini-batch of the whole is made of one of each half."""
     order = torch.arange(cfg.num_envs if cfg.recurrent else cfg.rollout_transitions, device=cfg.device)
     if cfg.recurrent and len(order) == CFG.num_envs:
         order = order.view(2, -1).T.flatten()
-    return order.chunk(cfg.mini_batches)
+    return order
 
 
 def make_mappo(cfg: TrainCfg, workers: Workers | None = None) -> Mappo:
@@ -130,7 +129,7 @@ def train_endlessly(folder: Path, device: str) -> None:
 
 
 def update(folder: Path, device: str) -> None:
-    algorithm.mini_batches = ordered
+    algorithm.shuffled = ordered
     with start_workers(device) as workers:
         check_halves_learn_as_the_whole(workers, recurrent=0)
         check_halves_learn_as_the_whole(workers, recurrent=8)

@@ -68,8 +68,8 @@ class Workers:
             return
         flat = self.sum(torch.cat([tensor.flatten() for tensor in tensors])) / self.size
         parts = flat.split([tensor.numel() for tensor in tensors])
-        for tensor, part in zip(tensors, parts, strict=True):
-            tensor.copy_(part.view_as(tensor))
+        views = [part.view_as(tensor) for tensor, part in zip(tensors, parts, strict=True)]
+        torch._foreach_copy_(list(tensors), views)  # pyright: ignore[reportPrivateImportUsage] (in few launches)
 
     def moments(self, found: Sequence[tuple[Tensor, Tensor]], count: int) -> Sequence[tuple[Tensor, Tensor]]:
         """Return means and unbiased variances of the samples of all processes, by one exchange.
@@ -88,11 +88,6 @@ class Workers:
         joint = zip(means, squares, strict=True)
         return [(mean, (square - mean.square()) * (total / (total - 1))) for mean, square in joint]
 
-    def standardized(self, values: Tensor, epsilon: float) -> Tensor:
-        """Return values with mean 0 and standard deviation 1 (but for epsilon) over all processes."""
-        ((mean, variance),) = self.moments([(values.mean(), values.var())], values.numel())
-        return (values - mean.to(values)) / (variance.to(values).sqrt() + epsilon)
-
     @contextlib.contextmanager
     def sync_errors(self) -> Iterator[None]:
         """Around work in which nothing is combined: if it fails in one process, all leave.
@@ -108,13 +103,11 @@ class Workers:
             if self.size == 1:
                 raise
             failure = error
-        if self.size == 1:
+        if self.size == 1 or not self.any(failure is not None):
             return
         messages: list[str] = [""] * self.size
         dist.all_gather_object(messages, _message(failure))
         failed = [f"process {rank}: {message}" for rank, message in enumerate(messages) if message]
-        if not failed:
-            return
         self.is_agreed = True
         if failure and (self.is_first or not isinstance(failure, Pixel2CatchError)):
             raise failure

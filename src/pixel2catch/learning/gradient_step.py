@@ -1,6 +1,6 @@
 """One gradient step of PPO on a mini-batch, what a mini-batch is, and how long a step is."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -43,6 +43,7 @@ class GradientStep:
         # Of recurrent networks, the steps of an environment stay together and in order.
         self._dim = 1 if cfg.recurrent else 0
         self._rollout = rollout if cfg.recurrent else rollout.each(partial(torch.flatten, end_dim=1))
+        self._shuffled = self._rollout
         self._losses = torch.compile(self._losses_of, dynamic=False) if cfg.fuse else self._losses_of
         self._is_cuda = cfg.device.startswith("cuda")
         rate = torch.tensor(cfg.learning_rate, device=cfg.device)
@@ -63,13 +64,22 @@ class GradientStep:
         """Learning rate, to be changed in place."""
         return self.optimizer.param_groups[0]["lr"]
 
-    def batch(self, indices: Tensor) -> Batch:
-        """Some transitions of the rollout, or some environments of recurrent networks."""
-        return self._rollout.each(partial(torch.index_select, dim=self._dim, index=indices))
+    def shuffle(self, order: Tensor) -> None:
+        """Put the rollout into the order of a pass over it, as `shuffled` draws it."""
+        self._shuffled = self._rollout.each(partial(torch.index_select, dim=self._dim, index=order))
 
-    def differentiate(self, indices: Tensor) -> None:
-        """Find gradients and losses on some of the rollout, whose values and returns are standardised."""
-        objective, self._losses_now = self._losses(indices)
+    def batch(self, number: int) -> Batch:
+        """Mini-batch of the pass: some transitions, or some environments of recurrent networks."""
+
+        def part(tensor: Tensor) -> Tensor:
+            size = tensor.shape[self._dim] // self._cfg.mini_batches
+            return tensor.narrow(self._dim, number * size, size)
+
+        return self._shuffled.each(part)
+
+    def differentiate(self, number: int) -> None:
+        """Find gradients and losses on a mini-batch, whose values and returns are standardised."""
+        objective, self._losses_now = self._losses(self.batch(number))
         objective.backward()
 
     @property
@@ -104,13 +114,13 @@ class GradientStep:
         for group in self.optimizer.param_groups:
             group["capturable"] = self._is_cuda
 
-    def _losses_of(self, indices: Tensor) -> tuple[Tensor, Tensor]:
+    def _losses_of(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """What the step makes smaller; and policy loss, value loss and KL divergence.
 
         Source: PPO with clipped ratio and clipped values (Schulman et al. 2017; release). A teacher's advice
         is followed by its weight, and the surrogate objective by the rest.
         """
-        cfg, networks, batch = self._cfg, self._networks, self.batch(indices)
+        cfg, networks = self._cfg, self._networks
         seen, states = networks.observation_scale(batch.observations), networks.state_scale(batch.states)
         seen = recall_all(networks.policy_gru, seen, batch.policy_hidden_state, batch.is_first)
         states = recall_all(networks.value_gru, states, batch.value_hidden_state, batch.is_first)
@@ -121,7 +131,9 @@ class GradientStep:
         policy_loss = -torch.min(batch.advantages * ratio, batch.advantages * clipped_ratio).mean()
         values = batch.values + (values - batch.values).clip(-cfg.value_clip, cfg.value_clip)
         value_loss = cfg.value_loss_scale * nn.functional.mse_loss(batch.returns, values)
-        objective = policy_loss - cfg.entropy_scale * networks.entropy()
+        objective = policy_loss
+        if cfg.entropy_scale:
+            objective = objective - cfg.entropy_scale * networks.entropy()
         if batch.advice.shape[-1]:
             imitation = 0.5 * (mean - batch.advice).square().sum(dim=-1).mean()
             objective = torch.lerp(objective, imitation, self.teacher_weight)
@@ -129,10 +141,10 @@ class GradientStep:
         return self._policy_weight * objective + value_loss, losses
 
 
-def mini_batches(cfg: TrainCfg) -> Sequence[Tensor]:
-    """Random transitions of a rollout, or environments of recurrent networks: together all, each once."""
+def shuffled(cfg: TrainCfg) -> Tensor:
+    """Random order of the transitions of a rollout, or of the environments of recurrent networks."""
     num = cfg.num_envs if cfg.recurrent else cfg.rollout_transitions
-    return torch.randperm(num, device=cfg.device).chunk(cfg.mini_batches)
+    return torch.randperm(num, device=cfg.device)
 
 
 def adapted_rate(cfg: TrainCfg, rate: float, kl: float) -> float:

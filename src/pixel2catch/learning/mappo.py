@@ -4,7 +4,7 @@ Source: Yu et al. 2022, in the form of the release (skrl): clipped ratios and va
 standardised inputs and values. Ours: imitation of a teacher, resting policies, several processes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -16,7 +16,7 @@ from pixel2catch.errors import InvalidValueError, PolicyMismatchError
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.environment import Environment, Observation, Step
-from pixel2catch.learning.gradient_step import Batch, GradientStep, adapted_rate, mini_batches
+from pixel2catch.learning.gradient_step import Batch, GradientStep, adapted_rate, shuffled
 from pixel2catch.learning.networks import EPSILON, ActorCritic, Standardizer, learn_together
 from pixel2catch.policy import Policy, PolicyContract
 from pixel2catch.sim.graphs import GraphedFunction
@@ -100,10 +100,11 @@ class Mappo:
         stream = partial(torch.cuda.Stream, cfg.device) if cfg.device.startswith("cuda") else lambda: None
         self._streams = {agent: stream() for agent in self.agents}  #: On which each is differentiated.
         self._draw = {agent: self._fused(networks.act) for agent, networks in self.networks.items()}
-        self._record_epochs()
+        self._record_update()
 
-    def _record_epochs(self) -> None:
-        """Let the next epochs be recorded anew, the first one of an update and all others apart."""
+    def _record_update(self) -> None:
+        """Let the parts of the next update be recorded anew, its first epoch and all others apart."""
+        self._estimate = self._recorded(self._estimate_advantages)
         self._epochs = [self._recorded(partial(self._epoch, is_first=is_first)) for is_first in (False, True)]
 
     def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -198,8 +199,7 @@ class Mappo:
     def _update_agents(self) -> Tensor:
         """Update all agents; return their `METRICS`, a row each."""
         cfg, steps = self.cfg, self.steps.values()
-        for agent in self.agents:
-            self._estimate_advantages(agent)
+        self._estimate(self.next_states, *(self._hidden_states[agent][1] for agent in self.agents))
         epochs = []
         for epoch in range(cfg.epochs):
             epochs.append(self._epochs[epoch == 0]().clone())
@@ -217,13 +217,14 @@ class Mappo:
         """
         for step in self.steps.values():
             step.totals.zero_()
-        drawn = {agent: mini_batches(self.cfg) for agent in self.agents}
+        orders = {agent: shuffled(self.cfg) for agent in self.agents}
+        for agent, step in self._side_by_side():
+            step.shuffle(orders[agent])
         for number in range(self.cfg.mini_batches):
-            indices = {agent: batches[number] for agent, batches in drawn.items()}
             if is_first:
-                self._learn_scales(indices)
-            for agent, step in self._side_by_side():
-                step.differentiate(indices[agent])
+                self._learn_scales(number)
+            for _, step in self._side_by_side():
+                step.differentiate(number)
             self.workers.average([part for step in self.steps.values() for part in step.exchanged])
             for _, step in self._side_by_side():
                 step.apply()
@@ -239,26 +240,32 @@ class Mappo:
         for stream in filter(None, self._streams.values()):
             torch.cuda.current_stream(stream.device).wait_stream(stream)
 
-    def _learn_scales(self, indices: Mapping[str, Tensor]) -> None:
+    def _learn_scales(self, number: int) -> None:
         """Count what the networks are about to see into the scales of their inputs."""
         seen: list[tuple[Standardizer, Tensor]] = []
         for agent, networks in self.networks.items():
-            batch = self.steps[agent].batch(indices[agent])
+            batch = self.steps[agent].batch(number)
             seen += [(networks.observation_scale, batch.observations), (networks.state_scale, batch.states)]
         learn_together(self.workers, seen)
 
     @torch.no_grad()
-    def _estimate_advantages(self, agent: str) -> None:
+    def _estimate_advantages(self, next_states: Tensor, *hidden_states: Tensor) -> None:
         """Fill in returns and advantages, and standardise the values and the returns one after the other."""
-        rollout, networks = self.rollout[agent], self.networks[agent]
-        values, scale = rollout.values, networks.value_scale
-        last, _ = networks.value_of(self.next_states, self._hidden_states[agent][1])
-        rollout.is_first[1:] = self.is_done[:-1]
-        returns = discounted_returns(self.cfg, self.rewards[agent], self.is_done, values, last)
-        rollout.advantages.copy_(self.workers.standardized(returns - values, EPSILON))
-        for target, given in ((values, values), (rollout.returns, returns)):
-            learn_together(self.workers, [(scale, given)])
-            target.copy_(scale(given))
+        found: list[tuple[Tensor, Tensor, Tensor]] = []
+        for (agent, rollout), hidden in zip(self.rollout.items(), hidden_states, strict=True):
+            rollout.is_first[1:] = self.is_done[:-1]
+            last, _ = self.networks[agent].value_of(next_states, hidden)
+            returns = discounted_returns(self.cfg, self.rewards[agent], self.is_done, rollout.values, last)
+            found.append((returns - rollout.values, rollout.values, returns))
+        parts = [(each.mean(), each.var()) for agent in found for each in agent]
+        moments = iter(self.workers.moments(parts, self.is_done.numel()))
+        for agent, (advantages, values, returns) in zip(self.agents, found, strict=True):
+            rollout, scale = self.rollout[agent], self.networks[agent].value_scale
+            mean, variance = (moment.to(values) for moment in next(moments))
+            rollout.advantages.copy_((advantages - mean) / (variance.sqrt() + EPSILON))
+            for target, seen in ((rollout.values, values), (rollout.returns, returns)):
+                scale.learn(*next(moments), seen.numel() * self.workers.size)
+                target.copy_(scale(seen))
 
     def _rest_policies(self, is_resting: bool) -> None:
         """Let the value networks alone learn, so that a policy is not led by values that mean nothing yet."""
@@ -323,11 +330,11 @@ class Mappo:
         for agent in self.agents:
             self.networks[agent].load_state_dict(state[agent]["networks"])
             self.steps[agent].load_state_dict(state[agent]["optimizer"])
-        self._record_epochs()
+        self._record_update()
 
     def close(self) -> None:
         """Release what would keep the process group from ending: recordings that hold a collective of it."""
-        self._record_epochs()
+        self._record_update()
 
 
 def _load_teacher(cfg: TrainCfg, contract: PolicyContract) -> Policy:

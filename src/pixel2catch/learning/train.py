@@ -269,11 +269,12 @@ def check_update(mappo: Mappo, losses: Mapping[str, float]) -> None:
     Raises:
         NonFiniteError: The message names the agent and the loss or the network.
     """
-    totals = {f"loss or metric '{name}'": torch.tensor(value) for name, value in losses.items()}
+    values = torch.tensor(list(losses.values()), device=mappo.cfg.device).unbind()
+    totals = dict(zip((f"loss or metric '{name}'" for name in losses), values, strict=True))
     for agent, networks in mappo.networks.items():
         for role, parameters in networks.parts.items():
             norm = torch.nn.utils.get_total_norm([parameter.detach() for parameter in parameters])
-            totals[f"parameters of the {role} network of agent '{agent}'"] = norm.cpu()
+            totals[f"parameters of the {role} network of agent '{agent}'"] = norm
     _raise_if_not_finite(totals)
 
 
