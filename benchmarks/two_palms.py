@@ -30,7 +30,7 @@ from pixel2catch.policy import HIDDEN, Policy, contract_of
 from pixel2catch.robots.chain import Chain
 from pixel2catch.robots.geometry import chain_of
 from pixel2catch.scene.constants import CONTROL_DT, GRAVITY
-from pixel2catch.scene.objects import OBJECTS, SIZES
+from pixel2catch.scene.objects import OBJECTS, SIZES, largest_radius
 from pixel2catch.workcells import find_workcell
 
 WORKCELL = find_workcell("two_ur5e_allegro")
@@ -38,7 +38,6 @@ FARTHEST_X = 0.88  # where an object is met at the farthest [m]
 NOISE = 0.1  # of actions, while states for imitation are collected, and in a search
 HUBER = 0.1  # Difference of actions from which on it counts linearly: where two ways blur, one is chosen.
 CANDIDATES, ELITE = 48, 10  # of a generation of a search
-LARGEST_RADIUS = round(max(OBJECTS[name].radius for name in SIZES), 3)
 BATCH = 2  # of a gradient step of imitation, transitions of each environment
 
 SIZE_NAMES = ("6", "10", "16", "22", "28")  # In the names of objects [cm], and of the columns of the table.
@@ -269,7 +268,7 @@ def imitated(method: Method, tables: Mapping[str, Tensor], options: argparse.Nam
     Source: Ross et al. 2011 (DAgger), and noise on the actions.
     """
     num_envs, device = options.num_envs, options.device
-    contract = replace(contract_of(method, WORKCELL), task="sizes", object_radius=LARGEST_RADIUS)
+    contract = replace(contract_of(method, WORKCELL), task="sizes", object_radius=largest_radius(SIZES))
     policy = Policy(contract, options.hidden).to(device)
     optimizer = torch.optim.Adam(policy.parameters())
     pairs = {agent.name: (list[Tensor](), list[Tensor]()) for agent in method.agents}

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,20 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from filmed import CAMERA, HELD, PATH, box_at, compressed, jpeg, save_bag, save_camera, save_video, throw
+from filmed import (
+    CAMERA,
+    DISC,
+    HELD,
+    PATH,
+    box_at,
+    compressed,
+    jpeg,
+    save_bag,
+    save_camera,
+    save_video,
+    throw,
+)
+from painted import images
 from tiny_sam2 import save_tiny_sam2
 
 from domains import PATIENCE
@@ -78,6 +92,20 @@ def test_flight_points_out_the_object_where_nobody_does(files: Path, tmp_path: P
     summary, rows = track(files, "throw.mp4", tmp_path / "out")
     assert summary["verdicts"]["seen"] >= 10
     assert worst_center(rows) < 4.0
+
+
+def test_an_object_is_believed_as_large_as_it_is_said_to_be(files: Path, tmp_path: Path):
+    """A ball of 50 px, in images of which 2 % are 39 px square: the paper's objects are not so large."""
+    large = replace(DISC, radius=25)
+    save_video(tmp_path / "large.mp4", images((large,), len(PATH)))
+    (u, v), reach = PATH[HELD], large.radius + 1.0
+    box = [*AT, "--box", *(f"{edge:g}" for edge in (u - reach, v - reach, u + reach, v + reach))]
+    verdicts = [
+        track(files, str(tmp_path / "large.mp4"), tmp_path / name, *box, *options)[0]["verdicts"]
+        for name, options in (("usual", []), ("large", ["--object-radius", "0.1"]))
+    ]
+    assert "seen" not in verdicts[0]
+    assert verdicts[1]["seen"] >= len(PATH) - HELD - 1
 
 
 def test_images_that_cannot_be_used_are_passed_over(files: Path, tmp_path: Path):

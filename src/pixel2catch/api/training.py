@@ -12,7 +12,7 @@ from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.train import TrainResult, train
 from pixel2catch.methods import Method
 from pixel2catch.policy import contract_of
-from pixel2catch.scene.objects import OBJECTS, select_objects
+from pixel2catch.scene.objects import largest_radius, select_objects
 from pixel2catch.workcells import find_workcell
 
 
@@ -75,6 +75,6 @@ def run(cfg: TrainCfg, method: Method, out: Path, *, resume: bool = False) -> Tr
             is_fused=cfg.fuse,
         )
 
-    radii = [cfg.env.scene.object_scale * OBJECTS[name].radius for name in cfg.env.objects]
-    contract = replace(contract, task=cfg.task, object_radius=round(max(radii), 3))
+    radius = largest_radius(cfg.env.objects, cfg.env.scene.object_scale)
+    contract = replace(contract, task=cfg.task, object_radius=radius)
     return train(cfg, make_env, contract, out, resume=resume, agents=method.agents)

@@ -21,6 +21,7 @@ from pixel2catch.files import json_text, write_atomically
 from pixel2catch.installation import needs_extra
 from pixel2catch.interruption import StopRequest
 from pixel2catch.perception.factory import PerceptionArgs
+from pixel2catch.scene.constants import OBJECT_RADIUS
 
 if TYPE_CHECKING:
     from pixel2catch.evaluation.box_scores import Score
@@ -55,6 +56,8 @@ class Track:
     mask_robot: bool = False
     #: The robots, for --mask-robot: a name, as for `train`, or a Python file that defines WORKCELLS.
     workcell: str = "ur5e_allegro"
+    #: Of the ball of the largest object's volume [m]: what is much larger in the image is not believed.
+    object_radius: Positive = OBJECT_RADIUS
     #: Label file of the video, as `label` writes it: how right the boxes are, from --at on.
     truth: Path | None = None
     perception: PerceptionArgs = field(default_factory=PerceptionArgs)  #: What looks for the object.
@@ -88,7 +91,8 @@ class Track:
     def _record(self, tally: "Tally", labels: "Labels | None", notes: list[str]) -> "list[Score]":
         """Follow the object and write video and table until the end, or until Ctrl-C; compare with labels."""
         from pixel2catch.evaluation.box_scores import scored
-        from pixel2catch.perception.extractor import PixelFeatureExtractor
+        from pixel2catch.perception.extractor import ExtractorCfg, PixelFeatureExtractor
+        from pixel2catch.perception.plausibility import PlausibilityCfg
         from pixel2catch.perception.robot_mask import RobotMask
         from pixel2catch.perception.sources import SourceCfg, is_camera, ticks_of
         from pixel2catch.perception.tracking import follow
@@ -106,6 +110,7 @@ class Track:
             self._prompter(fit, camera),
             robot=RobotMask(workcell, camera) if self.mask_robot else None,
             camera=camera,
+            cfg=ExtractorCfg(plausibility=PlausibilityCfg.up_to(self.object_radius)),
             waits=True,
         )
         scores: list[Score] = []

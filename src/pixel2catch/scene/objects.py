@@ -191,6 +191,11 @@ OBJECT_GROUPS: dict[str, tuple[str, ...]] = {
 """Names that stand for several objects."""
 
 
+def largest_radius(names: Iterable[str], scale: float = 1.0) -> float:
+    """Radius of the ball of the volume of the largest object, to a millimetre [m]."""
+    return round(scale * max(OBJECTS[name].radius for name in names), 3)
+
+
 def num_parts() -> int:
     """Convex parts of the object's body in the model; those that an object does not need hide inside it."""
     return max(LEAST_PARTS, *(len(spec.parts) for spec in OBJECTS.values()))
