@@ -40,6 +40,9 @@ Views = Literal["both", "outside", "rgb"]
 
 WIDE = View(lookat=(1.12, 0.0, 1.12), distance=2.3, azimuth=52.0, elevation=-11.0)  #: Robot and thrower.
 CLOSE = View(distance=1.05, azimuth=44.0, elevation=-18.0)  #: The hand, in the middle of the picture.
+#: Of several robots, from the thrower's side and above: no arm is before the hands.
+WIDE_OF_SEVERAL = View(lookat=(1.3, 0.0, 1.05), distance=3.1, azimuth=110.0, elevation=-17.0)
+CLOSE_OF_SEVERAL = View(distance=1.45, azimuth=136.0, elevation=-38.0)
 WIDTHS = (800, 480, 400, 320)  #: Width of a throw [px] by the number of throws side by side, from one on.
 DETAIL = 1.5  #: Drawn pixels in one of a film, along each side.
 ROUNDNESS = (20, 10)  #: Slices and stacks of round geoms.
@@ -68,13 +71,15 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         """
         self._views, self._width, self._height = views, width, width * 9 // 16 // 2 * 2
         self._workcell, self._objects = find_workcell(scene.workcell), object_table(scene)
+        is_one = len(self._workcell.palms) == 1
+        self._wide, self._close = (WIDE, CLOSE) if is_one else (WIDE_OF_SEVERAL, CLOSE_OF_SEVERAL)
         self._room = build_film_room(scene, self._objects.names[0], meshes)
         self._geoms = object_indices(self._room).geoms
         self._room.geom_sameframe[self._geoms] = 0  # as in the scene, so that objects can be exchanged
         self._room.vis.quality.numslices, self._room.vis.quality.numstacks = ROUNDNESS
         self._newest: tuple[int, Picture] | None = None
         with ExitStack() as stack:
-            wide = replace(WIDE, width=round(DETAIL * width), height=round(DETAIL * self._height))
+            wide = replace(self._wide, width=round(DETAIL * width), height=round(DETAIL * self._height))
             self._outside = stack.enter_context(Renderer(self._room, wide))
             part = 1 if views == "rgb" else INSET_PART
             inside = replace(RGB_VIEW, width=RGB_VIEW.width // part, height=RGB_VIEW.height // part)
@@ -129,12 +134,13 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
         def between(wide: float, close: float) -> float:
             return wide + float(board.closeness[i]) * (close - wide)
 
-        x, y, z = (between(*each) for each in zip(WIDE.lookat, board.catch_pos.tolist(), strict=True))
+        far, near = self._wide, self._close
+        x, y, z = (between(*each) for each in zip(far.lookat, board.catch_pos.tolist(), strict=True))
         return View(
             lookat=(x, y, z),
-            distance=between(WIDE.distance, CLOSE.distance),
-            azimuth=between(WIDE.azimuth, CLOSE.azimuth),
-            elevation=between(WIDE.elevation, CLOSE.elevation),
+            distance=between(far.distance, near.distance),
+            azimuth=between(far.azimuth, near.azimuth),
+            elevation=between(far.elevation, near.elevation),
         )
 
     def _path(self, throw: RecordedThrow, step: float, catch: int) -> Float[ndarray, "num_points 3"] | None:
