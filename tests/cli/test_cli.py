@@ -227,6 +227,14 @@ def test_bench_splits_a_training_into_its_parts(tmp_path: Path, capsys: pytest.C
     assert row["rss_bytes"] > 1e8 > row["device_bytes"]
 
 
+def test_bench_keeps_what_it_measured_before_it_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out, task = tmp_path / "costs.json", ["--env.scene.physics-hz", "60", "--env.episode.max-steps", "5"]
+    numbers = ["--num-envs", "4", "10000000", "--seconds", "0.1"]
+    assert main(["bench", *numbers, *task, "--out", str(out)]) == 2
+    assert "the memory of this machine" in capsys.readouterr().err
+    assert [row["num_envs"] for row in json.loads(out.read_text())["results"]] == [4]
+
+
 @pytest.mark.parametrize("ending", [".xml", ".mjb"])
 def test_exported_scene_loads(ending: str, tmp_path: Path):
     path = tmp_path / f"scene{ending}"

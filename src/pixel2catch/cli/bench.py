@@ -62,10 +62,13 @@ class Bench:
 
         folder, devices = policy_folder(self.policy), [*map(prepare, self.device)]
         load = os.getloadavg()[0]
+        rows: list[Row] = []
+        result = circumstances() | {"load_average_before": load, "policy": folder.name, "results": rows}
         with working() as report:
-            rows = [
-                measure(
-                    Policy.load(folder, prepare(device)),
+            for device, num_envs in itertools.product(devices, sorted(self.num_envs)):
+                policy = Policy.load(folder, prepare(device))
+                costs = measure(
+                    policy,
                     self.env,
                     device=device,
                     num_envs=num_envs,
@@ -73,20 +76,19 @@ class Bench:
                     fuse=self.fuse,
                     report=report,
                 )
-                for device, num_envs in itertools.product(devices, sorted(self.num_envs))
-            ]
-        result = circumstances() | {"load_average_before": load, "policy": folder.name, "results": rows}
+                rows.append(costs)
+                if self.out:  # at once: the next number may take too long
+                    write_files(self.out.parent, {self.out.name: json_text(result)})
         if self.json:
             print(json_text(result), end="")
         else:
             results_console().print(_table(rows))
         if load > 0.5 * len(os.sched_getaffinity(0)):
             say(f"this machine had other work (load average {load:.1f}): without it, it is faster")
-        contents = {self.out: json_text(result), self.plot: png(_figure(rows)) if self.plot else b""}
-        for file, content in contents.items():
-            if file:
-                write_files(file.parent, {file.name: content})
-                say(f"wrote {file}")
+        if self.plot:
+            write_files(self.plot.parent, {self.plot.name: png(_figure(rows))})
+        for file in filter(None, (self.out, self.plot)):
+            say(f"wrote {file}")
 
 
 def _table(rows: Sequence[Row]) -> "Table":
