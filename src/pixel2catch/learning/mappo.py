@@ -25,7 +25,7 @@ ADOPTED_SAMPLES = 1e7
 """Samples that the input statistics of a policy count for where a training goes on from it. Source: ours."""
 
 NUM_EAGER_CALLS = 1
-"""Epochs and control steps before one is recorded: libraries set themselves up in the first. Source: ours."""
+"""Calls of a function before it is recorded: libraries set themselves up in the first. Source: ours."""
 
 METRICS = ("policy_loss", "value_loss", "kl", "action_std", "learning_rate")
 """What `update` tells of every agent."""
