@@ -96,10 +96,8 @@ def test_flight_points_out_the_object_where_nobody_does(files: Path, tmp_path: P
 
 def test_an_object_is_believed_as_large_as_it_is_said_to_be(files: Path, tmp_path: Path):
     """A ball of 50 px, in images of which 2 % are 39 px square: the paper's objects are not so large."""
-    large = replace(DISC, radius=25)
-    save_video(tmp_path / "large.mp4", images((large,), len(PATH)))
-    (u, v), reach = PATH[HELD], large.radius + 1.0
-    box = [*AT, "--box", *(f"{edge:g}" for edge in (u - reach, v - reach, u + reach, v + reach))]
+    save_video(tmp_path / "large.mp4", images((replace(DISC, radius=25),), len(PATH)))
+    box = [*AT, "--box", *box_at(HELD, margin=19.0)]
     verdicts = [
         track(files, str(tmp_path / "large.mp4"), tmp_path / name, *box, *options)[0]["verdicts"]
         for name, options in (("usual", []), ("large", ["--object-radius", "0.1"]))

@@ -105,9 +105,9 @@ class Workers:
             failure = error
         if self.size == 1 or not self.any(failure is not None):
             return
-        messages: list[str] = [""] * self.size
-        dist.all_gather_object(messages, _message(failure))
-        failed = [f"process {rank}: {message}" for rank, message in enumerate(messages) if message]
+        messages: list[str | None] = [None] * self.size
+        dist.all_gather_object(messages, failure and _message(failure))
+        failed = [f"process {rank}: {each}" for rank, each in enumerate(messages) if each is not None]
         self.is_agreed = True
         if failure and (self.is_first or not isinstance(failure, Pixel2CatchError)):
             raise failure
@@ -191,7 +191,7 @@ def _own_device(device: str, local_rank: int | None) -> str:
     return f"cuda:{number}"
 
 
-def _message(failure: Exception | None) -> str:
-    if failure is None or isinstance(failure, Pixel2CatchError):
-        return str(failure or "")
+def _message(failure: Exception) -> str:
+    if isinstance(failure, Pixel2CatchError):
+        return str(failure)
     return f"{type(failure).__name__}: {failure}"
