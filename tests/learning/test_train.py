@@ -224,6 +224,20 @@ def test_nan_is_named_and_never_learnt_from(quantity: str, step: int, name: str,
     assert len(rows(tmp_path)) == 4
 
 
+def test_the_last_good_update_is_logged_when_the_next_fails(tmp_path: Path) -> None:
+    """A row is written while the next rollout is collected, which fails here."""
+
+    class BreakingEnv(ReachingEnv):
+        def step(self, actions: dict[str, torch.Tensor]) -> Step:
+            if self.num_steps == 20:
+                raise NonFiniteError("the physics broke")
+            return super().step(actions)
+
+    with pytest.raises(NonFiniteError, match="the physics broke"):
+        train(SMALL, BreakingEnv, CONTRACT, tmp_path)
+    assert [row["transitions"] for row in rows(tmp_path)] == ["1024"]
+
+
 def test_nan_in_the_networks_is_named(tmp_path: Path) -> None:
     """A learning rate that is far too high breaks the parameters, not the observations."""
     cfg = dataclasses.replace(SMALL, learning_rate=1e30, final_learning_rate=1e30)

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from pixel2catch.api.training import with_task
 from pixel2catch.cli.fields import FieldOptions, with_fields
+from pixel2catch.device_time import DeviceTime
 from pixel2catch.envs.catch_env import CatchEnv, Observation
 from pixel2catch.learning.config import TrainCfg, preset
 from pixel2catch.learning.log import METRICS_FILE, read_rows
@@ -37,34 +38,24 @@ class Stopwatch:
     """Times of calls by the clock of the device that computes them; nothing waits until they are read."""
 
     def __init__(self, device: torch.device) -> None:
-        """Measure on a device; on the CPU a call has ended when it returns."""
-        self._is_cuda = device.type == "cuda"
-        self._calls: list[tuple[Any, Any]] = []
+        """Measure on a device."""
+        self._device = device
+        self._calls: list[tuple[DeviceTime, DeviceTime]] = []
 
     def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, whose calls are measured."""
 
         def call(*arguments: Any) -> Any:
-            begun = self._now()
+            begun = DeviceTime(self._device)
             result = function(*arguments)
-            self._calls.append((begun, self._now()))
+            self._calls.append((begun, DeviceTime(self._device)))
             return result
 
         return call
 
     def seconds(self) -> list[float]:
         """Time of every call [s]."""
-        if not self._is_cuda:
-            return [ended - begun for begun, ended in self._calls]
-        torch.cuda.synchronize()
-        return [begun.elapsed_time(ended) / 1e3 for begun, ended in self._calls]
-
-    def _now(self) -> Any:
-        if not self._is_cuda:
-            return time.perf_counter()
-        event = torch.cuda.Event(enable_timing=True)
-        event.record()
-        return event
+        return [begun.until(ended) for begun, ended in self._calls]
 
 
 def measure(

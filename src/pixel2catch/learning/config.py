@@ -1,6 +1,7 @@
 """What a training run can be told, and the presets; imports nothing heavy, as the command line reads it."""
 
 import dataclasses
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -23,6 +24,9 @@ from pixel2catch.files import decoded, read_json_object
 Width = Annotated[int, Within(1, 65_536)]  #: Units of a layer.
 
 CONFIG_FILE = "config.json"  #: The resolved configuration in the folder of a run.
+
+EARLY = {"rollout_steps": int, "epochs": int, "mini_batches": int, "ratio_clip": float}
+"""What of the updates can differ early in a training, and what it is."""
 
 
 def _released_latency() -> tuple[float, float]:
@@ -103,6 +107,12 @@ class TrainCfg:
     """Passes over a rollout in an update. Source: release."""
     mini_batches: Count = 8
     """Gradient steps a pass. Source: release."""
+    early: dict[str, float] = dataclasses.field(default_factory=dict)
+    """Settings of the updates that differ in the first transitions, such as rollout_steps 8 epochs 8: longer
+    rollouts and longer updates find the first catches sooner, shorter ones learn more from a transition
+    afterwards. Source: ours."""
+    early_transitions: Annotated[int, Within(1)] = 8_000_000
+    """Transitions in which they do. Source: ours."""
     schedule: Literal["linear", "kl"] = "linear"
     """How the learning rate changes: linear over the transitions, or kl adaptive."""
     learning_rate: Positive = 1e-3
@@ -165,6 +175,24 @@ class TrainCfg:
         for message, applies in is_wrong.items():
             if applies:
                 raise InvalidValueError(message)
+        _ = self._early  # which refuses what it cannot be
+
+    def at(self, transitions: int) -> "TrainCfg":
+        """The configuration whose updates are made after that many transitions."""
+        return self._early if transitions < self.early_transitions else self
+
+    @cached_property
+    def _early(self) -> "TrainCfg":
+        if not self.early:
+            return self
+        settings: dict[str, Any] = {}
+        for name, value in self.early.items():
+            if name not in EARLY:
+                raise UnknownNameError("early setting", name, EARLY)
+            if EARLY[name] is int and not float(value).is_integer():
+                raise InvalidValueError(f"early {name} is {value:g}; it must be a whole number.")
+            settings[name] = EARLY[name](value)
+        return dataclasses.replace(self, early={}, **settings)
 
     def rate_at(self, transitions: int) -> float:
         """Physics steps in a second after that many transitions."""
@@ -210,6 +238,12 @@ class TrainCfg:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {},
+    "two_gpus": {
+        "num_envs": 16384,
+        "rollout_steps": 4,
+        "mini_batches": 4,
+        "early": {"rollout_steps": 8, "epochs": 8, "mini_batches": 8, "ratio_clip": 0.3},
+    },
     "cpu": {
         "device": "cpu",
         "num_envs": 256,
@@ -233,7 +267,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         "final_learning_rate": 1e-5,
     },
 }
-"""What presets set. `fast`: one big GPU. `cpu`: two cores. `paper`: Sec. IV-E, with the release's numbers."""
+"""What presets set. `fast`: one big GPU. `two_gpus`: two, by torchrun.
+
+`cpu`: two cores. `paper`: Sec. IV-E, with the release's numbers."""
 
 
 def preset(name: str, **given: Any) -> TrainCfg:

@@ -179,6 +179,18 @@ class Mappo:
 
     def update(self, progress: float) -> dict[str, float]:
         """Learn from a full rollout after a share of the training, 0 to 1, and return the metrics."""
+        return self.named(self.launch_update(progress).tolist())
+
+    def named(self, metrics: list[list[float]]) -> dict[str, float]:
+        """Metrics by their names, of the `METRICS` of every agent."""
+        return {
+            f"{name}/{agent}": value
+            for agent, row in zip(self.agents, metrics, strict=True)
+            for name, value in zip(METRICS, row, strict=True)
+        }
+
+    def launch_update(self, progress: float) -> Tensor:
+        """Begin to learn, without a wait for the device; return the `METRICS`, a row for every agent."""
         cfg = self.cfg
         taught = min(progress / cfg.teacher_share, 1.0) if cfg.teacher_share else 1.0
         begun = progress * cfg.transitions / cfg.start_transitions if cfg.start else 2.0
@@ -189,12 +201,9 @@ class Mappo:
                 rate = cfg.learning_rate + (cfg.final_learning_rate - cfg.learning_rate) * min(progress, 1.0)
                 step.learning_rate.fill_(rate * (begun - 1.0 if 1.0 <= begun < 2.0 else 1.0))
         with _tensor_cores():
-            metrics = self._update_agents().tolist()
+            metrics = self._update_agents()
         self.discard_rollout()
-        named = zip(self.agents, metrics, strict=True)
-        return {
-            f"{name}/{agent}": value for agent, row in named for name, value in zip(METRICS, row, strict=True)
-        }
+        return metrics
 
     def _update_agents(self) -> Tensor:
         """Update all agents; return their `METRICS`, a row each."""

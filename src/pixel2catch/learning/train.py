@@ -12,15 +12,16 @@ import torch
 from torch import Tensor
 
 from pixel2catch.agents import AgentSpec
+from pixel2catch.device_time import DeviceTime
 from pixel2catch.errors import CheckpointError, NonFiniteError
 from pixel2catch.files import read_json_object, reading
 from pixel2catch.interruption import StopRequest
 from pixel2catch.learning.checkpoint import Progress, RunFolder, load_checkpoint, save_checkpoint
 from pixel2catch.learning.config import CONFIG_FILE, TrainCfg
-from pixel2catch.learning.distributed import start_workers
+from pixel2catch.learning.distributed import Workers, start_workers
 from pixel2catch.learning.environment import Environment, EnvSchedule, Observation
 from pixel2catch.learning.log import Row, TrainingLog, wandb_package
-from pixel2catch.learning.mappo import Mappo
+from pixel2catch.learning.mappo import METRICS, Mappo
 from pixel2catch.policy import Policy, PolicyContract
 
 REWARD_TERM = "reward_term/"  #: How the names of reward terms begin in an environment's statistics.
@@ -79,16 +80,16 @@ def train(
         with workers.sync_errors():
             schedule = stack.enter_context(contextlib.closing(EnvSchedule(share, make_env, contract)))
             torch.manual_seed(cfg.seed)
-            mappo = stack.enter_context(contextlib.closing(Mappo(share, schedule.env, contract, workers)))
-            training = _Training(cfg, schedule, contract, folder, mappo, agents)
+            training = _Training(cfg, schedule, contract, folder, workers, agents)
+            stack.enter_context(contextlib.closing(training))
             if cfg.start and not resume:
                 with workers.sync_errors():
                     is_run = (cfg.start / "policy").is_dir()
                     start = Policy.load(cfg.start / "policy" if is_run else cfg.start)
                     start.contract.require(contract)
-                    mappo.adopt(start)
+                    training.mappo.adopt(start)
             if resume:
-                training.progress = load_checkpoint(folder.checkpoint, mappo, contract)
+                training.progress = load_checkpoint(folder.checkpoint, training.mappo, contract)
             workers.diverge(cfg.seed, training.progress.transitions)
         return training.run()
 
@@ -115,14 +116,36 @@ class _Training:
         schedule: EnvSchedule,
         contract: PolicyContract,
         folder: RunFolder,
-        mappo: Mappo,
+        workers: Workers,
         agents: Sequence[AgentSpec],
     ) -> None:
         self.agents = {agent.name: agent.to_dict() for agent in agents}
         self.cfg, self.schedule, self.contract, self.folder = cfg, schedule, contract, folder
-        self.mappo, self.workers = mappo, mappo.workers
+        self.workers = workers
+        self.now = cfg.at(0)  #: The configuration of the present updates.
+        self.mappo = self._learner()
         self.progress = Progress()
         self.row: Row = {}
+        self._is_untold = False
+
+    def close(self) -> None:
+        """Release what would keep the process group from ending."""
+        self.mappo.close()
+
+    def _learner(self) -> Mappo:
+        return Mappo(self.workers.share(self.now), self.schedule.env, self.contract, self.workers)
+
+    def _enter(self, transitions: int) -> bool:
+        """Change to the updates that follow this many transitions; whether they are others."""
+        before, self.now = self.now, self.cfg.at(transitions)
+        if self.now is before:
+            return False
+        state, device = self.mappo.state_dict(), self.workers.device
+        self.mappo.close()
+        with torch.random.fork_rng([device] if device.startswith("cuda") else []):  # as in a resumed one
+            self.mappo = self._learner()
+        self.mappo.load_state_dict(state)
+        return True
 
     def run(self) -> TrainResult:
         """Train to the end, and write down how it ended whatever happens."""
@@ -160,57 +183,76 @@ class _Training:
     def _loop(self, log: TrainingLog, stop: StopRequest) -> Literal["interrupted", "finished"]:
         observation = None
         next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
-        while self.progress.transitions < self.cfg.transitions:
-            started = time.monotonic()
-            with self.workers.sync_errors():
-                if self.schedule.enter(self.progress.transitions) or observation is None:
-                    observation = self.schedule.env.reset()
-                    self.mappo.begin()
-                observation = self._collect(observation, stop)
-            if self.workers.any(stop.is_set):
-                self.mappo.discard_rollout()
-                return "interrupted"
-            self._update(started)
-            log.write(self.row)
-            if time.monotonic() >= next_checkpoint:
-                log.attempt("checkpoint", self._save)
-                next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
+        try:
+            while self.progress.transitions < self.cfg.transitions:
+                started = time.monotonic()
+                with self.workers.sync_errors():
+                    is_new = self._enter(self.progress.transitions)
+                    if self.schedule.enter(self.progress.transitions) or is_new or observation is None:
+                        observation = self.schedule.env.reset()
+                        self.mappo.begin()
+                    begun = DeviceTime(self.workers.device)
+                    observation = self._collect(observation, stop)
+                self._tell(log)  # of the update before, while a device collects
+                if self.workers.any(stop.is_set):
+                    self.mappo.discard_rollout()
+                    return "interrupted"
+                self._update(started, begun)
+                if time.monotonic() >= next_checkpoint:
+                    self._tell(log)
+                    log.attempt("checkpoint", self._save)
+                    next_checkpoint = time.monotonic() + self.cfg.checkpoint_seconds
+        finally:
+            self._tell(log)
         return "finished"
 
+    def _tell(self, log: TrainingLog) -> None:
+        """Log the last update, once."""
+        if self._is_untold:
+            self._is_untold = False
+            log.write(self.row)
+
     def _collect(self, observation: Observation, stop: StopRequest) -> Observation:
-        """Fill the rollout, and wait for the device to see that the simulation is well."""
-        for _ in range(self.cfg.rollout_steps):
+        """Fill the rollout; a device may still work on it."""
+        for _ in range(self.now.rollout_steps):
             if stop.is_set:
                 break
             step = self.schedule.env.step(self.mappo.act(observation))
             self.mappo.record(step)
             observation = step.observation
-        self.schedule.env.check()
         return observation
 
-    def _update(self, started: float) -> None:
-        """Check, learn, check, and make a row of metrics."""
+    def _update(self, started: float, begun: DeviceTime) -> None:
+        """Learn, then wait for the device, check everything, and make a row of metrics."""
+        collected = DeviceTime(self.workers.device)
+        metrics = self.mappo.launch_update(self.progress.transitions / self.cfg.transitions)
+        updated = DeviceTime(self.workers.device)
+        given = Sums(rollout_quantities(self.mappo, self.contract))
+        learnt = Sums(update_quantities(self.mappo, metrics))
+        rewards = torch.stack([self.mappo.rewards[agent].mean() for agent in self.mappo.agents])
+        rewards = self.workers.sum(rewards) / self.workers.size
+        with self.workers.sync_errors():
+            self.schedule.env.check()
+            require_finite(given.read())
         statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
         with self.workers.sync_errors():
-            rewards = check_rollout(self.mappo, self.contract, statistics)
-        rolled_out = time.monotonic()
-        losses = self.mappo.update(self.progress.transitions / self.cfg.transitions)
-        with self.workers.sync_errors():
-            check_update(self.mappo, losses)
+            require_finite(reward_terms(statistics) | learnt.read())
         ended = time.monotonic()
         self.progress = Progress(
-            transitions=self.progress.transitions + self.cfg.rollout_transitions,
+            transitions=self.progress.transitions + self.now.rollout_transitions,
             seconds=self.progress.seconds + ended - started,
         )
+        named_rewards = zip(self.mappo.agents, rewards.tolist(), strict=True)
         self.row = {
             **dataclasses.asdict(self.progress),
-            "transitions_per_second": self.cfg.rollout_transitions / (ended - started),
-            "rollout_seconds": rolled_out - started,
-            "update_seconds": ended - rolled_out,
+            "transitions_per_second": self.now.rollout_transitions / (ended - started),
+            "rollout_seconds": begun.until(collected),
+            "update_seconds": collected.until(updated),
             **statistics,
-            **self.workers.means(rewards),
-            **losses,
+            **{f"reward/{agent}": reward for agent, reward in named_rewards},
+            **self.mappo.named(metrics.tolist()),
         }
+        self._is_untold = True
 
     def _save(self) -> None:
         if self.workers.is_first:
@@ -234,58 +276,68 @@ class _Training:
         )
 
 
-def check_rollout(
-    mappo: Mappo, contract: PolicyContract, statistics: Mapping[str, float]
-) -> dict[str, float]:
-    """Check what the environment gave since the last update; return each agent's mean reward a step.
+class Sums:
+    """Sums of tensors by names, which are waited for when they are read.
 
-    A sum over a rollout is finite if and only if all of its terms are, as long as they are of sane size. The
-    statistics are means since the last update; those of reward terms begin with `REWARD_TERM`.
-
-    Raises:
-        NonFiniteError: The message names the agent and the observation term, the reward term, or the
-            value input.
+    A sum is finite if and only if all of its terms are, as long as they are of sane size.
     """
-    totals: dict[str, Tensor] = {
-        f"reward term '{name.removeprefix(REWARD_TERM)}'": torch.tensor(value, device=mappo.cfg.device)
-        for name, value in statistics.items()
-        if name.startswith(REWARD_TERM) and not math.isfinite(value)
-    }
+
+    def __init__(self, tensors: Mapping[str, Tensor]) -> None:
+        """Add them up."""
+        self._names, self._sums = tuple(tensors), torch.stack([tensor.sum() for tensor in tensors.values()])
+
+    def read(self) -> dict[str, float]:
+        """Wait for the device."""
+        return dict(zip(self._names, self._sums.tolist(), strict=True))
+
+
+def rollout_quantities(mappo: Mappo, contract: PolicyContract) -> dict[str, Tensor]:
+    """What the environment gave since the last update, by its name."""
+    found: dict[str, Tensor] = {}
     for agent, rollout in mappo.rollout.items():
-        totals[f"reward of agent '{agent}'"] = mappo.rewards[agent].mean()
+        found[f"reward of agent '{agent}'"] = mappo.rewards[agent]
         layout = contract.agents[agent].observation
         columns = rollout.observations.sum((0, 1)).split([size for _, size in layout])
         for (name, _), term in zip(layout, columns, strict=True):
-            totals[f"observation term '{name}' of agent '{agent}'"] = term
-        totals["value input (state)"] = rollout.states.sum((0, 1)) + mappo.next_states.sum(0)
-        totals[f"sampled action of agent '{agent}'"] = rollout.actions.sum((0, 1))
-    sums = _raise_if_not_finite(totals)
-    return {f"reward/{agent}": sums[f"reward of agent '{agent}'"] for agent in mappo.agents}
+            found[f"observation term '{name}' of agent '{agent}'"] = term
+        found["value input (state)"] = rollout.states.sum((0, 1)) + mappo.next_states.sum(0)
+        found[f"sampled action of agent '{agent}'"] = rollout.actions
+    return found
 
 
-def check_update(mappo: Mappo, losses: Mapping[str, float]) -> None:
-    """Check what an update made of the networks.
-
-    Raises:
-        NonFiniteError: The message names the agent and the loss or the network.
-    """
-    values = torch.tensor(list(losses.values()), device=mappo.cfg.device).unbind()
-    totals = dict(zip((f"loss or metric '{name}'" for name in losses), values, strict=True))
+def update_quantities(mappo: Mappo, metrics: Tensor) -> dict[str, Tensor]:
+    """What an update made of the networks, and its `METRICS` of every agent, by their names."""
+    named = zip(mappo.agents, metrics, strict=True)
+    found = {
+        f"loss or metric '{name}/{agent}'": value
+        for agent, row in named
+        for name, value in zip(METRICS, row, strict=True)
+    }
     for agent, networks in mappo.networks.items():
         for role, parameters in networks.parts.items():
             norm = torch.nn.utils.get_total_norm([parameter.detach() for parameter in parameters])
-            totals[f"parameters of the {role} network of agent '{agent}'"] = norm
-    _raise_if_not_finite(totals)
+            found[f"parameters of the {role} network of agent '{agent}'"] = norm
+    return found
 
 
-def _raise_if_not_finite(totals: Mapping[str, Tensor]) -> dict[str, float]:
-    """Return the totals' sums as numbers: the one wait for the device."""
-    sums = torch.stack([total.sum() for total in totals.values()]).tolist()
-    named = dict(zip(totals, sums, strict=True))
-    bad = [name for name, total in named.items() if not math.isfinite(total)]
+def reward_terms(statistics: Mapping[str, float]) -> dict[str, float]:
+    """The means of the reward terms among an environment's statistics, by their names."""
+    return {
+        f"reward term '{name.removeprefix(REWARD_TERM)}'": value
+        for name, value in statistics.items()
+        if name.startswith(REWARD_TERM)
+    }
+
+
+def require_finite(named: Mapping[str, float]) -> None:
+    """See that quantities are numbers.
+
+    Raises:
+        NonFiniteError: The message names those that are not.
+    """
+    bad = [name for name, value in named.items() if not math.isfinite(value)]
     if bad:
         raise NonFiniteError(
             f"NaN or infinity in {', '.join(bad)}; training stopped. "
             "The last checkpoint is from before: look at that quantity, then go on with --resume."
         )
-    return named
