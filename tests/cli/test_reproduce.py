@@ -165,6 +165,7 @@ def test_a_part_that_fails_is_shown_and_the_others_go_on(study: Study, capsys: p
         (("--training", "num_envs=0"), ("num_envs is 0",)),
         (("--physics-hz", "100"), ("100",)),
         (("--report-only",), ("study.json",)),
+        (("--report-only", "--methods", "only_wh", "--seeds", "2"), ("leave out --methods, --seeds.",)),
     ],
 )
 def test_bad_input_leaves_nothing(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pixel2catch.checks import Count, Device, PhysicsRate, ResultsFolder, Within
 from pixel2catch.circumstances import circumstances
 from pixel2catch.cli.console import say
-from pixel2catch.errors import StudyError, UnknownNameError
+from pixel2catch.errors import InvalidValueError, StudyError, UnknownNameError
 from pixel2catch.evaluation.cluster import Cluster
 from pixel2catch.interruption import StopRequest
 
@@ -30,6 +30,12 @@ OWN = ("method", "env", "device", "seed", "dynamics", "camera")
 NEUTRAL = ("checkpoint_seconds", "report_seconds", "fuse")  #: Fields of a training that change no result.
 JOBS_ON_CUDA = 3  #: Trainings that share a GPU. Source: ours; one does not fill it, see `comparison.jobs`.
 JOBS_ON_CLUSTER = 100  #: Trainings or evaluations that a cluster is given at once. Source: ours.
+
+OF_STUDY = (
+    *("methods", "seeds", "preset", "transitions", "physics_hz", "training"),
+    *("num_envs", "trials", "evaluation_physics_hz"),
+)
+"""Options that say what a study is; the others say where."""
 
 TRAINING, EVALUATION = "training", "evaluation"
 
@@ -72,6 +78,7 @@ class Reproduce:
         from pixel2catch.evaluation.comparison.plan import ComparisonFolder
         from pixel2catch.evaluation.comparison.report import write_report
 
+        self._require_whole_study()
         folder = ComparisonFolder(self.out)
         failures = [] if self.report_only else self._work(folder)
         write_report(folder)
@@ -80,6 +87,16 @@ class Reproduce:
         if failures:
             raise StudyError(
                 "\n".join(failures) + "\nthe other parts were done; the same command tries these again."
+            )
+
+    def _require_whole_study(self) -> None:
+        """Refuse settings that a report alone would ignore."""
+        default = Reproduce()
+        ignored = [name for name in OF_STUDY if getattr(self, name) != getattr(default, name)]
+        if self.report_only and ignored:
+            options = ", ".join(f"--{name.replace('_', '-')}" for name in ignored)
+            raise InvalidValueError(
+                f"--report-only writes the report of the whole study in '{self.out}'; leave out {options}."
             )
 
     def _work(self, folder: "ComparisonFolder") -> list[str]:
