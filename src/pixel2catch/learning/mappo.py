@@ -190,7 +190,7 @@ class Mappo:
         }
 
     def launch_update(self, progress: float) -> Tensor:
-        """Begin to learn, without a wait for the device; return the `METRICS`, a row for every agent."""
+        """Begin to learn and return the `METRICS`, a row for every agent. Only the kl schedule waits."""
         cfg = self.cfg
         taught = min(progress / cfg.teacher_share, 1.0) if cfg.teacher_share else 1.0
         begun = progress * cfg.transitions / cfg.start_transitions if cfg.start else 2.0
