@@ -26,7 +26,7 @@ Width = Annotated[int, Within(1, 65_536)]  #: Units of a layer.
 CONFIG_FILE = "config.json"  #: The resolved configuration in the folder of a run.
 
 EARLY = {"rollout_steps": int, "epochs": int, "mini_batches": int, "ratio_clip": float}
-"""What of the updates can differ early in a training, and what it is."""
+"""Settings of the updates that can differ early in a training, and their types."""
 
 
 def _released_latency() -> tuple[float, float]:
@@ -267,9 +267,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "final_learning_rate": 1e-5,
     },
 }
-"""What presets set. `fast`: one big GPU. `two_gpus`: two, by torchrun.
-
-`cpu`: two cores. `paper`: Sec. IV-E, with the release's numbers."""
+"""What presets set: `fast` one big GPU, `two_gpus` two, `cpu` two cores, `paper` the release's numbers."""
 
 
 def preset(name: str, **given: Any) -> TrainCfg:
