@@ -10,7 +10,7 @@ import contextlib
 import dataclasses
 import os
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import final
 
 import torch
@@ -53,11 +53,6 @@ class Workers:
     def any(self, flag: bool) -> bool:
         """Return whether a flag is set in any process."""
         return bool(self.max(torch.tensor(float(flag))))
-
-    def means(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the mean of each value over all processes."""
-        totals = self.sum(torch.tensor(list(values.values()), dtype=torch.float64))
-        return dict(zip(values, (totals / self.size).tolist(), strict=True))
 
     def average(self, tensors: Sequence[Tensor]) -> None:
         """Put the means over all processes into tensors of one type; nothing waits for the device.
