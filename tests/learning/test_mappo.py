@@ -18,7 +18,7 @@ from pixel2catch.learning.gradient_step import shuffled
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.networks import learn_together
 from pixel2catch.mdp.masks import assign
-from pixel2catch.policy import Policy
+from pixel2catch.policy import HIDDEN, Policy
 
 
 @pytest.fixture
@@ -301,6 +301,7 @@ def test_presets() -> None:
         assert (cfg.device, cfg.seed) == ("cpu", 3)
     with pytest.raises(UnknownNameError, match=r"'papper'.*paper"):
         preset("papper")
+    assert preset("cpu").hidden != preset("cpu", start=Path("catch+fit")).hidden == HIDDEN
 
 
 @pytest.mark.parametrize(

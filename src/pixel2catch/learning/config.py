@@ -20,6 +20,7 @@ from pixel2catch.checks import (
 )
 from pixel2catch.errors import CheckpointError, InvalidValueError, UnknownNameError
 from pixel2catch.files import decoded, read_json_object
+from pixel2catch.shipped import policy_folder
 
 Width = Annotated[int, Within(1, 65_536)]  #: Units of a layer.
 
@@ -136,7 +137,8 @@ class TrainCfg:
     gradient_clip: Positive = 1.0
     """Largest norm of an agent's gradient. Source: release."""
     hidden: tuple[Width, ...] = dataclasses.field(default_factory=_paper_layers)
-    """Sizes of the hidden layers of all networks. Default: 512 256 128, as in the paper, Sec. IV-E."""
+    """Sizes of the hidden layers of all networks. Default: those of the policy to start from; else 512 256
+    128, as in the paper, Sec. IV-E; cpu: 256 128 64 (ours)."""
     recurrent: Annotated[int, Within(0, 65_536)] = 0
     """Size of a recurrent unit (GRU) before the hidden layers of all networks, learnt over whole rollouts; 0
     for none. Source: ours."""
@@ -246,12 +248,12 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     "cpu": {
         "device": "cpu",
-        "num_envs": 256,
-        "physics_hz": (120.0, 120.0, 240.0),
-        "rollout_steps": 32,
-        "transitions": 5_000_000,
-        "epochs": 3,
+        "num_envs": 1024,
+        "transitions": 8_000_000,
+        "epochs": 5,
         "mini_batches": 4,
+        "learning_rate": 5e-4,
+        "hidden": (256, 128, 64),
     },
     "paper": {
         "num_envs": 512,
@@ -273,10 +275,19 @@ PRESETS: dict[str, dict[str, Any]] = {
 def preset(name: str, **given: Any) -> TrainCfg:
     """Return a preset by its name, with what is given instead of its values.
 
+    Networks have the sizes of the policy to start from, if there is one and they are not given.
+
     Raises:
-        UnknownNameError: There is no such preset.
+        UnknownNameError: There is no such preset, or no policy of that name to start from.
         InvalidValueError: No training is possible with the values.
+        PolicyMismatchError: The policy to start from cannot be read.
     """
     if name not in PRESETS:
         raise UnknownNameError("preset", name, PRESETS)
-    return TrainCfg(**PRESETS[name] | given)
+    values = PRESETS[name]
+    if given.get("start"):
+        from pixel2catch.policy import Policy
+
+        start = Policy.load(policy_folder(Path(given["start"])))
+        values = values | {"hidden": start.hidden, "recurrent": start.recurrent}
+    return TrainCfg(**values | given)

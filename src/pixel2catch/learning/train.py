@@ -23,6 +23,7 @@ from pixel2catch.learning.environment import Environment, EnvSchedule, Observati
 from pixel2catch.learning.log import Row, TrainingLog, wandb_package
 from pixel2catch.learning.mappo import METRICS, Mappo
 from pixel2catch.policy import Policy, PolicyContract
+from pixel2catch.shipped import policy_folder
 
 REWARD_TERM = "reward_term/"  #: How the names of reward terms begin in an environment's statistics.
 
@@ -84,8 +85,7 @@ def train(
             stack.enter_context(contextlib.closing(training))
             if cfg.start and not resume:
                 with workers.sync_errors():
-                    is_run = (cfg.start / "policy").is_dir()
-                    start = Policy.load(cfg.start / "policy" if is_run else cfg.start)
+                    start = Policy.load(policy_folder(cfg.start))
                     start.contract.require(contract)
                     training.mappo.adopt(start)
             if resume:
@@ -231,11 +231,10 @@ class _Training:
         learnt = Sums(update_quantities(self.mappo, metrics))
         rewards = torch.stack([self.mappo.rewards[agent].mean() for agent in self.mappo.agents])
         rewards = self.workers.sum(rewards) / self.workers.size
+        statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
         with self.workers.sync_errors():
             self.schedule.env.check()
             require_finite(given.read())
-        statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
-        with self.workers.sync_errors():
             require_finite(reward_terms(statistics) | learnt.read())
         ended = time.monotonic()
         self.progress = Progress(
