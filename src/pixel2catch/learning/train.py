@@ -231,10 +231,11 @@ class _Training:
         learnt = Sums(update_quantities(self.mappo, metrics))
         rewards = torch.stack([self.mappo.rewards[agent].mean() for agent in self.mappo.agents])
         rewards = self.workers.sum(rewards) / self.workers.size
-        statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
-        with self.workers.sync_errors():
+        with self.workers.sync_errors():  # by itself: what one process is given spoils the networks of all
             self.schedule.env.check()
             require_finite(given.read())
+        statistics = self.schedule.env.statistics.pop(self.workers.sum, self.workers.max)
+        with self.workers.sync_errors():
             require_finite(reward_terms(statistics) | learnt.read())
         ended = time.monotonic()
         self.progress = Progress(
