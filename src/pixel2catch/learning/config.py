@@ -47,8 +47,9 @@ class TrainCfg:
     """Configuration of a training run; the defaults are the preset `fast`.
 
     Source: paper, Sec. IV-E, and the release for what the paper leaves open.
-    Differs: batch size, learning-rate schedule and physics rates of `fast` and `cpu` are ours: with big
-    batches the KL rule hardly ever lowers the rate, and training stalls (`experiments/LOG.md`).
+    Differs: batch size, learning rate, its schedule and physics rates of `fast` and `cpu` are ours, and the
+    layers of `cpu`: with big batches the KL rule hardly ever lowers the rate, and training stalls
+    (`experiments/LOG.md`).
     """
 
     method: str = "proposed"
@@ -269,7 +270,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "final_learning_rate": 1e-5,
     },
 }
-"""What presets set: `fast` one big GPU, `two_gpus` two, `cpu` two cores, `paper` the release's numbers."""
+"""What presets set: `fast` for one big GPU, `two_gpus` for two or one H200, `cpu` for two cores, `paper` the
+release's numbers."""
 
 
 def preset(name: str, **given: Any) -> TrainCfg:
