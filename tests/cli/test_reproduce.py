@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import torch
 
 from domains import PATIENCE
 from pixel2catch.cli.main import main
@@ -122,6 +123,20 @@ def test_a_deleted_evaluation_is_done_again_alone(study: Study):
     after = times(study.folder)
     assert {name for name in after if after[name] != before[name]} == {deleted, "study.json"}
     assert read(study.folder / deleted) | {"seconds": 0} == result | {"seconds": 0}
+
+
+def test_what_is_left_decides_which_devices_must_be_there(study: Study, capsys: pytest.CaptureFixture[str]):
+    """Another machine evaluates, and writes the report of, what a GPU that it does not have trained."""
+    if torch.cuda.is_available():
+        pytest.skip("has a GPU")
+    elsewhere = (*TINY, "--device", "cuda", "--out", str(study.folder))
+    assert main(["reproduce", *elsewhere]) == 0
+    (study.folder / "evaluations" / f"{RUN}-unseen.json").unlink()
+    assert main(["reproduce", *elsewhere]) == 0
+    before = times(study.folder)
+    assert main(["reproduce", *elsewhere, "--seeds", "2"]) == 2
+    assert "CUDA" in capsys.readouterr().err
+    assert times(study.folder) == before
 
 
 def test_another_configuration_is_refused(study: Study, capsys: pytest.CaptureFixture[str]):

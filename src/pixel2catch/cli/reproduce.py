@@ -50,8 +50,8 @@ class Reproduce:
 
     methods: tuple[str, ...] = METHODS  #: Methods to compare.
     seeds: Annotated[int, Within(1, 1000)] = 3  #: Trainings of each method.
-    #: Settings of the trainings: fast, cpu or paper. Default: fast on CUDA, else cpu.
-    preset: Literal["fast", "cpu", "paper"] | None = None
+    #: Settings of the trainings: fast, large, cpu or paper. Default: fast on CUDA, else cpu.
+    preset: Literal["fast", "large", "cpu", "paper"] | None = None
     #: Length of a training: control steps, summed over the environments. Default: the preset's.
     transitions: Annotated[int, Within(1)] | None = None
     #: Physics steps in a second of the trainings, one or several. Default: the preset's.
@@ -108,8 +108,9 @@ class Reproduce:
         devices = self._devices()
         training = self._training_options(devices[0])
         plan = self._plan(training)
+        jobs = [job for run in plan.runs() for job in self._jobs(folder, run, training)]
+        self._require_devices(devices, {job.kind for job in jobs if not job.is_done()})
         with locked(folder.path) as lock, nullcontext({}) if executor else shared_gpus() as shared:
-            jobs = [job for run in plan.runs() for job in self._jobs(folder, run, training)]
             runner = Runner(jobs, self._slots(devices, shared), folder.logs, lock, executor)
             folder.open(plan, [circumstances()] if set(runner.status.values()) != {Status.DONE} else [])
             logs = {run.name: folder.metrics(run) for run in plan.runs()}
@@ -121,19 +122,22 @@ class Reproduce:
         return [f"{name} failed; {runner.log(name)} ends:\n{last_lines(runner.log(name))}" for name in failed]
 
     def _devices(self) -> tuple[str, ...]:
-        """Where to train; CUDA devices that are asked for, to train or to evaluate, must be there.
+        """Where to train."""
+        import torch
+
+        return self.device or ("cuda" if torch.cuda.is_available() else "cpu",)
+
+    def _require_devices(self, devices: tuple[str, ...], left: set[str]) -> None:
+        """See that there are the CUDA devices that what is left to do needs.
 
         What a cluster has is seen by its jobs.
         """
-        import torch
-
         from pixel2catch.sim.factory import require_cuda
 
-        devices = self.device or ("cuda" if torch.cuda.is_available() else "cpu",)
-        for device in (*devices, *self.evaluation_device):
-            if device.startswith("cuda") and self.cluster.is_here:
-                require_cuda(device)
-        return devices
+        for kind, places in ((TRAINING, devices), (EVALUATION, self.evaluation_device)):
+            for device in places if kind in left and self.cluster.is_here else ():
+                if device.startswith("cuda"):
+                    require_cuda(device)
 
     def _slots(self, devices: tuple[str, ...], shared: Mapping[str, str]) -> "list[Slot]":
         """Slots of trainings and evaluations, in turn on every device; a CPU does one evaluation at a time.
