@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from paper_robot import JOINTS
-from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg, Step
+from pixel2catch.envs.catch_env import STAGGER_STEPS, CatchEnv, CatchEnvCfg, Step
+from pixel2catch.envs.tasks import find_task
 from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.observations import observe, pixel_columns
 from pixel2catch.mdp.sensing import SensingCfg, detect
@@ -59,6 +60,38 @@ def test_a_time_out_ends_every_episode_at_its_step():
     env = make(3, throws=HOVERING, episode=EpisodeCfg(max_steps=4))
     ended = [step.terminated.tolist() for step in rollout(env, 9)]
     assert ended == [[number % 4 == 0] * 3 for number in range(1, 10)]
+
+
+def test_staggered_throws_do_not_end_together():
+    """Throws that begin at once come down within half a second, most of them; staggered ones do not."""
+    longest = EpisodeCfg().max_steps
+    most = []
+    for is_staggered in (False, True):
+        env = make(256)
+        env.reset(is_staggered=is_staggered)
+        ended = torch.full((env.num_envs,), torch.nan)
+        for number, step in enumerate(rollout(env, longest), start=1):
+            ended = torch.where(step.terminated & ended.isnan(), float(number), ended)
+        assert not ended.isnan().any()
+        most.append(torch.histc(ended, bins=longest // 15, min=0.5, max=longest + 0.5).max() / env.num_envs)
+    assert most[0] > 0.7
+    assert most[1] < 0.5
+
+
+def test_a_stagger_lasts_one_episode():
+    """The next objects hover as long as the task says, and so do those of its variants."""
+    env = make(32, throws=ThrowCfg(hover_steps=(3, 3)), episode=EpisodeCfg(max_steps=6))
+    env.reset(is_staggered=True)
+    hovering = env.episode.throw.hover_steps.clone()
+    assert hovering.min() >= 3
+    assert 20 < hovering.max() <= 3 + STAGGER_STEPS
+    list(rollout(env, 6))
+    assert env.episode.throw.hover_steps.tolist() == [3] * 32
+    wide = find_task("wide").with_longer_hovering(7)
+    assert all(
+        longer.throws.hover_steps == (usual.throws.hover_steps[0], usual.throws.hover_steps[1] + 7)
+        for longer, usual in zip(wide.all_variants, find_task("wide").all_variants, strict=True)
+    )
 
 
 def test_a_drop_ends_and_resets_only_its_environment():

@@ -104,13 +104,15 @@ class ReachingEnv:
         self.generator = torch.Generator(cfg.device).manual_seed(cfg.seed)
         self.statistics = Statistics()
         self.num_steps, self.num_checks, self.is_closed = 0, 0, False
+        self.staggered_resets: list[bool] = []
         self.position, self.goal = self._zeros(), self._zeros()
         self.time = self._zeros()
         self.buffers = Observation(
             {name: self._zeros(size) for name, size in self.observation_sizes.items()}, self._zeros(3)
         )
 
-    def reset(self) -> Observation:
+    def reset(self, *, is_staggered: bool = False) -> Observation:
+        self.staggered_resets.append(is_staggered)
         self._restart(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
         return self._observe(self._zeros(2))
 

@@ -94,7 +94,7 @@ class CueEnv(ReachingEnv):
         self.buffers = Observation({"arm": self._zeros(2)}, self._zeros(2))
         self.statistics = Statistics()
 
-    def reset(self) -> Observation:
+    def reset(self, *, is_staggered: bool = False) -> Observation:
         self.time = torch.randint(0, self.LAST + 1, (self.num_envs,), generator=self.generator).float()
         self.goal = self._zeros()
         return self.see()

@@ -128,7 +128,7 @@ def train(
     Args:
         method: A method or its name.
         out: Folder of the run.
-        preset: Where the options come from that are not given: fast, two_gpus, cpu or paper.
+        preset: Where the options come from that are not given: fast, large, cpu or paper.
         task: A task or its name.
         workcell: The robots, or their name. Default: the task's.
         resume: Whether to go on from the last checkpoint in the folder.

@@ -67,9 +67,9 @@ class Train:
     #: The robots: ur5e_allegro, ur5e_leap, fr3_allegro, two_ur5e_allegro, ..., or a Python file that defines
     #: WORKCELLS; other commands know those of a file by `--import FILE.py`. Default: ur5e_allegro.
     workcell: str | None = None
-    #: Starting values: fast (a big GPU), two_gpus (two by torchrun, or one H200), cpu (two cores) or paper.
-    #: Default: fast on CUDA, else cpu.
-    preset: Literal["fast", "two_gpus", "cpu", "paper"] | None = None
+    #: Starting values: fast (a GPU), large (one with much memory, or several), cpu or paper. Default: fast on
+    #: CUDA, else cpu.
+    preset: Literal["fast", "large", "cpu", "paper"] | None = None
     out: ResultsFolder | None = None  #: Folder of the run. Default: runs/METHOD-seedSEED.
     #: Go on from the last checkpoint in that folder, with its configuration and what is given here.
     resume: bool = False

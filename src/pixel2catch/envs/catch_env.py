@@ -27,6 +27,10 @@ from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.sim.fusion import fused
 from pixel2catch.workcells import find_workcell
 
+STAGGER_STEPS = 45
+"""Control steps that an object hovers longer at the most in a staggered episode, about as many as a throw
+takes that nobody catches. Source: ours."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
@@ -140,9 +144,15 @@ class CatchEnv:
         """Begin the draws anew: the next `reset` begins the episodes that belong to this seed."""
         self._generator.manual_seed(seed)
 
-    def reset(self) -> Observation:
-        """Begin a new episode in every environment."""
-        assign(self._episode, self._draw_episode())
+    def reset(self, *, is_staggered: bool = False) -> Observation:
+        """Begin a new episode in every environment.
+
+        Where it `is_staggered`, the objects of these episodes hover up to `STAGGER_STEPS` longer: throws that
+        begin at once end at once for a dozen episodes, and rollouts shorter than an episode then show one
+        part of it after the other. Source: Bharthulwar et al. 2025; by hovering (ours).
+        """
+        longer = STAGGER_STEPS if is_staggered else 0
+        assign(self._episode, self._draw_episode(self.cfg.with_longer_hovering(longer)))
         self.world.reset(self._everywhere, self._episode.parameters, self._episode.throw)
         self.world.simulation.forward(self._everywhere)
         assign(self._commands, self._waiting_commands())
@@ -261,9 +271,11 @@ class CatchEnv:
             geometry=self.world.geometry,
         )
 
-    def _draw_episode(self) -> Episode:
+    def _draw_episode(self, cfg: CatchEnvCfg | None = None) -> Episode:
         """A new episode for every environment; those that need none ignore theirs."""
-        return draw_episode(self.cfg, self._action_bias, self._object_ids, self.num_envs, self._generator)
+        return draw_episode(
+            cfg or self.cfg, self._action_bias, self._object_ids, self.num_envs, self._generator
+        )
 
     def _begin(self, ended: Bool[Tensor, " num_envs"], record: EpisodeRecord) -> None:
         """Begin new episodes where one ended, and release the objects that have hovered long enough."""

@@ -122,6 +122,16 @@ class CatchEnvCfg:
         """The task with other sensors in all episodes: fields of `SensingCfg`."""
         return self._with("sensing", lambda each: replace(each, **changes))
 
+    def with_longer_hovering(self, steps: int) -> "CatchEnvCfg":
+        """The same with objects that hover up to this many control steps longer before they fly."""
+
+        def longer(throws: ThrowCfg) -> ThrowCfg:
+            first, last = throws.hover_steps
+            return replace(throws, hover_steps=(first, last + steps))
+
+        variants = tuple(replace(variant, throws=longer(variant.throws)) for variant in self.variants)
+        return replace(self, throws=longer(self.throws), variants=variants)
+
     def with_files(self, dynamics: Path | None, camera: Path | None) -> "CatchEnvCfg":
         """The task with the robot of a dynamics file and the camera of a camera file, where they are given.
 

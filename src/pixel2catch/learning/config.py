@@ -1,7 +1,6 @@
 """What a training run can be told, and the presets; imports nothing heavy, as the command line reads it."""
 
 import dataclasses
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,9 +24,6 @@ from pixel2catch.shipped import policy_folder
 Width = Annotated[int, Within(1, 65_536)]  #: Units of a layer.
 
 CONFIG_FILE = "config.json"  #: The resolved configuration in the folder of a run.
-
-EARLY = {"rollout_steps": int, "epochs": int, "mini_batches": int, "ratio_clip": float}
-"""Settings of the updates that can differ early in a training, and their types."""
 
 
 def _released_latency() -> tuple[float, float]:
@@ -109,12 +105,9 @@ class TrainCfg:
     """Passes over a rollout in an update. Source: release."""
     mini_batches: Count = 8
     """Gradient steps a pass. Source: release."""
-    early: dict[str, float] = dataclasses.field(default_factory=dict)
-    """Settings of the updates that differ in the first transitions, such as rollout_steps 8 epochs 8: longer
-    rollouts and longer updates find the first catches sooner, shorter ones learn more from a transition
-    afterwards. Source: ours."""
-    early_transitions: Annotated[int, Within(1)] = 8_000_000
-    """Transitions in which they do. Source: ours."""
+    staggered: bool = False
+    """Whether the first throws begin one after the other, so that a rollout has all parts of an episode from
+    the start. Source: Bharthulwar et al. 2025."""
     schedule: Literal["linear", "kl"] = "linear"
     """How the learning rate changes: linear over the transitions, or kl adaptive."""
     learning_rate: Positive = 1e-3
@@ -178,24 +171,6 @@ class TrainCfg:
         for message, applies in is_wrong.items():
             if applies:
                 raise InvalidValueError(message)
-        _ = self._early  # which refuses what it cannot be
-
-    def at(self, transitions: int) -> "TrainCfg":
-        """The configuration whose updates are made after that many transitions."""
-        return self._early if transitions < self.early_transitions else self
-
-    @cached_property
-    def _early(self) -> "TrainCfg":
-        if not self.early:
-            return self
-        settings: dict[str, Any] = {}
-        for name, value in self.early.items():
-            if name not in EARLY:
-                raise UnknownNameError("early setting", name, EARLY)
-            if EARLY[name] is int and not float(value).is_integer():
-                raise InvalidValueError(f"early {name} is {value:g}; it must be a whole number.")
-            settings[name] = EARLY[name](value)
-        return dataclasses.replace(self, early={}, **settings)
 
     def rate_at(self, transitions: int) -> float:
         """Physics steps in a second after that many transitions."""
@@ -241,12 +216,7 @@ class TrainCfg:
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {},
-    "two_gpus": {
-        "num_envs": 16384,
-        "rollout_steps": 4,
-        "mini_batches": 4,
-        "early": {"rollout_steps": 8, "epochs": 8, "mini_batches": 8, "ratio_clip": 0.3},
-    },
+    "large": {"num_envs": 32_768, "rollout_steps": 4, "mini_batches": 8, "epochs": 3, "staggered": True},
     "cpu": {
         "device": "cpu",
         "num_envs": 1024,
@@ -270,8 +240,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "final_learning_rate": 1e-5,
     },
 }
-"""What presets set: `fast` for one big GPU, `two_gpus` for two or one H200, `cpu` for two cores, `paper` the
-release's numbers."""
+"""Presets: `fast` for a GPU, `large` for much memory or several, `cpu` for none, `paper` the release's."""
 
 
 def preset(name: str, **given: Any) -> TrainCfg:

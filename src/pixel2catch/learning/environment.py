@@ -84,8 +84,8 @@ class Environment(Protocol):
         """Episode statistics since the last look."""
         ...
 
-    def reset(self) -> Observation:
-        """Begin new episodes everywhere."""
+    def reset(self, *, is_staggered: bool = False) -> Observation:
+        """Begin new episodes everywhere; where they are staggered, such that they will not end together."""
         ...
 
     def step(self, actions: dict[str, Tensor]) -> Step:

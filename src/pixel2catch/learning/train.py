@@ -122,8 +122,7 @@ class _Training:
         self.agents = {agent.name: agent.to_dict() for agent in agents}
         self.cfg, self.schedule, self.contract, self.folder = cfg, schedule, contract, folder
         self.workers = workers
-        self.now = cfg.at(0)  #: The configuration of the present updates.
-        self.mappo = self._learner()
+        self.mappo = Mappo(workers.share(cfg), schedule.env, contract, workers)
         self.progress = Progress()
         self.row: Row = {}
         self._is_untold = False
@@ -131,21 +130,6 @@ class _Training:
     def close(self) -> None:
         """Release what would keep the process group from ending."""
         self.mappo.close()
-
-    def _learner(self) -> Mappo:
-        return Mappo(self.workers.share(self.now), self.schedule.env, self.contract, self.workers)
-
-    def _enter(self, transitions: int) -> bool:
-        """Change to the updates that follow this many transitions; whether they are others."""
-        before, self.now = self.now, self.cfg.at(transitions)
-        if self.now is before:
-            return False
-        state, device = self.mappo.state_dict(), self.workers.device
-        self.mappo.close()
-        with torch.random.fork_rng([device] if device.startswith("cuda") else []):  # as in a resumed one
-            self.mappo = self._learner()
-        self.mappo.load_state_dict(state)
-        return True
 
     def run(self) -> TrainResult:
         """Train to the end, and write down how it ended whatever happens."""
@@ -187,9 +171,8 @@ class _Training:
             while self.progress.transitions < self.cfg.transitions:
                 started = time.monotonic()
                 with self.workers.sync_errors():
-                    is_new = self._enter(self.progress.transitions)
-                    if self.schedule.enter(self.progress.transitions) or is_new or observation is None:
-                        observation = self.schedule.env.reset()
+                    if self.schedule.enter(self.progress.transitions) or observation is None:
+                        observation = self.schedule.env.reset(is_staggered=self.cfg.staggered)
                         self.mappo.begin()
                     begun = DeviceTime(self.workers.device)
                     observation = self._collect(observation, stop)
@@ -214,7 +197,7 @@ class _Training:
 
     def _collect(self, observation: Observation, stop: StopRequest) -> Observation:
         """Fill the rollout; a device may still work on it."""
-        for _ in range(self.now.rollout_steps):
+        for _ in range(self.cfg.rollout_steps):
             if stop.is_set:
                 break
             step = self.schedule.env.step(self.mappo.act(observation))
@@ -239,13 +222,13 @@ class _Training:
             require_finite(reward_terms(statistics) | learnt.read())
         ended = time.monotonic()
         self.progress = Progress(
-            transitions=self.progress.transitions + self.now.rollout_transitions,
+            transitions=self.progress.transitions + self.cfg.rollout_transitions,
             seconds=self.progress.seconds + ended - started,
         )
         named_rewards = zip(self.mappo.agents, rewards.tolist(), strict=True)
         self.row = {
             **dataclasses.asdict(self.progress),
-            "transitions_per_second": self.now.rollout_transitions / (ended - started),
+            "transitions_per_second": self.cfg.rollout_transitions / (ended - started),
             "rollout_seconds": begun.until(collected),
             "update_seconds": collected.until(updated),
             **statistics,
