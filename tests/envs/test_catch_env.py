@@ -67,7 +67,7 @@ def test_staggered_throws_do_not_end_together():
     longest = EpisodeCfg().max_steps
     most = []
     for is_staggered in (False, True):
-        env = make(256)
+        env = make(128)
         env.reset(is_staggered=is_staggered)
         ended = torch.full((env.num_envs,), torch.nan)
         for number, step in enumerate(rollout(env, longest), start=1):
