@@ -4,10 +4,11 @@ from dataclasses import replace
 import pytest
 import torch
 from rich.console import Console
+from scipy.stats import binomtest
 
 from pixel2catch.envs.episode import FAILURES, EpisodeRecord
 from pixel2catch.errors import NonFiniteError
-from pixel2catch.evaluation.metrics import metrics, wilson_interval
+from pixel2catch.evaluation.metrics import metrics, paired_difference, wilson_interval
 from pixel2catch.evaluation.protocol import Trials
 from pixel2catch.evaluation.report import result_tables
 from pixel2catch.scene.objects import SEEN, UNSEEN
@@ -48,6 +49,18 @@ def test_wilson_interval_by_hand():
     low, high = wilson_interval(8, 10)
     assert low == pytest.approx(0.4902, abs=1e-4)
     assert high == pytest.approx(0.9433, abs=1e-4)
+
+
+def test_intervals_and_p_values_are_those_of_scipy():
+    for trials in (1, 2, 7, 100, 4096):
+        for successes in {0, 1, trials // 3, trials // 2, trials - 1, trials}:
+            test = binomtest(successes, trials)
+            assert wilson_interval(successes, trials) == pytest.approx(
+                tuple(test.proportion_ci(method="wilson"))
+            )
+            failures = trials - successes
+            found = paired_difference("1" * successes + "0" * failures, "0" * successes + "1" * failures)
+            assert found["p_value"] == pytest.approx(test.pvalue)
 
 
 def test_wilson_interval_stays_within_bounds():

@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pixel2catch.errors import InvalidValueError
@@ -246,6 +245,7 @@ def _laid(ours: list[Line], theirs: list[Line]) -> tuple[Pose, float]:
 
 def _refined(ours: list[Line], theirs: list[Line], start: Pose) -> Pose:
     """The pose that lays the axes themselves on each other, wherever their points are."""
+    from scipy.optimize import least_squares
 
     def moved(x: Float[ndarray, "6"]) -> Pose:
         pose = np.eye(4)

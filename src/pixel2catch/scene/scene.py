@@ -56,6 +56,17 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     if object_name not in OBJECTS:
         raise UnknownNameError("object", object_name, OBJECTS)
     workcell = find_workcell(cfg.workcell)
+    spec = _spec_without_object(cfg, workcell).copy()
+    _add_object(spec, cfg, OBJECTS[object_name])
+    _add_contact_sensors(spec, workcell)
+    if cfg.visuals:
+        _add_looks(spec, workcell.table)
+    return spec
+
+
+@cache
+def _spec_without_object(cfg: SceneCfg, workcell: WorkcellSpec) -> mujoco.MjSpec:
+    """What scenes with different objects have in common; to be copied, which is far sooner done."""
     spec = mujoco.MjSpec()
     spec.modelname = "pixel2catch"
     _set_options(spec, cfg)
@@ -64,10 +75,6 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
     if cfg.robot_model:
         add_maker_bodies(spec, workcell, cfg.robot_model, cfg.robot_surface)
     _add_servos(spec, workcell.joints)
-    _add_object(spec, cfg, OBJECTS[object_name])
-    _add_contact_sensors(spec, workcell)
-    if cfg.visuals:
-        _add_looks(spec, workcell.table)
     return spec
 
 
