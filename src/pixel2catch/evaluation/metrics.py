@@ -26,7 +26,7 @@ Z_95 = NormalDist().inv_cdf(0.975)
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """95 % interval of a rate, of one trial or more. Source: Wilson 1927, the score interval.
 
-    Written out, as scipy.stats takes as long to import as all the rest of an evaluation.
+    Written out, as importing scipy.stats would be a fifth of the time of a small evaluation.
     """
     square = Z_95**2
     middle = (successes + square / 2) / (trials + square)

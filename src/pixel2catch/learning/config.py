@@ -43,8 +43,8 @@ class TrainCfg:
     """Configuration of a training run; the defaults are the preset `fast`.
 
     Source: paper, Sec. IV-E, and the release for what the paper leaves open.
-    Differs: batch size, learning rate, its schedule and physics rates of `fast` and `cpu` are ours, and the
-    layers of `cpu`: with big batches the KL rule hardly ever lowers the rate, and training stalls
+    Differs: batch size, learning rate, its schedule and physics rates of `fast`, `large` and `cpu` are ours,
+    and the layers of `cpu`: with big batches the KL rule hardly ever lowers the rate, and training stalls
     (`experiments/LOG.md`).
     """
 
@@ -107,7 +107,7 @@ class TrainCfg:
     """Gradient steps a pass. Source: release."""
     staggered: bool = False
     """Whether the first throws begin one after the other, so that a rollout has all parts of an episode from
-    the start. Source: Bharthulwar et al. 2025."""
+    the start. Source: Bharthulwar et al. 2025; that it helps here is not shown (`experiments/LOG.md`)."""
     schedule: Literal["linear", "kl"] = "linear"
     """How the learning rate changes: linear over the transitions, or kl adaptive."""
     learning_rate: Positive = 1e-3
@@ -240,7 +240,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "final_learning_rate": 1e-5,
     },
 }
-"""Presets: `fast` for a GPU, `large` for much memory or several, `cpu` for none, `paper` the release's."""
+"""Starting values: `fast` for a GPU, `large` for one with much memory or several, `cpu` where there is none,
+`paper` the release's."""
 
 
 def preset(name: str, **given: Any) -> TrainCfg:
