@@ -25,7 +25,6 @@ from pixel2catch.rendering.storyboard import (
     FPS,
     RecordedThrow,
     Storyboard,
-    key_steps,
     positions_between,
     storyboard,
 )
@@ -48,7 +47,6 @@ DETAIL = 1.5  #: Drawn pixels in one of a film, along each side.
 ROUNDNESS = (20, 10)  #: Slices and stacks of round geoms.
 INSET_PART = 2  #: How many times smaller than the camera's image the robot's own view is drawn.
 STILLS = 6  #: Pictures in a strip.
-STILL_CLOSENESS = 0.8  #: How close the view of a still comes.
 LAST_PICTURES = 20  #: How often the last picture of a film is shown.
 
 
@@ -100,10 +98,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
 
     def strip(self, throw: RecordedThrow) -> Picture:
         """Stills of a throw, from left to right."""
-        film = self._begin(throw)
-        steps = key_steps(film, STILLS)
-        closeness = STILL_CLOSENESS * np.interp(steps, film.steps, film.closeness)
-        board = replace(film, steps=steps, is_slow=np.zeros(STILLS, dtype=bool), closeness=closeness)
+        board = self._begin(throw).stills(STILLS)
         return np.concatenate([self._picture(throw, board, i) for i in range(STILLS)], axis=1)
 
     def _begin(self, throw: RecordedThrow) -> Storyboard:
@@ -135,7 +130,7 @@ class FilmRenderer(AbstractContextManager["FilmRenderer"]):
             return wide + float(board.closeness[i]) * (close - wide)
 
         far, near = self._wide, self._close
-        x, y, z = (between(*each) for each in zip(far.lookat, board.catch_pos.tolist(), strict=True))
+        x, y, z = (between(*each) for each in zip(far.lookat, board.focus[i].tolist(), strict=True))
         return View(
             lookat=(x, y, z),
             distance=between(far.distance, near.distance),

@@ -1,12 +1,13 @@
 """A recorded throw, and what its film shows when: the flight, the slow catch, what became of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from numpy import ndarray
+from scipy.ndimage import uniform_filter1d
 
 from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
 from pixel2catch.robots.geometry import chain_of
@@ -22,6 +23,8 @@ BEFORE_RELEASE, BEFORE_CATCH, AFTER_CATCH, AFTER_OUTCOME, LONGEST = 6, 5, 7, 12,
 the catch at most."""
 
 ZOOM_STEPS = 9  #: Control steps in which the view comes closer, before the catch.
+FOLLOWED_STEPS = 15  #: Control steps over which the hand's way is averaged, which the view follows.
+STILL_CLOSENESS = 0.8  #: How close the view of a still comes.
 
 CAUGHT, LOST = "caught", "lost"
 OUTCOMES = {
@@ -62,12 +65,25 @@ class Storyboard:
     closeness: Float[ndarray, " num_pictures"]  #: Of the view: 0 the whole room, 1 the hand.
     decision: int  #: Control step in which the outcome is known.
     catch: int  #: Control step in which the catch begins, or the object is nearest to a palm.
-    catch_pos: Float[ndarray, "3"]  #: Where the palm is then [m].
+    focus: Float[ndarray, "num_pictures 3"]  #: Where the hand is, before the catch where it will be [m].
+
+    def stills(self, num_pictures: int) -> "Storyboard":
+        """That of a strip: the flight, the catch in the middle, the end."""
+        middle = num_pictures // 2
+        flight = np.linspace(self.steps[0] + BEFORE_RELEASE, self.catch, middle, endpoint=False)
+        steps = np.concatenate((flight, np.linspace(self.catch, self.steps[-1], num_pictures - middle)))
+        return replace(
+            self,
+            steps=steps,
+            is_slow=np.zeros(num_pictures, dtype=bool),
+            closeness=STILL_CLOSENESS * np.interp(steps, self.steps, self.closeness),
+            focus=_between(steps, self.steps, self.focus),
+        )
 
 
 def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
     """Plan the film of a throw, from just before the release to its outcome."""
-    catch, catch_pos = _catch(throw, workcell)
+    catch, focus = _catch(throw, workcell)
     last = len(throw.qpos) - 1
     decision = last if throw.outcome == LOST else throw.num_untested - 1
     begin = max(throw.release - BEFORE_RELEASE, 0)
@@ -89,15 +105,8 @@ def storyboard(throw: RecordedThrow, workcell: WorkcellSpec) -> Storyboard:
         closeness=share * share * (3.0 - 2.0 * share),
         decision=decision,
         catch=catch,
-        catch_pos=catch_pos,
+        focus=_between(steps, np.arange(len(focus)), focus),
     )
-
-
-def key_steps(board: Storyboard, num_pictures: int) -> Float[ndarray, " num_pictures"]:
-    """Control steps of a strip of stills: the flight, the catch in the middle, the end."""
-    middle = num_pictures // 2
-    flight = np.linspace(board.steps[0] + BEFORE_RELEASE, board.catch, middle, endpoint=False)
-    return np.concatenate((flight, np.linspace(board.catch, board.steps[-1], num_pictures - middle)))
 
 
 def positions_between(
@@ -113,8 +122,15 @@ def positions_between(
     return before[: throw.qpos.shape[1]]
 
 
-def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "3"]]:
-    """The control step of the catch, and the palm's position then."""
+def _between(
+    steps: Float[ndarray, " num_pictures"], known: ndarray, rows: Float[ndarray, "num_known 3"]
+) -> Float[ndarray, "num_pictures 3"]:
+    """Positions at steps with fractions, of those at known steps."""
+    return np.stack([np.interp(steps, known, column) for column in rows.T], axis=-1)
+
+
+def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[ndarray, "num_steps 3"]]:
+    """The control step of the catch; where the palm is then, and its way afterwards, without its shaking."""
     qpos = torch.from_numpy(np.asarray(throw.qpos, dtype=np.float64))
     palms = torch.stack(
         [
@@ -125,4 +141,6 @@ def _catch(throw: RecordedThrow, workcell: WorkcellSpec) -> tuple[int, Float[nda
     distances, nearest = (palms - qpos[:, OBJECT_POS]).norm(dim=-1).min(dim=0)
     reached = distances <= max(REACH, float(distances.min()))
     step = int(torch.nonzero(reached)[0])
-    return step, palms[int(nearest[step]), step].numpy()
+    way = palms[int(nearest[step])].numpy().copy()
+    way[:step] = way[step]
+    return step, uniform_filter1d(way, FOLLOWED_STEPS, axis=0, mode="nearest")
