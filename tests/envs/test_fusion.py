@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from commands import pixel2catch
+
 
 @pytest.mark.parametrize(
     "device", [pytest.param("cpu", marks=pytest.mark.slow), pytest.param("cuda", marks=pytest.mark.gpu)]
@@ -16,3 +18,12 @@ def test_a_fused_control_step_is_the_same_and_is_traced_once(device):
         pytest.skip("needs CUDA")
     program = Path(__file__).parent / "fused_steps.py"
     subprocess.run([sys.executable, "-W", "error", program, device], check=True, timeout=600)
+
+
+def test_without_a_compiler_it_is_said_before_anything_is_written(tmp_path: Path):
+    args = ["train", "--preset", "cpu", "--num-envs", "4", "--mini-batches", "1", "--fuse", "--out", "run"]
+    result = pixel2catch(*args, folder=tmp_path, PATH="/nonexistent")
+    assert result.returncode == 2
+    assert "install g++" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "run").exists()

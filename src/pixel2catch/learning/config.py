@@ -146,7 +146,7 @@ class TrainCfg:
     WANDB_MODE=offline, hold. Default: none."""
     fuse: bool = False
     """Whether torch.compile makes fewer kernels of a control step and of a gradient step: a minute more at
-    the start, and where the physics rate changes."""
+    the start, and where the physics rate changes. On a CPU it needs a C++ compiler."""
     checkpoint_seconds: NotNegative = 60.0
     """Time between two checkpoints [s]."""
     report_seconds: NotNegative = 10.0
