@@ -22,7 +22,7 @@ def fused(
     Raises:
         DeviceUnavailableError: If there is no C++ compiler, which a CPU's kernels need.
     """
-    if simulation.device.type == "cpu":
+    if simulation.device.type == "cpu" and backend == "inductor":
         require_compiler()
     for name in ("step", "forward", "ray"):
         setattr(simulation, name, torch.compiler.disable(getattr(simulation, name)))
