@@ -107,7 +107,8 @@ class TrainCfg:
     """Gradient steps a pass. Source: release."""
     staggered: bool = False
     """Whether the first throws begin one after the other, so that a rollout has all parts of an episode from
-    the start. With `large`, three seeds reach 30 % of the throws after 9 million transitions instead of 16.
+    the start. With `large`, 30 % of the throws are reached after 10 million transitions instead of 16 (means
+    of fourteen and three trainings).
     Source: Bharthulwar et al. 2025."""
     schedule: Literal["linear", "kl"] = "linear"
     """How the learning rate changes: linear over the transitions, or kl adaptive."""
