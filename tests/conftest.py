@@ -1,7 +1,10 @@
 import gc
 import os
-from collections.abc import Iterator
-from itertools import count
+from collections import Counter
+from collections.abc import Callable
+from functools import wraps
+from pkgutil import resolve_name
+from typing import Any
 
 # One thread for each process of the tests, as several share the cores; tables as wide as without xdist.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -23,9 +26,14 @@ install_import_hook(
     "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
 )
 
-CHECKED_STEPS = (
-    2  # Control steps of a test with checks, which take longer than the step; shapes stay as they are.
-)
+CHECKED_CALLS = {
+    "pixel2catch.envs.catch_env.CatchEnv.step": 2,
+    "pixel2catch.deployment.policy_pipeline.PolicyPipeline.decide": 2,
+    "pixel2catch.twin.simulated_lab.SimulatedLab.step": 20,
+}
+"""Calls of a test up to which shapes are checked, which takes longer than the call; they stay as they are."""
+
+CALLS: Counter[Callable[..., Any]] = Counter()  #: Those of the present test.
 
 # Shared machines are too uneven for a deadline per example; the same examples in every run.
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)
@@ -47,25 +55,30 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """What was imported stays: a test that collects garbage need not look through it."""
+    """Count the calls; what was imported stays: a test that collects garbage need not look through it."""
+    for name, most in CHECKED_CALLS.items():
+        owner, _, function = name.rpartition(".")
+        setattr(resolve_name(owner), function, counted(resolve_name(name), most))
     gc.freeze()
 
 
-@pytest.fixture(autouse=True)
-def check_shapes_in_the_first_steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Check shapes up to the first control steps of a test."""
-    from pixel2catch.envs.catch_env import CatchEnv
+def counted(function: Callable[..., Any], most: int) -> Callable[..., Any]:
+    """The function, whose later calls in a test end the checks of shapes."""
 
-    step, taken = CatchEnv.step, count(1)
-
-    def counted(env: CatchEnv, actions: dict[str, torch.Tensor]) -> object:
-        if next(taken) > CHECKED_STEPS:
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        CALLS[function] += 1
+        if CALLS[function] > most:
             config.update("jaxtyping_disable", True)
-        return step(env, actions)
+        return function(*args, **kwargs)
 
-    monkeypatch.setattr(CatchEnv, "step", counted)
-    yield
+    return call
+
+
+def pytest_runtest_setup() -> None:
+    """Check shapes anew."""
     config.update("jaxtyping_disable", False)
+    CALLS.clear()
 
 
 @pytest.fixture

@@ -57,6 +57,7 @@ def build_spec(cfg: SceneCfg, object_name: str = "cube_s") -> mujoco.MjSpec:
         raise UnknownNameError("object", object_name, OBJECTS)
     workcell = find_workcell(cfg.workcell)
     spec = _spec_without_object(cfg, workcell).copy()
+    _add_meshes(spec, cfg)
     _add_object(spec, cfg, OBJECTS[object_name])
     _add_contact_sensors(spec, workcell)
     if cfg.visuals:
@@ -127,10 +128,10 @@ class ObjectTable:
     fields: dict[str, ndarray]  #: Field name to array (num_objects, rows, ...).
 
 
-def object_indices(model: mujoco.MjModel) -> ObjectIndices:
-    """Find the object in a model."""
-    body = model.body("object").id
-    joint = model.joint("object_joint")
+def object_indices(model: mujoco.MjModel, name: str = "object") -> ObjectIndices:
+    """Find the object, or the body of that name like it, in a model."""
+    body = model.body(name).id
+    joint = model.joint(f"{name}_joint")
     first = int(model.body_geomadr[body])
     qpos, dof = int(joint.qposadr[0]), int(joint.dofadr[0])
     return ObjectIndices(
@@ -142,18 +143,23 @@ def object_indices(model: mujoco.MjModel) -> ObjectIndices:
 
 
 def object_table(cfg: SceneCfg) -> ObjectTable:
-    """Compile the scene once with each object and read off what differs."""
+    """Compile all objects side by side, without a robot, and read off in what they differ."""
     return _object_table(cfg, tuple(OBJECTS.values()))
 
 
 @cache
 def _object_table(cfg: SceneCfg, objects: tuple[ObjectSpec, ...]) -> ObjectTable:
-    models = [build_model(cfg, each.name) for each in objects]
-    indices = object_indices(models[0])
+    spec = mujoco.MjSpec()
+    _add_meshes(spec, cfg)
+    for each in objects:
+        _add_object(spec, cfg, each, each.name)
+    model = spec.compile()
+    found = [object_indices(model, each.name) for each in objects]
     fields = {
-        field: np.stack([_rows(model, field, indices) for model in models])
+        field: np.stack([_rows(model, field, indices) for indices in found])
         for field in (*GEOM_FIELDS, *BODY_FIELDS, *DOF_FIELDS)
     }
+    indices = object_indices(build_model(cfg, objects[0].name))
     return ObjectTable(names=tuple(each.name for each in objects), indices=indices, fields=fields)
 
 
@@ -258,28 +264,32 @@ def _add_servos(spec: mujoco.MjSpec, joints: tuple[JointSpec, ...]) -> None:
         )
 
 
-def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec) -> None:
-    """The thrown object on a free joint; the meshes of all other objects are in the model, too."""
-    thrown = thrown.scaled(cfg.object_scale)
-    for other in OBJECTS.values():
-        for i, part in enumerate(other.scaled(cfg.object_scale).parts):
+def _add_meshes(spec: mujoco.MjSpec, cfg: SceneCfg) -> None:
+    """The parts of all objects, so that every scene has the same meshes."""
+    for each in OBJECTS.values():
+        for i, part in enumerate(each.scaled(cfg.object_scale).parts):
             if (reach := np.abs(part.vertices).max()) > OBJECT_BOUND:
                 raise InvalidValueError(
-                    f"object '{other.name}' reaches {100 * reach:.3g} cm from its centre of mass; "
+                    f"object '{each.name}' reaches {100 * reach:.3g} cm from its centre of mass; "
                     f"{100 * OBJECT_BOUND:g} cm is the most: scale it down, a mesh in mm by 0.001."
                 )
-            spec.add_mesh(name=f"{other.name}_part_{i}", uservert=part.vertices.ravel())
+            spec.add_mesh(name=f"{each.name}_part_{i}", uservert=part.vertices.ravel())
     corners = 5e-4 * np.array(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)))
     spec.add_mesh(name=NO_PART, uservert=corners.ravel())
-    body = spec.worldbody.add_body(name="object", pos=OBJECT_START)
-    body.add_freejoint(name="object_joint")
+
+
+def _add_object(spec: mujoco.MjSpec, cfg: SceneCfg, thrown: ObjectSpec, name: str = "object") -> None:
+    """The thrown object on a free joint."""
+    thrown = thrown.scaled(cfg.object_scale)
+    body = spec.worldbody.add_body(name=name, pos=OBJECT_START)
+    body.add_freejoint(name=f"{name}_joint")
     body.explicitinertial = True
     body.mass = thrown.mass
     body.ipos, body.iquat = (0, 0, 0), (1, 0, 0, 0)  # left unset, MuJoCo takes the body's pose for them
     body.inertia = thrown.inertia
     for i in range(num_parts()):
         body.add_geom(
-            name=f"object_part_{i}",
+            name=f"{name}_part_{i}",
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=f"{thrown.name}_part_{i}" if i < len(thrown.parts) else NO_PART,
             rgba=OBJECT_RGBA,

@@ -131,6 +131,8 @@ class SimulatedLab:
                 self._world.simulation.expand(field)[:, arm] += BEYOND_LIMITS
         self._log: StepExtremes | None = None
         self._steps, self._is_thrown, self._scorer = 0, False, None
+        self._decimation = task.scene.decimation
+        self.physics_dt = task.scene.physics_dt  #: Time of a physics step [s].
         self.num_throws = 0
         self.max_joint_speed = 0.0  #: Largest speed of an arm joint so far [rad/s].
         steps = [ENCODER_STEP[group.role] for group in workcell.groups for _ in group.joints]
@@ -146,11 +148,6 @@ class SimulatedLab:
     def time(self) -> float:
         """Time since the beginning [s]."""
         return self._steps * self.physics_dt
-
-    @property
-    def physics_dt(self) -> float:
-        """Time of a physics step [s]."""
-        return self._task.scene.physics_dt
 
     @property
     def camera(self) -> CameraSpec:
@@ -229,7 +226,7 @@ class SimulatedLab:
         log = self._world.run(target[None], num_steps=1)
         self._log = log if self._log is None else self._log.merged(log)
         self._steps += 1
-        is_end = self._steps % self._task.scene.decimation == 0
+        is_end = self._steps % self._decimation == 0
         if is_end:
             self._end_control_step(self._log)
             self._log = None
