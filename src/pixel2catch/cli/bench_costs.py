@@ -86,6 +86,7 @@ def measure(
         `rss_bytes`, `device_bytes`: the most memory that this process had, and what all processes have on
         the device at the end [bytes].
     """
+    torch.set_num_threads(TRAIN_THREADS)
     _forget_peak()
     cfg = _training_cfg(policy, options, device=device, num_envs=num_envs, fuse=fuse)
     env = CatchEnv(cfg.env, method_of(policy.contract), num_envs=num_envs, device=device, is_fused=fuse)
@@ -183,7 +184,6 @@ def _training(cfg: TrainCfg, env: CatchEnv, policy: Policy, num_steps: int) -> t
     It is a training as `pixel2catch train` does it, from the policy on, of so many steps at least; what its
     networks do not take of a rollout is the environment's.
     """
-    torch.set_num_threads(TRAIN_THREADS)
     updates = max(LEAST_UPDATES, num_steps // cfg.rollout_steps)
     watch, step = Stopwatch(env.device), env.step
     setattr(env, "step", watch.timed(step))  # noqa: B010 (a method)
