@@ -31,7 +31,7 @@ CHECKED_CALLS = {
     "pixel2catch.deployment.policy_pipeline.PolicyPipeline.decide": 2,
     "pixel2catch.twin.simulated_lab.SimulatedLab.step": 20,
 }
-"""Calls of a test up to which shapes are checked, which takes longer than the call; they stay as they are."""
+"""How many calls of a test are checked: a check takes longer than the call, and shapes stay as they are."""
 
 CALLS: Counter[Callable[..., Any]] = Counter()  #: Those of the present test.
 

@@ -109,6 +109,7 @@ def test_a_visitor_plays(visited: Visited, browser_page: Any):
 
     browser_page.get_by_text("go on", exact=True).click()
     page.is_repeated.value = True
+    browser_page.get_by_role("button", name="throw", exact=True).click()
     visited.wait_for(lambda: any(each.order.settings[1] == 6.0 for each in list(page.throws.values())))
     page.is_repeated.value = False
     browser_page.get_by_role("tab", name="Throws").click()

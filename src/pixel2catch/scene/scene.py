@@ -152,9 +152,9 @@ def _object_table(cfg: SceneCfg, objects: tuple[ObjectSpec, ...]) -> ObjectTable
     spec = mujoco.MjSpec()
     _add_meshes(spec, cfg)
     for each in objects:
-        _add_object(spec, cfg, each, each.name)
+        _add_object(spec, cfg, each, f"object_{each.name}")
     model = spec.compile()
-    found = [object_indices(model, each.name) for each in objects]
+    found = [object_indices(model, f"object_{each.name}") for each in objects]
     fields = {
         field: np.stack([_rows(model, field, indices) for indices in found])
         for field in (*GEOM_FIELDS, *BODY_FIELDS, *DOF_FIELDS)
