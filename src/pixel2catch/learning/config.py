@@ -126,6 +126,9 @@ class TrainCfg:
     """Clip (epsilon) of the probability ratio. Source: paper, Sec. IV-E."""
     value_clip: Positive = 0.2
     """Clip of the change of a (standardised) value in an update. Source: release."""
+    value_loss: Literal["clipped", "maximum"] = "clipped"
+    """Error of a value: clipped, after the clip (release), or maximum, the larger of that and the error
+    without the clip, whose gradient does not vanish beyond the clip."""
     value_loss_scale: NotNegative = 2.0
     """Weight of the value loss. Source: release."""
     entropy_scale: NotNegative = 0.0
