@@ -22,7 +22,7 @@ from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import PolicyCommand, ServoStatus, link
+from pixel2catch.servo.link import Command, JointTargets, link
 from pixel2catch.servo.process import Servo, ServoSetup
 from pixel2catch.workcells import find_workcell
 
@@ -53,9 +53,9 @@ def main() -> None:
         if name in publishers:
             publishers[name].publish(data)
         elif name == ORDERS.name:
-            loop.send(PolicyCommand.of(messages.read_float_array(data)))
+            loop.send(JointTargets.of(messages.read_float_array(data)))
         elif name == SERVO.name:
-            clock.time = ServoStatus.of(messages.read_float_array(data)).time
+            clock.time = Command.of(messages.read_float_array(data)).time
             begun, worked = perf_counter(), thread_time()
             servo.tick()
             times.append((perf_counter() - begun, thread_time() - worked))

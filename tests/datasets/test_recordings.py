@@ -16,7 +16,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.flags import Mode
-from pixel2catch.servo.link import PolicyCommand, ServoStatus
+from pixel2catch.servo.link import Command, JointTargets
 
 PROFILE = Profile.load("ur5e_allegro_v4")
 NUM_JOINTS, EPOCH, START = 19, 1_790_000_000.0, 500.0
@@ -51,7 +51,7 @@ def record(folder: Path, images: str, *, runs: bool = True) -> Path:
                 row = status(now + late, int(mode), value).row
                 recorder.record(SERVO, messages.float_array(row), bag + late)
             targets = np.full(NUM_JOINTS, 100.0 + step)
-            order = PolicyCommand(
+            order = JointTargets(
                 target_stamp=now + 0.002, image_stamp=now, box_stamp=now, joint_pos_target=targets
             )
             recorder.record(ORDERS, messages.float_array(order.row), bag + 0.003)
@@ -60,9 +60,9 @@ def record(folder: Path, images: str, *, runs: bool = True) -> Path:
     return folder
 
 
-def status(time: float, mode: int, value: float) -> ServoStatus:
+def status(time: float, mode: int, value: float) -> Command:
     row = [time, 0.0, time, time, float(mode), 0.0, 0.0, 0.0, 0.0]
-    return ServoStatus.of(np.array(row + [9.0] * NUM_JOINTS + [value] * NUM_JOINTS))
+    return Command.of(np.array(row + [9.0] * NUM_JOINTS + [value] * NUM_JOINTS))
 
 
 def exported(recording: Path, out: Path) -> dict[str, list[Any]]:

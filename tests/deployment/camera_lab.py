@@ -15,7 +15,7 @@ from pixel2catch.ros2.factory import make_transport
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import LOOPBACK, Clock, Publisher, RealClock, Transport
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.link import PolicyCommand, ServoStatus
+from pixel2catch.servo.link import Command, JointTargets
 from pixel2catch.servo.process import set_niceness
 
 DT = 0.002
@@ -30,10 +30,10 @@ Fault = Callable[["CameraLab"], Any]  # what somebody does in it, a function tha
 class NoControlLoop:
     """The control loop is a process of its own here."""
 
-    def send(self, words: PolicyCommand) -> None:
+    def send(self, words: JointTargets) -> None:
         """There is nobody to send to."""
 
-    def receive(self) -> list[ServoStatus]:
+    def receive(self) -> list[Command]:
         return []
 
 

@@ -27,7 +27,7 @@ from pixel2catch.ros2.memory import Broker
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Publisher, Transport
 from pixel2catch.servo.flags import Mode
-from pixel2catch.servo.link import ServoEnd, ServoStatus, link
+from pixel2catch.servo.link import Command, ServoEnd, link
 from pixel2catch.workcells import find_workcell
 
 HOME = np.array([joint.home for joint in JOINTS])
@@ -84,16 +84,16 @@ def new_pipeline(segmenter: Segmenter | None = None, controller: Controller | No
     )
 
 
-def servo_status(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> ServoStatus:
+def command(mode: Mode, *, time: float, joint_pos: np.ndarray = HOME, **others: float) -> Command:
     """A tick of the servo, at home, in which nothing happens but what is given."""
-    return ServoStatus(
+    return Command(
         time=time,
         mode=int(mode),
         stopped_by=int(others.get("stopped_by", 0)),
         found=0,
         refused=int(others.get("refused", 0)),
         clamped=0,
-        command=HOME,
+        joint_pos_command=HOME,
         joint_pos=joint_pos,
         duration=4e-4,
         target_stamp=others.get("target_stamp", -np.inf),

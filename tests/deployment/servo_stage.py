@@ -79,29 +79,25 @@ class Stage:
 
     @property
     def mode(self) -> int:
-        return self.lab.servo_statuses[-1].mode
+        return self.lab.ticks[-1].mode
 
     @property
     def modes(self) -> list[int]:
         """The modes in their order."""
-        return [mode for mode, _ in groupby(servo_status.mode for servo_status in self.lab.servo_statuses)]
+        return [mode for mode, _ in groupby(command.mode for command in self.lab.ticks)]
 
     @property
     def refused(self) -> tuple[str, ...]:
         """Why the last request to arm was refused that was."""
         return next(
-            tuple(flag_names(Fault, each.refused))
-            for each in reversed(self.lab.servo_statuses)
-            if each.refused
+            tuple(flag_names(Fault, each.refused)) for each in reversed(self.lab.ticks) if each.refused
         )
 
     @property
     def stopped_by(self) -> tuple[str, ...]:
         """Why it was stopped first."""
         return next(
-            tuple(flag_names(Fault, each.stopped_by))
-            for each in self.lab.servo_statuses
-            if each.mode == Mode.STOPPED
+            tuple(flag_names(Fault, each.stopped_by)) for each in self.lab.ticks if each.mode == Mode.STOPPED
         )
 
 

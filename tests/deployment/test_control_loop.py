@@ -16,10 +16,10 @@ from loop_lab import (
     PROFILE,
     Surroundings,
     badly_recorded,
+    command,
     new_pipeline,
     picture,
     remembering,
-    servo_status,
     surroundings,
 )
 
@@ -59,7 +59,7 @@ class LedLoop:
 
     def say(self, mode: Mode, **others: Any) -> None:
         """The servo has ticked."""
-        self.around.servo.send(servo_status(mode, **{"time": self.around.clock.now(), **others}))
+        self.around.servo.send(command(mode, **{"time": self.around.clock.now(), **others}))
 
     def point(self, text: str) -> None:
         self._prompts.publish(messages.text(text))
@@ -83,8 +83,8 @@ def test_from_the_prompt_on_every_image_gives_orders_and_a_status():
         for _ in range(3):
             taken = around.show(picture(), age=0.02)
             status = led.step()
-            *_, policy_command = around.servo.receive()
-            assert policy_command.image_stamp == pytest.approx(taken, abs=0.01)
+            *_, joint_targets = around.servo.receive()
+            assert joint_targets.image_stamp == pytest.approx(taken, abs=0.01)
             assert status["mode"] == "armed"
             assert status["box"] == list(BOX)
         sent = [json.loads(messages.read_text(message.data)) for message in led.statuses.take()]
@@ -150,8 +150,8 @@ def test_the_policy_gets_the_joints_as_they_are_after_the_perception():
         led.say(Mode.ARMED, joint_pos=moved)
         while not (ordered := around.servo.receive()):
             led.step()
-        (policy_command,) = ordered
-        assert policy_command.joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
+        (joint_targets,) = ordered
+        assert joint_targets.joint_pos_target == pytest.approx(expected[0].numpy(), abs=1e-6)
 
 
 def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without():
@@ -169,8 +169,8 @@ def test_a_policy_that_knows_ages_decides_at_even_times_with_images_and_without(
         now = around.clock.now()
         led.say(Mode.RUN, time=now, target_stamp=stamps[0], image_stamp=now)
         led.step()
-        *_, policy_command = around.servo.receive()
-        assert policy_command.image_stamp == pytest.approx(taken, abs=0.005)
+        *_, joint_targets = around.servo.receive()
+        assert joint_targets.image_stamp == pytest.approx(taken, abs=0.005)
         assert min(after - before for before, after in pairwise(stamps)) > 0.5 * CONTROL_DT
         assert led.control_loop.statistics.num_missed >= 3
 

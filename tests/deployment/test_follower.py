@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loop_lab import HOME, badly_recorded, servo_status, surroundings
+from loop_lab import HOME, badly_recorded, command, surroundings
 
 from pixel2catch.cli.record import in_words
 from pixel2catch.deployment.follower import TrajectoryFollower
 from pixel2catch.errors import DeploymentError
 from pixel2catch.servo.flags import Fault, Mode
-from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.link import JointTargets
 
 RAMP = 0.05
 
@@ -22,15 +22,15 @@ def ramp(time: float) -> np.ndarray:
 
 def test_targets_are_those_of_the_time_since_the_ramp():
     with surroundings() as around:
-        follower, received = TrajectoryFollower(ramp, 0.15, RAMP, around.connection), list[PolicyCommand]()
+        follower, received = TrajectoryFollower(ramp, 0.15, RAMP, around.connection), list[JointTargets]()
         armed_at = around.clock.now()
-        around.servo.send(servo_status(Mode.ARMED, time=armed_at))
+        around.servo.send(command(Mode.ARMED, time=armed_at))
         follower.run(lambda: False, lambda _: received.extend(around.servo.receive()))
         assert follower.is_done
         assert len(received) > 10
-        for policy_command in received:
-            expected = ramp(policy_command.target_stamp - armed_at - RAMP)
-            assert policy_command.joint_pos_target == pytest.approx(expected, abs=1e-9)
+        for joint_targets in received:
+            expected = ramp(joint_targets.target_stamp - armed_at - RAMP)
+            assert joint_targets.joint_pos_target == pytest.approx(expected, abs=1e-9)
         (last,) = around.servo.receive()
         assert last.is_stop_requested
 
@@ -43,7 +43,7 @@ def test_nothing_is_ordered_before_it_is_armed():
             nonlocal num_calls
             num_calls += 1
 
-        around.servo.send(servo_status(Mode.IDLE, time=around.clock.now()))
+        around.servo.send(command(Mode.IDLE, time=around.clock.now()))
         follower.run(lambda: num_calls > 3, count)
         assert around.servo.receive() == []
         assert not follower.is_done
@@ -52,7 +52,7 @@ def test_nothing_is_ordered_before_it_is_armed():
 def test_a_recording_that_is_not_whole_is_said_while_it_follows(tmp_path: Path):
     with badly_recorded(tmp_path) as around:
         follower, said = TrajectoryFollower(ramp, 0.15, RAMP, around.connection), list[str]()
-        around.servo.send(servo_status(Mode.RUN, time=around.clock.now()))
+        around.servo.send(command(Mode.RUN, time=around.clock.now()))
         follower.run(lambda: bool(said), lambda status: said.append(in_words(status)))
     assert re.fullmatch(r"running: .* the recording lacks \d+ messages .*record anew\.", said[0])
 
@@ -61,7 +61,7 @@ def test_a_stop_ends_it_with_the_reason():
     with surroundings() as around:
         follower = TrajectoryFollower(ramp, 5.0, RAMP, around.connection)
         now = around.clock.now()
-        around.servo.send(servo_status(Mode.ARMED, time=now))
-        around.servo.send(servo_status(Mode.STOPPED, time=now + 0.01, stopped_by=Fault.TRACKING_ERROR))
+        around.servo.send(command(Mode.ARMED, time=now))
+        around.servo.send(command(Mode.STOPPED, time=now + 0.01, stopped_by=Fault.TRACKING_ERROR))
         with pytest.raises(DeploymentError, match="tracking error"):
             follower.run(lambda: False, lambda _: None)

@@ -134,13 +134,13 @@ def test_decisions_go_on_while_a_thread_looks_and_boxes_get_older(lab: Threaded)
     assert lab.end()
     lab.show(1.1)
     for now in (1.11, 1.11 + CONTROL_DT):
-        policy_command = lab.pipeline.decide(HOME, now)
-        assert policy_command is not None
-        assert (policy_command.target_stamp, policy_command.image_stamp) == (now, 1.0)
+        joint_targets = lab.pipeline.decide(HOME, now)
+        assert joint_targets is not None
+        assert (joint_targets.target_stamp, joint_targets.image_stamp) == (now, 1.0)
     assert lab.end()
-    policy_command = lab.pipeline.decide(HOME, 1.2)
-    assert policy_command is not None
-    assert policy_command.image_stamp == 1.1
+    joint_targets = lab.pipeline.decide(HOME, 1.2)
+    assert joint_targets is not None
+    assert joint_targets.image_stamp == 1.1
 
 
 def test_what_a_look_leaves_to_learn_is_learned_in_its_thread_when_it_is_done(lab: Threaded):

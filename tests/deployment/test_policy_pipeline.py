@@ -38,7 +38,7 @@ from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.segmenter import BoxPrompt
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.limits import LOSS_TIME
-from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.link import JointTargets
 from pixel2catch.workcells import find_workcell
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 
@@ -57,7 +57,7 @@ def see(pipeline: PolicyPipeline, frame: CameraFrame, now: float) -> Extraction:
 
 def think(
     pipeline: PolicyPipeline, frame: CameraFrame, joint_pos: np.ndarray, now: float
-) -> PolicyCommand | None:
+) -> JointTargets | None:
     see(pipeline, frame, now)
     return pipeline.decide(joint_pos, now)
 
@@ -94,13 +94,13 @@ def test_orders_are_the_controllers_for_boxes_as_old_as_in_training(age: float, 
     joint_pos = torch.from_numpy(HOME[None]).float()
     for step in range(4):
         now = 1.0 + step * CONTROL_DT
-        policy_command = think(pipeline, frame(now - age, 4.0 * step), HOME, now)
-        assert policy_command is not None
+        joint_targets = think(pipeline, frame(now - age, 4.0 * step), HOME, now)
+        assert joint_targets is not None
         box = torch.tensor([moved(4.0 * max(step - num_late, 0.0))])
         boxes = BoxHistory.begun(box, torch.tensor([1.8]), 1)
         expected = controller.step(joint_pos, boxes)[0].numpy()
-        assert policy_command.joint_pos_target == pytest.approx(expected, abs=1e-6)
-        assert (policy_command.target_stamp, policy_command.image_stamp) == (now, now - age)
+        assert joint_targets.joint_pos_target == pytest.approx(expected, abs=1e-6)
+        assert (joint_targets.target_stamp, joint_targets.image_stamp) == (now, now - age)
 
 
 def test_a_missing_image_repeats_the_box_and_keeps_its_stamp():
@@ -153,9 +153,9 @@ def test_a_policy_that_knows_ages_gets_what_was_measured_when_it_was_measured():
         assert think(pipeline, frame(stamp, 4.0 * step), HOME, stamp + 0.06)
     see(pipeline, CameraFrame(image=picture(None), stamp=1.0 + 5.0 * CONTROL_DT), 1.0 + 6.0 * CONTROL_DT)
     now = 1.0 + 6.5 * CONTROL_DT
-    policy_command = pipeline.decide(HOME, now)
-    assert policy_command is not None
-    assert policy_command.image_stamp == 1.0 + 5.0 * CONTROL_DT
+    joint_targets = pipeline.decide(HOME, now)
+    assert joint_targets is not None
+    assert joint_targets.image_stamp == 1.0 + 5.0 * CONTROL_DT
     boxes = seen_boxes(controller)
     assert boxes.age[0].tolist() == pytest.approx([2.5, 5.5, 6.5, 7.5, 8.5, 9.5, 10.5, 11.5], abs=1e-4)
     assert boxes.box[0].tolist() == [list(moved(by)) for by in (8.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
@@ -243,9 +243,9 @@ def test_while_the_object_is_still_for_long_the_targets_stay():
     places = [*((-1) ** step * 0.4 * MOTION for step in range(num_asked + 10)), 2.0 * MOTION, 3.0 * MOTION]
     for step, place in enumerate(places):
         now = step * CONTROL_DT
-        policy_command = think(pipeline, frame(now, place), HOME + 0.001 * step, now)
-        assert policy_command is not None
-        targets.append(policy_command.joint_pos_target)
+        joint_targets = think(pipeline, frame(now, place), HOME + 0.001 * step, now)
+        assert joint_targets is not None
+        targets.append(joint_targets.joint_pos_target)
     has_changed = [not np.array_equal(*pair) for pair in pairwise(targets)]
     assert has_changed == (num_asked - 1) * [True] + 10 * [False] + [True, True]
 

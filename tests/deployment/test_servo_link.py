@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from paper_robot import JOINTS
-from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link
+from pixel2catch.servo.link import Command, JointTargets, LoopEnd, ServoEnd, link
 
 NUMBERS = np.linspace(-1.0, 1.0, len(JOINTS))
 
 
-def policy_command(stamp: float = 1.0) -> PolicyCommand:
-    return PolicyCommand(
+def joint_targets(stamp: float = 1.0) -> JointTargets:
+    return JointTargets(
         joint_pos_target=NUMBERS,
         target_stamp=stamp,
         image_stamp=0.5,
@@ -27,15 +27,15 @@ def policy_command(stamp: float = 1.0) -> PolicyCommand:
     )
 
 
-def servo_status(time: float = 1.0) -> ServoStatus:
-    return ServoStatus(
+def command(time: float = 1.0) -> Command:
+    return Command(
         time=time,
         mode=3,
         stopped_by=4,
         found=1 << 15,
         refused=6,
         clamped=7,
-        command=np.full(len(JOINTS), np.nan),
+        joint_pos_command=np.full(len(JOINTS), np.nan),
         joint_pos=NUMBERS,
         duration=5e-4,
         target_stamp=time - 0.01,
@@ -52,10 +52,10 @@ def ends() -> Iterator[tuple[LoopEnd, ServoEnd]]:
 
 def test_orders_and_decisions_arrive_as_they_were_sent(ends: tuple[LoopEnd, ServoEnd]):
     loop, servo = ends
-    loop.send(policy_command())
-    servo.send(servo_status())
+    loop.send(joint_targets())
+    servo.send(command())
     (ordered,), (decided,) = servo.receive(), loop.receive()
-    for sent, received in ((policy_command(), ordered), (servo_status(), decided)):
+    for sent, received in ((joint_targets(), ordered), (command(), decided)):
         for name, value in vars(sent).items():
             np.testing.assert_array_equal(getattr(received, name), value)
     assert not servo.receive()
@@ -66,22 +66,22 @@ def test_what_nobody_takes_is_dropped_and_counted(ends: tuple[LoopEnd, ServoEnd]
     """At least 0.3 s of ticks fit; then the newest are lost, whole, and at once."""
     loop, servo = ends
     for tick in range(5000):
-        servo.send(servo_status(float(tick)))
+        servo.send(command(float(tick)))
     received = loop.receive()
     assert [each.time for each in received] == [float(tick) for tick in range(len(received))]
     assert len(received) > 150
     assert servo.num_dropped == 5000 - len(received)
-    servo.send(servo_status(9.0))
+    servo.send(command(9.0))
     assert loop.receive()[0].time == 9.0
 
 
 def test_what_was_sent_before_the_end_is_received_and_then_the_end(ends: tuple[LoopEnd, ServoEnd]):
     loop, servo = ends
-    loop.send(policy_command())
+    loop.send(joint_targets())
     loop.close()
     assert len(servo.receive()) == 1
     assert servo.is_closed
-    servo.send(servo_status())
+    servo.send(command())
     assert servo.num_dropped == 1
 
 
@@ -89,7 +89,7 @@ def answer(end: ServoEnd) -> None:
     """A process that repeats what it is told, until it is killed."""
     while True:
         for order in end.receive():
-            end.send(servo_status(order.target_stamp))
+            end.send(command(order.target_stamp))
         time.sleep(0.001)
 
 
@@ -99,7 +99,7 @@ def test_a_process_that_is_killed_is_seen_to_be_gone(stop: signal.Signals, ends:
     process = multiprocessing.get_context("spawn").Process(target=answer, args=(servo,), daemon=True)
     process.start()
     servo.close()
-    loop.send(policy_command(7.0))
+    loop.send(joint_targets(7.0))
     received = []
     while not received:
         received = loop.receive()

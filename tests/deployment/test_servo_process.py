@@ -107,7 +107,7 @@ def test_a_driver_that_says_nothing_of_itself_is_not_armed(topic: str, stage: St
         yield from wait(5)
 
     stage.play(script())
-    refused = {tuple(flag_names(Fault, each.refused)) for each in stage.lab.servo_statuses}
+    refused = {tuple(flag_names(Fault, each.refused)) for each in stage.lab.ticks}
     assert refused == {(), ("status unknown",)}
     assert stage.modes == [Mode.IDLE]
 
@@ -167,7 +167,7 @@ def test_a_dry_run_sends_nothing_and_runs(ends: tuple[LoopEnd, ServoEnd]):
     assert not any(stage.lab.commands.values())
     watcher = stage.broker.node(stage.clock)
     assert not any(watcher.num_other_publishers(part.command_topic) for part in stage.lab.profile.robots)
-    assert stage.lab.servo_statuses[-1].command[0] > HOME[0] + 0.1
+    assert stage.lab.ticks[-1].joint_pos_command[0] > HOME[0] + 0.1
 
 
 def test_a_dry_run_can_be_armed_again_after_a_stop(ends: tuple[LoopEnd, ServoEnd]):
@@ -275,7 +275,7 @@ def test_a_second_operator_stops_the_robot_and_keeps_it_from_being_armed(name: s
     stage.play(script())
     assert stage.mode == Mode.STOPPED
     assert "other operator" in stage.stopped_by or "dead man" in stage.stopped_by
-    found = {name for each in lab.servo_statuses for name in flag_names(Fault, each.found)}
+    found = {name for each in lab.ticks for name in flag_names(Fault, each.found)}
     assert "other operator" in found
 
 

@@ -51,12 +51,12 @@ class Theatre:
             self.lab.clock.sleep_until(due)
 
     def is_in(self, mode: Mode) -> bool:
-        servo_statuses = self.lab.servo_statuses
-        return bool(servo_statuses) and servo_statuses[-1].mode == mode
+        commands = self.lab.ticks
+        return bool(commands) and commands[-1].mode == mode
 
     def run(self, holds: Callable[[], bool]) -> None:
         """Everybody is heard of, the operator arms, and the arm moves until something holds."""
-        self.until(lambda: bool(self.lab.servo_statuses))
+        self.until(lambda: bool(self.lab.ticks))
         self.lab.target, asked = HOME + 0.1, [-1.0]
 
         def has_come() -> bool:
@@ -72,7 +72,7 @@ class Theatre:
         """What was found last, for the message of a test that fails."""
         return [
             str((each.mode, *tuple(flag_names(Fault, each.found | each.stopped_by))))
-            for each in self.lab.servo_statuses[-5:]
+            for each in self.lab.ticks[-5:]
         ]
 
 

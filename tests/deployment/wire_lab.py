@@ -12,7 +12,7 @@ from pixel2catch.ros2.messages import decode
 from pixel2catch.ros2.profile import Profile, RobotPart
 from pixel2catch.ros2.transport import Clock, Topic, Transport
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoStatus
+from pixel2catch.servo.link import Command, JointTargets, LoopEnd
 
 
 class WireLab:
@@ -27,7 +27,7 @@ class WireLab:
         self.silent: set[str] = set()
         self.change: Callable[[messages.JointReading], messages.JointReading] = lambda reading: reading
         self.commands: dict[str, list[np.ndarray]] = {part.name: [] for part in profile.robots}
-        self.servo_statuses: list[ServoStatus] = []
+        self.ticks: list[Command] = []
         self.image_age, self.speed, self.is_held = 0.03, 100.0, True
         self._tick = 0
         self._controllers = [part.controller for part in profile.robots if part.controller]
@@ -74,14 +74,14 @@ class WireLab:
             now = self.clock.now()
             image_stamp = now - self.image_age
             self.loop.send(
-                PolicyCommand(
+                JointTargets(
                     joint_pos_target=self.target,
                     target_stamp=now,
                     image_stamp=image_stamp,
                     box_stamp=image_stamp,
                 )
             )
-        self.servo_statuses += self.loop.receive()
+        self.ticks += self.loop.receive()
         self._tick += 1
 
     def _say_joints(self, part: RobotPart) -> None:

@@ -26,7 +26,7 @@ from pixel2catch.rendering.camera import Exposure
 from pixel2catch.ros2 import messages
 from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.scene.constants import CONTROL_DT
-from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.link import JointTargets
 from pixel2catch.shipped import policy_folder
 from pixel2catch.twin.config import RehearsalCfg
 from pixel2catch.twin.drivers import CYCLE, LATENCY
@@ -122,14 +122,14 @@ def knowing_ages(policy: Policy) -> Policy:
 SLOW = replace(ONE, throws=2, perception_ms=60.0, perception_jitter_ms=10.0, clock_error_ms=5.0)
 
 
-def servo_statuses(recording: Path) -> np.ndarray:
+def commands(recording: Path) -> np.ndarray:
     """When each decision was made, and the stamp of the newest image then [s]."""
     rows: list[tuple[float, float]] = []
     with opened_bag(recording) as reader:
         wanted = [each for each in reader.connections if each.topic == ORDERS.name]
         for _, _, data in reader.messages(wanted):
-            policy_command = PolicyCommand.of(messages.read_float_array(data))
-            rows.append((policy_command.target_stamp, policy_command.image_stamp))
+            joint_targets = JointTargets.of(messages.read_float_array(data))
+            rows.append((joint_targets.target_stamp, joint_targets.image_stamp))
     return np.array(rows)
 
 
@@ -138,7 +138,7 @@ def test_decisions_go_on_at_30_hz_while_perception_takes_two_control_steps(tmp_p
     recording = tmp_path / "tape"
     report = rehearsed(replace(SLOW, record=recording), knowing_ages(POLICY))
     assert [(throw["stops"], throw["problem"]) for throw in report["throws"]] == [([], "")] * 2
-    made, newest = servo_statuses(recording).T
+    made, newest = commands(recording).T
     gaps = np.diff(made)
     gaps = gaps[gaps < 0.1]  # between two throws nothing is decided
     assert len(gaps) > 100

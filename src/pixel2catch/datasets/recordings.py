@@ -17,7 +17,7 @@ from pixel2catch.ros2.bags import opened_bag
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.servo.flags import Mode
-from pixel2catch.servo.link import PolicyCommand, ServoStatus
+from pixel2catch.servo.link import Command, JointTargets
 
 RUNS = (int(Mode.RAMP), int(Mode.RUN))  #: Modes in which the robot follows the policy.
 TASK = "Catch the thrown object."
@@ -86,17 +86,17 @@ def _decisions(recording: Path, profile: Profile) -> _Decisions:
 
 def _read(
     recording: Path, profile: Profile
-) -> tuple[list[ServoStatus], list[tuple[float, PolicyCommand]], list[tuple[float, np.ndarray]], np.ndarray]:
+) -> tuple[list[Command], list[tuple[float, JointTargets]], list[tuple[float, np.ndarray]], np.ndarray]:
     """Ticks of the servo, decisions, boxes and the times of the images, each with the recorder's time [s]."""
-    servo, orders, images = list[ServoStatus](), list[tuple[float, PolicyCommand]](), list[float]()
+    servo, orders, images = list[Command](), list[tuple[float, JointTargets]](), list[float]()
     boxes = list[tuple[float, np.ndarray]]()
     with opened_bag(recording, extra="deployment") as reader:
         for connection, nanoseconds, data in reader.messages():
             time, topic = 1e-9 * nanoseconds, connection.topic
             if topic == SERVO.name:
-                servo.append(ServoStatus.of(messages.read_float_array(data)))
+                servo.append(Command.of(messages.read_float_array(data)))
             elif topic == ORDERS.name:
-                orders.append((time, PolicyCommand.of(messages.read_float_array(data))))
+                orders.append((time, JointTargets.of(messages.read_float_array(data))))
             elif topic == profile.operator.status.name:
                 box = messages.read_json(data)["box"]
                 if box is not None or boxes:

@@ -25,7 +25,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.profile import OperatorTopics
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.flags import Mode
-from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.link import JointTargets
 
 POLL = 0.002
 """Longest real time between two looks at servo and network [s]; an image ends it. Source: ours."""
@@ -101,7 +101,7 @@ class ControlLoop:
         self._perception = ConcurrentPerception(pipeline, executor, connection.clock)
         self._look: PerceptionResult | None = None
         self._seen: Extraction | None = None
-        self._sent: PolicyCommand | None = None
+        self._sent: JointTargets | None = None
         self._timer = DecisionTimer(connection.clock.now())
 
     def run(self, is_over: Callable[[], bool], on_status: Callable[[dict[str, Any]], None]) -> None:
@@ -146,20 +146,20 @@ class ControlLoop:
             return None
         look, self._look = self._look, None
         took = look.end - look.begin if look else 0.0
-        policy_command, complaint = self._decide()
-        self._timer.advance(now, is_even=policy_command is not None)
-        return self._conclude(policy_command, complaint, look, began=now - took)
+        joint_targets, complaint = self._decide()
+        self._timer.advance(now, is_even=joint_targets is not None)
+        return self._conclude(joint_targets, complaint, look, began=now - took)
 
     def _hear(self) -> None:
         """Take what servo and operator have said."""
-        for servo_status in self._connection.hear():
-            self.statistics.note_status(servo_status, self._connection.servo_dt)
-            self._images.remember(servo_status.time, servo_status.joint_pos)
-            self._joint_pos = servo_status.joint_pos
-            if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
+        for command in self._connection.hear():
+            self.statistics.note_command(command, self._connection.servo_dt)
+            self._images.remember(command.time, command.joint_pos)
+            self._joint_pos = command.joint_pos
+            if command.mode == Mode.ARMED and self._mode != Mode.ARMED:
                 self._perception.begin(None)
                 self._requests.stopped_by = ""
-            self._mode = servo_status.mode
+            self._mode = command.mode
         for prompt in self._requests.take():
             self._perception.begin(prompt)
 
@@ -172,7 +172,7 @@ class ControlLoop:
 
     def _conclude(
         self,
-        policy_command: PolicyCommand | None,
+        joint_targets: JointTargets | None,
         complaint: str,
         look: PerceptionResult | None,
         *,
@@ -182,14 +182,14 @@ class ControlLoop:
 
         There is a look if an image has been looked at since the last one.
         """
-        if policy_command and self._mode in ACTIVE:
-            self._connection.servo.send(policy_command)
-            self._sent = policy_command
+        if joint_targets and self._mode in ACTIVE:
+            self._connection.servo.send(joint_targets)
+            self._sent = joint_targets
         end = self._clock.now()
         seen = self._seen if end - self._images.stamp < SILENCE else None
         if self._mode in ACTIVE:
             self.statistics.count_step(took=end - began, is_missed=look is None)
-        if self._mode in ACTIVE and policy_command and look:
+        if self._mode in ACTIVE and joint_targets and look:
             times = {"received": look.received, "begun": look.begin, "looked": look.end, "decided": end}
             self.statistics.count_stages(look.frame.stamp, times)
         trouble = self._recording.trouble if self._recording else ""
@@ -201,8 +201,8 @@ class ControlLoop:
         status = self.statistics.status(seen, message, sight.at(end), end - sight.box_stamp)
         self._status.publish(messages.text(json.dumps(status)))
         if self._recording:
-            if policy_command:
-                self._recording.record_row(ORDERS, policy_command.row, end)
+            if joint_targets:
+                self._recording.record_row(ORDERS, joint_targets.row, end)
             self._recording.record_messages()
         return status
 
@@ -211,15 +211,15 @@ class ControlLoop:
         """Why perception cannot be trusted; empty if it can."""
         return self._images.problem or self._pipeline.sight.problem
 
-    def _decide(self) -> tuple[PolicyCommand | None, str]:
+    def _decide(self) -> tuple[JointTargets | None, str]:
         """A command, if there can be one, and what is wrong; the servo is told of the newest image."""
         now = self._clock.now()
         try:
-            policy_command = self._pipeline.decide(self._joint_pos, now)
+            joint_targets = self._pipeline.decide(self._joint_pos, now)
         except (NonFiniteError, DeploymentError) as error:
             return None, str(error)
-        if policy_command is None:
+        if joint_targets is None:
             return None, ""
-        self.statistics.note_command(policy_command)
+        self.statistics.note_targets(joint_targets)
         newest, is_sound = min(self._images.stamp, now), not self._problem
-        return replace(policy_command, image_stamp=newest, is_perception_sound=is_sound), ""
+        return replace(joint_targets, image_stamp=newest, is_perception_sound=is_sound), ""

@@ -10,7 +10,7 @@ from pixel2catch.deployment.statistics import RunStatistics
 from pixel2catch.errors import DeploymentError
 from pixel2catch.servo.flags import Mode
 from pixel2catch.servo.limits import STOP_TIME, Joints
-from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.link import JointTargets
 
 PERIOD = 0.01  #: Time between two commands [s]. Source: ours.
 
@@ -56,17 +56,17 @@ class TrajectoryFollower:
     def _hear(self) -> None:
         """Record everything; begin when the servo is armed, and give up when it is stopped."""
         connection = self._connection
-        for servo_status in connection.hear():
-            self.statistics.note_status(servo_status, connection.servo_dt)
-            if servo_status.mode == Mode.ARMED and self._mode != Mode.ARMED:
-                self._armed_at = servo_status.time
-            if servo_status.mode == Mode.STOPPED and np.isfinite(self._armed_at):
-                reasons, elapsed = ", ".join(self.statistics.stops), servo_status.time - self._armed_at
+        for command in connection.hear():
+            self.statistics.note_command(command, connection.servo_dt)
+            if command.mode == Mode.ARMED and self._mode != Mode.ARMED:
+                self._armed_at = command.time
+            if command.mode == Mode.STOPPED and np.isfinite(self._armed_at):
+                reasons, elapsed = ", ".join(self.statistics.stops), command.time - self._armed_at
                 raise DeploymentError(
                     f"the robot was stopped ({reasons}) {elapsed:.1f} s after it was armed; the recording "
                     "ends there: mend the reason, and record anew."
                 )
-            self._mode = servo_status.mode
+            self._mode = command.mode
         if connection.recording:
             connection.recording.record_messages()
 
@@ -74,20 +74,20 @@ class TrajectoryFollower:
         if not np.isfinite(self._armed_at):
             return
         elapsed = now - self._armed_at - self._ramp_time
-        policy_command = self._order(now, elapsed)
+        joint_targets = self._order(now, elapsed)
         if self._connection.recording:
-            self._connection.recording.record_row(ORDERS, policy_command.row, now)
+            self._connection.recording.record_row(ORDERS, joint_targets.row, now)
         self.is_done = elapsed > self._duration
 
-    def _order(self, now: float, elapsed: float, *, is_stop_requested: bool = False) -> PolicyCommand:
+    def _order(self, now: float, elapsed: float, *, is_stop_requested: bool = False) -> JointTargets:
         """Give the servo now [s] the target of a time since the trajectory's beginning [s]."""
-        policy_command = PolicyCommand(
+        joint_targets = JointTargets(
             joint_pos_target=self._targets(elapsed),
             **dict.fromkeys(("target_stamp", "image_stamp", "box_stamp"), now),
             is_stop_requested=is_stop_requested,
         )
-        self._connection.servo.send(policy_command)
-        return policy_command
+        self._connection.servo.send(joint_targets)
+        return joint_targets
 
     def _rest(self) -> None:
         """Have the servo stop, and record that, too."""

@@ -28,7 +28,7 @@ from pixel2catch.robots.geometry import WorkcellGeometry
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA, CameraSpec
 from pixel2catch.servo.limits import Joints
-from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.link import JointTargets
 
 
 @dataclass(frozen=True)
@@ -236,7 +236,7 @@ class PolicyPipeline:
             self._stamps.append(frame.stamp)
             self._boxes.append(seen.box[0])
 
-    def decide(self, joint_pos: Joints, now: float) -> PolicyCommand | None:
+    def decide(self, joint_pos: Joints, now: float) -> JointTargets | None:
         """Let the policy decide on what was seen, and on joints as they are now.
 
         In training it acts in the very moment in which the joints are measured. Positions that are as old as
@@ -264,7 +264,7 @@ class PolicyPipeline:
             boxes = self._measured(now) if self.knows_age else self._box_at(now - BOX_AGE)
             target = self._controller.step(torch.tensor(joint_pos[None], dtype=torch.float32), boxes)
             self._target = target[0].double().numpy()
-        return PolicyCommand(
+        return JointTargets(
             joint_pos_target=self._target,
             target_stamp=now,
             image_stamp=self._looked,

@@ -18,7 +18,7 @@ from pixel2catch.ros2 import messages
 from pixel2catch.ros2.messages import STORE, compress, compressed_topic
 from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Clock, Message, Topic, Transport
-from pixel2catch.servo.link import LoopEnd, ServoStatus
+from pixel2catch.servo.link import Command, LoopEnd
 from pixel2catch.servo.process import RECORDER_PRIORITY, give_way
 
 MOST_WAITING = 128 * 2**20  #: Messages that wait to be written [bytes]: 4 s of images. Source: ours.
@@ -120,10 +120,10 @@ class BagRecorder(AbstractContextManager["BagRecorder"]):
         return True
 
 
-SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)  #: Ticks of the servo, `ServoStatus.row`.
+SERVO = Topic(name="/pixel2catch/servo", type=messages.FLOAT_ARRAY)  #: Ticks of the servo, `Command.row`.
 ORDERS = Topic(
     name="/pixel2catch/policy_command", type=messages.FLOAT_ARRAY
-)  #: Its orders, `PolicyCommand.row`.
+)  #: Its orders, `JointTargets.row`.
 DEPTH = 512  #: Messages that are kept between two control steps.
 LONGEST = 0.5  #: Time between two looks after which messages may be lost [s]. Source: ours, half of `DEPTH`.
 HELD_UP = "the recording may lack messages, as this program was held up: end others, and record anew."
@@ -207,16 +207,16 @@ class Connection:
     clock: Clock
     recording: DeploymentRecorder | None
 
-    def hear(self) -> Iterator[ServoStatus]:
+    def hear(self) -> Iterator[Command]:
         """Yield what the servo has said since the last call, and record it.
 
         Raises:
             DeploymentError: The servo process is gone.
         """
-        for servo_status in self.servo.receive():
+        for command in self.servo.receive():
             if self.recording:
-                self.recording.record_row(SERVO, servo_status.row, servo_status.time)
-            yield servo_status
+                self.recording.record_row(SERVO, command.row, command.time)
+            yield command
         if self.servo.is_closed:
             raise DeploymentError(
                 "the servo process has ended, and nothing guards the robot: press its stop. What the process "

@@ -25,7 +25,7 @@ from pixel2catch.ros2.profile import Profile
 from pixel2catch.ros2.transport import Topic, Transport
 from pixel2catch.scene.constants import CONTROL_DT, CameraSpec
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import PolicyCommand, ServoStatus
+from pixel2catch.servo.link import Command, JointTargets
 from pixel2catch.servo.process import ServoSetup
 from pixel2catch.workcells import find_workcell
 
@@ -172,9 +172,9 @@ def recorded_targets(recording: Path) -> RecordedTargets:
         for connection, time, data in reader.messages(wanted):
             row = messages.read_float_array(data)
             if connection.topic == SERVO.name:
-                offset = 1e-9 * time - ServoStatus.of(row).time
+                offset = 1e-9 * time - Command.of(row).time
             else:
-                order = PolicyCommand.of(row)
+                order = JointTargets.of(row)
                 taken = order.image_stamp
                 targets.setdefault(taken, (taken + offset, order.joint_pos_target))
         times, rows = [time for time, _ in targets.values()], [target for _, target in targets.values()]

@@ -12,7 +12,7 @@ from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.scene.constants import CONTROL_DT
 from pixel2catch.servo.flags import Clamp, Fault, Mode, flag_names
-from pixel2catch.servo.link import PolicyCommand, ServoStatus
+from pixel2catch.servo.link import Command, JointTargets
 
 BIN, LONGEST = 5e-5, 0.5  #: Width of a histogram's bins, and what the last one holds from [s]. Source: ours.
 NUM_MS = round(1e-3 / BIN)  #: Bins of a millisecond.
@@ -78,7 +78,7 @@ class RunStatistics:
     _ticks: Histogram = field(default_factory=Histogram)
     _latency: float | None = None
     _sent: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=8))
-    _last: ServoStatus | None = None
+    _last: Command | None = None
     _refused: int = 0
     _clamped: int = 0
 
@@ -95,29 +95,29 @@ class RunStatistics:
         for name, time in times.items():
             self._stages[name].count(time - stamp)
 
-    def note_command(self, policy_command: PolicyCommand) -> None:
+    def note_targets(self, joint_targets: JointTargets) -> None:
         """Note a command by the image that it was decided on, of which the servo is not told."""
-        self._sent.append((policy_command.target_stamp, policy_command.image_stamp))
+        self._sent.append((joint_targets.target_stamp, joint_targets.image_stamp))
 
-    def note_status(self, servo_status: ServoStatus, dt: float) -> None:
+    def note_command(self, command: Command, dt: float) -> None:
         """Note a tick of the servo, which is to come every so often [s]."""
         last = self._last
         self.num_ticks += 1
-        self._ticks.count(servo_status.duration)
-        self._refused |= servo_status.refused
-        self._clamped |= servo_status.clamped
-        self.clamps.update(flag_names(Clamp, servo_status.clamped))
-        if servo_status.refused:
-            self.refusals[", ".join(flag_names(Fault, servo_status.refused))] += 1
+        self._ticks.count(command.duration)
+        self._refused |= command.refused
+        self._clamped |= command.clamped
+        self.clamps.update(flag_names(Clamp, command.clamped))
+        if command.refused:
+            self.refusals[", ".join(flag_names(Fault, command.refused))] += 1
         if last is not None:
-            self.num_late_ticks += servo_status.time - last.time > 2.0 * dt + 1e-4
-            if servo_status.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
-                self.stops[", ".join(flag_names(Fault, servo_status.stopped_by))] += 1
-            if servo_status.mode in ACTIVE and servo_status.target_stamp > last.target_stamp:
-                image_stamp = dict(self._sent).get(servo_status.target_stamp, servo_status.image_stamp)
-                self._latency = servo_status.time - image_stamp
+            self.num_late_ticks += command.time - last.time > 2.0 * dt + 1e-4
+            if command.mode == Mode.STOPPED and last.mode != Mode.STOPPED:
+                self.stops[", ".join(flag_names(Fault, command.stopped_by))] += 1
+            if command.mode in ACTIVE and command.target_stamp > last.target_stamp:
+                image_stamp = dict(self._sent).get(command.target_stamp, command.image_stamp)
+                self._latency = command.time - image_stamp
                 self._latencies.count(self._latency)
-        self._last = servo_status
+        self._last = command
 
     def status(
         self, seen: Extraction | None, message: str, sight: Sight | None = None, age: float = inf

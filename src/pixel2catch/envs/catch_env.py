@@ -58,7 +58,7 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class LastCommand:
     """What was last commanded."""
 
     action: Float[Tensor, "num_envs num_joints"]
@@ -208,7 +208,7 @@ class CatchEnv:
         commands = self._commands.pushed(target)
         late = commands.interpolated(self._episode.command_delay)
         log = self.world.run(late, self._base_acceleration(), self._episode.drag)
-        command = Command(action=action, joint_pos_target=target)
+        command = LastCommand(action=action, joint_pos_target=target)
         transition = self._transition(command, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
@@ -234,7 +234,7 @@ class CatchEnv:
         now = self.world.privileged(log)
         image = self.detector.look(now, self._episode)
         detection = self.detector.disturbed(image, self._episode)
-        started = Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        started = LastCommand(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
         measurement = self._measure(started, detection, self._first_boxes(detection), detection.object_pos)
         senses = Senses(
             image=image,
@@ -257,7 +257,7 @@ class CatchEnv:
         middles = torch.arange(scene.decimation, device=self.device)[:, None] + 0.5
         return shake.acceleration(CONTROL_DT * steps + scene.physics_dt * middles)
 
-    def _transition(self, command: Command, log: StepExtremes) -> Transition:
+    def _transition(self, command: LastCommand, log: StepExtremes) -> Transition:
         """What this control step changed."""
         now, record = self.world.privileged(log), self._episode.record
         return Transition(
@@ -287,7 +287,7 @@ class CatchEnv:
         self.world.release(is_released, self._episode.throw)
         self.world.simulation.forward(ended | is_released)
 
-    def _sense(self, begun: Bool[Tensor, " num_envs"], command: Command, log: StepExtremes) -> None:
+    def _sense(self, begun: Bool[Tensor, " num_envs"], command: LastCommand, log: StepExtremes) -> None:
         """Look and measure after a control step; nothing of an ended episode survives.
 
         Images are taken a fraction of a control step before it, and arrive after whole ones.
@@ -301,7 +301,7 @@ class CatchEnv:
         first = DelayLine.filled(detection, self.cfg.longest_latency)
         detections = select(begun, first, senses.detections.pushed(detection))
         joint_pos = self.world.joint_pos
-        started = Command(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        started = LastCommand(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
         delivered = detections.delivered(latency)
         boxes = senses.history.now.boxes.advanced(delivered.box, self._age(delivered), delivered.stale == 0.0)
         now = self._measure(
@@ -330,7 +330,7 @@ class CatchEnv:
 
     def _measure(
         self,
-        command: Command,
+        command: LastCommand,
         detection: Detection,
         boxes: BoxHistory,
         initial_object_pos: Float[Tensor, "num_envs 3"],

@@ -22,68 +22,71 @@ Row = Float64[np.ndarray, " size"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PolicyCommand:
-    """What the control loop tells the servo; a row has the fields in their order."""
+class JointTargets:
+    """What the policy asks of the servo; a row has the fields in their order."""
 
-    target_stamp: float  #: When the targets were decided, `Clock.now` [s].
-    image_stamp: float  #: When the newest image was taken, `Clock.now` [s].
-    box_stamp: float  #: When the newest image was taken in which the object was seen, `Clock.now` [s].
-    is_perception_sound: bool = True  #: Whether what perception says can be true.
-    is_stop_requested: bool = False  #: Whether the control loop asks to stop.
-    joint_pos_target: Joints  #: Targets of the policy in joint order [rad].
+    target_stamp: float  #: Time of the decision, `Clock.now` [s].
+    image_stamp: float  #: Exposure time of the newest image, `Clock.now` [s].
+    box_stamp: float  #: Exposure time of the newest image in which the object was found, `Clock.now` [s].
+    is_perception_sound: bool = True  #: Whether images and boxes are plausible.
+    is_stop_requested: bool = False  #: Whether the servo must stop the robot.
+    joint_pos_target: Joints  #: Target of each joint, in joint order [rad].
 
     @classmethod
-    def none(cls, num_joints: int) -> "PolicyCommand":
-        """What holds before anything was commanded."""
+    def none(cls, num_joints: int) -> "JointTargets":
+        """Return the targets before the first decision: NaN, infinitely old."""
         unknown = np.full(num_joints, np.nan)
         return cls(joint_pos_target=unknown, target_stamp=-np.inf, image_stamp=-np.inf, box_stamp=-np.inf)
 
     @classmethod
-    def of(cls, row: Row) -> "PolicyCommand":
-        """Read it."""
+    def of(cls, row: Row) -> "JointTargets":
+        """Read a row."""
         values = (*row[:3].tolist(), *(row[3:5] != 0.0).tolist(), row[5:])
         by_name: dict[str, Any] = dict(zip(cls.__annotations__, values, strict=True))
         return cls(**by_name)
 
     @property
     def row(self) -> Row:
-        """Write it."""
+        """Write a row."""
         *numbers, joint_pos_target = vars(self).values()
         return np.concatenate((numbers, joint_pos_target))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ServoStatus:
-    """What the servo tells the control loop in every tick; a row has the fields in their order."""
+class Command:
+    """What the servo commands in one tick, and why; a row has the fields in their order.
 
-    time: float  #: When it was decided, `Clock.now` [s].
-    duration: float  #: How long the tick took [s], in real time.
-    target_stamp: float  #: When the newest targets were decided, `Clock.now` [s].
-    image_stamp: float  #: When their image was taken, `Clock.now` [s].
+    Drivers receive the positions, control loop and recordings receive all of it.
+    """
+
+    time: float  #: Time of the tick, `Clock.now` [s].
+    duration: float  #: Computing time of the tick [s].
+    target_stamp: float  #: `JointTargets.target_stamp` of the newest targets [s].
+    image_stamp: float  #: `JointTargets.image_stamp` of the newest targets [s].
     mode: int  #: A `Mode`.
-    stopped_by: int  #: `Fault` bits that a stop is for.
+    stopped_by: int  #: `Fault` bits that caused a stop.
     found: int  #: `Fault` bits found in this tick.
-    refused: int  #: `Fault` bits for which a request to arm was refused in this tick.
-    clamped: int  #: `Clamp` bits.
-    command: Joints  #: Commands in joint order [rad]; NaN while nothing is sent.
+    refused: int  #: `Fault` bits that made the servo refuse to arm in this tick.
+    clamped: int  #: `Clamp` bits: limits that changed the command in this tick.
+    joint_pos_command: Joints  #: Commanded joint positions in joint order [rad]; NaN while none are sent.
     joint_pos: Joints  #: Newest measured joint positions [rad].
 
     @classmethod
-    def of(cls, row: Row) -> "ServoStatus":
-        """Read it."""
+    def of(cls, row: Row) -> "Command":
+        """Read a row."""
         values = (*row[:4].tolist(), *map(int, row[4:9].tolist()), *row[9:].reshape(2, -1))
         by_name: dict[str, Any] = dict(zip(cls.__annotations__, values, strict=True))
         return cls(**by_name)
 
     @property
     def row(self) -> Row:
-        """Write it."""
-        *numbers, command, joint_pos = vars(self).values()
-        return np.concatenate((numbers, command, joint_pos))
+        """Write a row."""
+        *numbers, joint_pos_command, joint_pos = vars(self).values()
+        return np.concatenate((numbers, joint_pos_command, joint_pos))
 
 
-Sent = TypeVar("Sent", PolicyCommand, ServoStatus)
-Received = TypeVar("Received", PolicyCommand, ServoStatus)
+Sent = TypeVar("Sent", JointTargets, Command)
+Received = TypeVar("Received", JointTargets, Command)
 
 
 @final
@@ -125,11 +128,11 @@ class LinkEnd(Generic[Sent, Received]):
         self._socket.close()
 
 
-LoopEnd = LinkEnd[PolicyCommand, ServoStatus]
-ServoEnd = LinkEnd[ServoStatus, PolicyCommand]
+LoopEnd = LinkEnd[JointTargets, Command]
+ServoEnd = LinkEnd[Command, JointTargets]
 
 
 def link() -> tuple[LoopEnd, ServoEnd]:
     """The two ends of a new link."""
     loop, servo = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    return LinkEnd(loop, ServoStatus), LinkEnd(servo, PolicyCommand)
+    return LinkEnd(loop, Command), LinkEnd(servo, JointTargets)

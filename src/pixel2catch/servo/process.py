@@ -24,7 +24,7 @@ from pixel2catch.ros2.transport import Clock, RealClock, Transport
 from pixel2catch.servo.core import ServoCore, ServoState
 from pixel2catch.servo.flags import Mode
 from pixel2catch.servo.limits import STOP_TIME, ServoLimits
-from pixel2catch.servo.link import LoopEnd, PolicyCommand, ServoEnd, ServoStatus, link
+from pixel2catch.servo.link import Command, JointTargets, LoopEnd, ServoEnd, link
 from pixel2catch.servo.subscriptions import ServoSubscriptions
 
 SERVO, CONTROL_LOOP = -10, -8
@@ -137,7 +137,7 @@ class Servo:
         self._commands = CommandPublisher(transport, setup, clock)
         publishers = self._commands.publishers
         self._subscriptions = ServoSubscriptions(transport, setup.profile, limits, publishers)
-        self._state, self._policy_command = ServoState.idle(1, limits), PolicyCommand.none(num_joints)
+        self._state, self._joint_targets = ServoState.idle(1, limits), JointTargets.none(num_joints)
         self._is_ending = False
         #: What came up that nobody foresaw; the robot was stopped for it.
         self.unforeseen: Exception | None = None
@@ -171,32 +171,32 @@ class Servo:
         """Hear, decide, command and tell."""
         begun = perf_counter()
         self._guard(self._hear)
-        now, policy_command = self._clock.now(), self._policy_command
+        now, joint_targets = self._clock.now(), self._joint_targets
         if self._is_ending:
-            policy_command = replace(policy_command, is_stop_requested=True)
-        inputs = self._subscriptions.inputs(now, policy_command)
+            joint_targets = replace(joint_targets, is_stop_requested=True)
+        inputs = self._subscriptions.inputs(now, joint_targets)
         self._state, output = self._core.tick(self._state, inputs)
         self._guard(lambda: self._commands.send(output.command[0], self._subscriptions.joints.held))
         self._end.send(
-            ServoStatus(
+            Command(
                 time=now,
                 mode=int(output.mode[0]),
                 stopped_by=int(output.stopped_by[0]),
                 found=int(output.found[0]),
                 refused=int(output.refused[0]),
                 clamped=int(output.clamped[0]),
-                command=output.command[0],
+                joint_pos_command=output.command[0],
                 joint_pos=inputs.joint_pos[0],
                 duration=perf_counter() - begun,
-                target_stamp=policy_command.target_stamp,
-                image_stamp=policy_command.image_stamp,
+                target_stamp=joint_targets.target_stamp,
+                image_stamp=joint_targets.image_stamp,
             )
         )
 
     def _hear(self) -> None:
         """Take what control loop, robot and operator have said."""
-        for policy_command in self._end.receive():
-            self._policy_command = policy_command
+        for joint_targets in self._end.receive():
+            self._joint_targets = joint_targets
         if self._end.is_closed:
             self.end()
         self._subscriptions.hear(self._clock.now())

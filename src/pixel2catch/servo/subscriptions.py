@@ -17,7 +17,7 @@ from pixel2catch.ros2.profile import Columns, OperatorTopics, Profile, RobotPart
 from pixel2catch.ros2.transport import Message, Publisher, Topic, Transport
 from pixel2catch.servo.core import ServoInputs
 from pixel2catch.servo.limits import ServoLimits
-from pixel2catch.servo.link import PolicyCommand
+from pixel2catch.servo.link import JointTargets
 
 DEPTH = 16  #: Messages kept from one tick to the next: several senders may share a topic. Source: ours.
 MOST_BYTES = 2**14
@@ -258,26 +258,26 @@ class ServoSubscriptions:
             self._num_subscribers = [publisher.num_subscribers() for publisher in self._publishers]
             self._status.count_senders()
 
-    def inputs(self, now: float, policy_command: PolicyCommand) -> ServoInputs:
+    def inputs(self, now: float, joint_targets: JointTargets) -> ServoInputs:
         """What the servo is told in a tick, with what the control loop has ordered last."""
         joints, status, operator = self.joints, self._status, self._operator
         return ServoInputs(
             joint_pos=joints.joint_pos[None].copy(),
             joint_stamp=joints.joint_stamp[None].copy(),
-            joint_pos_target=policy_command.joint_pos_target[None],
+            joint_pos_target=joint_targets.joint_pos_target[None],
             **_rows(
                 now=now,
-                target_stamp=policy_command.target_stamp,
-                image_stamp=policy_command.image_stamp,
-                box_stamp=policy_command.box_stamp,
+                target_stamp=joint_targets.target_stamp,
+                image_stamp=joint_targets.image_stamp,
+                box_stamp=joint_targets.box_stamp,
                 dead_man_stamp=operator.dead_man_stamp,
                 pressed_stamp=operator.pressed_stamp,
                 arm_stamp=operator.arm_stamp,
                 speed_scaling=status.speed_scaling,
             ),
             **_rows(
-                is_perception_sound=policy_command.is_perception_sound,
-                is_stop_requested=operator.is_stop_requested or policy_command.is_stop_requested,
+                is_perception_sound=joint_targets.is_perception_sound,
+                is_stop_requested=operator.is_stop_requested or joint_targets.is_stop_requested,
                 is_safe=status.is_safe,
                 is_status_known=status.is_known,
                 has_controller=status.has_controller,
