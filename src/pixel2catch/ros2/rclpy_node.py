@@ -1,5 +1,7 @@
 """The network of ROS 2 by rclpy, where ROS 2 is sourced: for middlewares that `dds` does not speak.
 
+A node imports rclpy; this module does not, so that it can be imported without ROS 2.
+
 Tried with rclpy 7.1 (Jazzy) on Cyclone DDS; versions before Iron do not say when a message was sent.
 """
 
@@ -10,14 +12,6 @@ import os
 from functools import partial
 from threading import Thread
 from typing import Any, final
-
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
-from rclpy.subscription import Subscription as RclpySubscription
-from rosidl_runtime_py.utilities import get_message
 
 from pixel2catch.errors import DeploymentError
 from pixel2catch.ros2.memory import MessageQueue, MessageQueues
@@ -46,7 +40,14 @@ class RosTransport(Transport):
         Raises:
             DeploymentError: It may speak to this machine only, and ROS 2 is not set so, or to one interface,
                 which rclpy cannot choose; this version of ROS 2 is too old; or it cannot be started.
+            ImportError: ROS 2 is not sourced.
         """
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+        from rclpy.subscription import Subscription as RclpySubscription
+
         if network == LOOPBACK and not any(
             os.environ.get(name) == value for name, value in ROS_ON_LOOPBACK.items()
         ):
@@ -127,6 +128,8 @@ class RosTransport(Transport):
 
     def close(self) -> None:
         """Leave the network; a second time does nothing."""
+        import rclpy
+
         if not self._is_open:
             return
         self._is_open = False
@@ -163,6 +166,8 @@ class _RosPublisher(Publisher):
 
     def _is_taken_by(self, subscription: Any) -> bool:
         """Whether a subscription hears this publisher, and does more than watch."""
+        from rclpy.qos import QoSDurabilityPolicy
+
         wants_latched = subscription.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
         fits = subscription.topic_type == self._topic.type and self._topic.is_latched >= wants_latched
         return fits and not subscription.node_name.startswith(OWN_NODES)
@@ -170,6 +175,8 @@ class _RosPublisher(Publisher):
 
 def _type(topic: Topic) -> Any:
     """The message's class; its package must be installed, as ur_dashboard_msgs is with UR's driver."""
+    from rosidl_runtime_py.utilities import get_message
+
     try:
         return get_message(topic.type)
     except (AttributeError, ModuleNotFoundError, ValueError) as error:
@@ -178,11 +185,13 @@ def _type(topic: Topic) -> Any:
         raise DeploymentError(message) from error
 
 
-def _qos(topic: Topic, depth: int, *, is_reader: bool) -> QoSProfile:
+def _qos(topic: Topic, depth: int, *, is_reader: bool) -> Any:
     """Writers are reliable, and keep the last message of latched topics for late subscribers.
 
     A best-effort reader hears every publisher; latched messages must be asked for reliably.
     """
+    from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+
     is_reliable = topic.is_latched or not is_reader
     return QoSProfile(
         depth=depth,
