@@ -1,6 +1,6 @@
 """Print how well a network can tell from the last boxes where a thrown object will come down.
 
-python benchmarks/sight_information.py --features frames box_fit --steps 300 1200
+python benchmarks/sight_information.py --features frames fit_boxes --steps 300 1200
 
 No physics engine: a ball of 6 cm on its path, seen late, with noise, bias, missing boxes and wrong stamps by
 a camera that is a little off. Every set of features feeds the same network; root mean squares of the error of
@@ -16,10 +16,10 @@ from math import radians, tau
 import torch
 from torch import Tensor
 
-from pixel2catch.camera.box_history import box_fit
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.stress.suite import HUMAN
+from pixel2catch.mdp.observations import fit_boxes
 from pixel2catch.mdp.throws import ThrowCfg, random_directions, sample_throws
 from pixel2catch.scene.constants import GRAVITY, RGB_CAMERA
 
@@ -168,10 +168,10 @@ FEATURES: dict[str, Callable[[Tensor, Tensor, Tensor], Tensor]] = {
     **{f"fit{n}": lambda box, age, last, n=n: window_fit(box, age, n)[0] for n in (5, 8, 12)},
     "fit5+fit12": lambda box, age, last: torch.cat([window_fit(box, age, n)[0] for n in (5, 12)], -1),
     "fit8+age+rest": lambda box, age, last: torch.cat((*window_fit(box, age, 8), age[:, :1]), -1),
-    "box_fit unscaled": lambda box, age, last: box_fit(box[:, :16], age[:, :16], RGB_CAMERA)[
+    "fit_boxes unscaled": lambda box, age, last: fit_boxes(box[:, :16], age[:, :16], RGB_CAMERA)[
         :, [*range(18), -1]
     ],
-    "box_fit": lambda box, age, last: box_fit(box[:, :16], age[:, :16], RGB_CAMERA),
+    "fit_boxes": lambda box, age, last: fit_boxes(box[:, :16], age[:, :16], RGB_CAMERA),
 }
 
 

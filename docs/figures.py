@@ -14,13 +14,13 @@ from matplotlib.patches import Circle, Rectangle
 from numpy import ndarray
 
 from drawn_scene import AIM, ARM, PATH, RELEASE, SIDE, TOP, VIEW, WOOD, arm_points, draw_scene, range_box
-from pixel2catch.camera.box_history import FIT_FEATURES, box_fit
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.camera.pinhole import project
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.evaluation.comparison.figures import PALETTE, STYLE
 from pixel2catch.evaluation.loading import load_policy, task_of
+from pixel2catch.mdp.observations import FIT_FEATURES, fit_boxes
 from pixel2catch.mdp.throws import Range, ThrowCfg, sample_paths
 from pixel2catch.robots.geometry import arm_shape, first_chain
 from pixel2catch.robots.workcell import TABLE
@@ -78,7 +78,7 @@ def fly(cfg: CatchEnvCfg, num_throws: int = 1, seed: int = 0) -> Flights:
             is_over |= step.terminated | truth.is_touching.any(dim=1)
             pixel, _ = project(RGB_CAMERA, truth.object_pos[:, None])
             features = pixel_features(seen.box if before is None else before, seen.box, RGB_CAMERA)
-            fits = box_fit(seen.boxes.box, seen.boxes.age, RGB_CAMERA)
+            fits = fit_boxes(seen.boxes.box, seen.boxes.age, RGB_CAMERA)
             steps = torch.where(is_over, torch.nan, step.record.steps - hover)
             age = seen.boxes.age[:, 0] * (1e3 * CONTROL_DT)
             values = (steps, pixel[:, 0], seen.box, features, age, _pixels(fits), _pixels(fits[:, LONG:]))

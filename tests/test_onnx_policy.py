@@ -18,7 +18,7 @@ from pixel2catch.errors import PolicyMismatchError, UnknownNameError
 from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, run_round
 from pixel2catch.evaluation.stress.measuring import _entry
-from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.mdp.snapshot import BoxHistory
 from pixel2catch.methods import METHODS
 from pixel2catch.policy import Policy, contract_of
 from pixel2catch.policy.onnx_policy import OnnxPolicy, load, to_onnx

@@ -3,15 +3,11 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-
-from jaxtyping import Float
-from torch import Tensor
+from functools import cached_property
 
 from pixel2catch.agents import RESTING_REWARDS, AgentSpec, agents_by_robot, agents_of, sharing, together
-from pixel2catch.camera.box_history import NUM_BOXES
 from pixel2catch.errors import InvalidValueError, UnknownNameError
 from pixel2catch.mdp import observations
-from pixel2catch.mdp.snapshot import History
 from pixel2catch.own_files import catalogue
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -47,12 +43,17 @@ class Method:
             raise UnknownNameError("reward term", name, sorted(names))
         return replace(self, agents=tuple(agent.with_weights(weights) for agent in self.agents))
 
-    def observe(self, history: History) -> dict[str, Float[Tensor, "num_envs _"]]:
-        """What each agent sees, by name."""
+    @cached_property
+    def layouts(self) -> dict[str, observations.ObservationLayout]:
+        """What each agent observes, by name: the input of `observations.observe`."""
         columns = observations.pixel_columns(self.pixel_features)
         return {
-            agent.name: observations.observe(
-                agent.observation, agent.memory, agent.joints, agent.palms, columns, history
+            agent.name: observations.ObservationLayout(
+                terms=agent.observation,
+                memory=agent.memory,
+                joints=agent.joints,
+                palms=agent.palms,
+                pixel_columns=columns,
             )
             for agent in self.agents
         }
@@ -69,7 +70,7 @@ class Memory:
 MEMORIES: dict[str, Memory] = {
     "age": Memory(num_boxes=1, terms=(observations.box_age,)),
     "boxes": Memory(num_boxes=8, terms=(observations.box_track,)),
-    "fit": Memory(num_boxes=NUM_BOXES, terms=(observations.box_fit,)),
+    "fit": Memory(num_boxes=observations.NUM_BOXES, terms=(observations.box_fit,)),
 }
 """Memories by name. Source: ours: a policy that knows how old its boxes are can be told of any latency, and
 what the images have shown of a flight is in more than two of them."""

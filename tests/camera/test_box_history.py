@@ -3,13 +3,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pixel2catch.camera.box_history import (
+from pixel2catch.mdp.observations import (
     BOUND,
     BOX_FIT_FEATURES,
     NUM_BOXES,
     STEPS_PER_SECOND,
     TYPICAL_SIZE,
-    box_fit,
+    fit_boxes,
 )
 from pixel2catch.scene.constants import RGB_CAMERA
 
@@ -45,7 +45,7 @@ def assert_close(actual: torch.Tensor, expected: torch.Tensor, atol: float = 5e-
 
 @pytest.mark.parametrize("memory", ["short", "long"])
 def test_a_parabola_without_noise_is_recovered_at_uneven_ages(memory: str):
-    features = box_fit(boxes(uneven_ages()), uneven_ages(), RGB_CAMERA)
+    features = fit_boxes(boxes(uneven_ages()), uneven_ages(), RGB_CAMERA)
     names = [f"{name}_{memory}" for name in ("u", "v", "du", "dv", "ddu", "ddv")]
     assert_close(named(features, *names), PATH.flatten())
     assert_close(named(features, f"size_{memory}", f"growth_{memory}"), torch.tensor([0.0, GROWTH]))
@@ -54,18 +54,18 @@ def test_a_parabola_without_noise_is_recovered_at_uneven_ages(memory: str):
 
 def test_later_news_of_the_same_path_extrapolates_to_the_same_now():
     age = uneven_ages()
-    early, late = (box_fit(boxes(a), a, RGB_CAMERA)[:, :-1] for a in (age, age + 2.5))
+    early, late = (fit_boxes(boxes(a), a, RGB_CAMERA)[:, :-1] for a in (age, age + 2.5))
     assert_close(late, early, atol=0.01)
 
 
 def test_an_unmoving_object_has_neither_speed_nor_growth():
     still = boxes(uneven_ages())[:, :1].expand(-1, NUM_BOXES, -1)
-    features = box_fit(still, uneven_ages(), RGB_CAMERA)
+    features = fit_boxes(still, uneven_ages(), RGB_CAMERA)
     assert_close(named(features, *MOTION), torch.zeros(1), atol=1e-4)
 
 
 def test_the_last_feature_is_the_age_of_the_newest_box():
-    features = box_fit(boxes(uneven_ages()), uneven_ages(), RGB_CAMERA)
+    features = fit_boxes(boxes(uneven_ages()), uneven_ages(), RGB_CAMERA)
     assert features.shape == (4, len(BOX_FIT_FEATURES))
     torch.testing.assert_close(features[:, -1], uneven_ages()[:, 0] / 3)
 
@@ -76,15 +76,15 @@ def test_features_stay_bounded_whatever_the_ages(step: float, first: float):
     age = (first + step * torch.arange(float(NUM_BOXES))).expand(3, -1)
     generator = torch.Generator().manual_seed(1)
     for box in (boxes(uneven_ages(3)), 640 * torch.rand(3, NUM_BOXES, 4, generator=generator)):
-        features = box_fit(box, age, RGB_CAMERA)
+        features = fit_boxes(box, age, RGB_CAMERA)
         assert features.isfinite().all()
         assert (features[:, :-1].abs() <= BOUND).all()
-    assert box_fit(torch.zeros(3, NUM_BOXES, 4), age, RGB_CAMERA).isfinite().all()
+    assert fit_boxes(torch.zeros(3, NUM_BOXES, 4), age, RGB_CAMERA).isfinite().all()
 
 
 def test_sizes_turn_directions_into_lengths():
     age = uneven_ages()
-    features = box_fit(boxes(age), age, RGB_CAMERA)
+    features = fit_boxes(boxes(age), age, RGB_CAMERA)
     scaled = named(features, "far", "far_u", "far_v", "far_du", "far_dv", "far_growth")
     size = torch.exp(-named(features, "size_long"))
     expected = torch.cat(
@@ -94,7 +94,7 @@ def test_sizes_turn_directions_into_lengths():
 
 
 def test_equal_ages_give_no_speed():
-    features = box_fit(boxes(uneven_ages()), torch.full((4, NUM_BOXES), 2.0), RGB_CAMERA)
+    features = fit_boxes(boxes(uneven_ages()), torch.full((4, NUM_BOXES), 2.0), RGB_CAMERA)
     assert_close(named(features, "du", "dv", "ddu", "ddv", "growth"), torch.zeros(1), atol=1e-3)
 
 
@@ -103,6 +103,6 @@ def test_features_are_directions_whatever_the_focal_length():
     box = boxes(age)
     axis = torch.tensor([RGB_CAMERA.cx, RGB_CAMERA.cy]).repeat(2)
     zoomed = replace(RGB_CAMERA, fx=2 * RGB_CAMERA.fx, fy=2 * RGB_CAMERA.fy)
-    near, far = box_fit(axis + 2 * (box - axis), age, zoomed), box_fit(box, age, RGB_CAMERA)
+    near, far = fit_boxes(axis + 2 * (box - axis), age, zoomed), fit_boxes(box, age, RGB_CAMERA)
     motion = ("u", "v", "du", "dv", "ddu", "ddv")
     assert_close(named(near, *motion), named(far, *motion), atol=1e-4)

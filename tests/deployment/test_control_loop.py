@@ -30,8 +30,8 @@ from pixel2catch.deployment.perception_thread import CallerExecutor
 from pixel2catch.deployment.policy_pipeline import Controller
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.mdp.box_history import BoxHistory
 from pixel2catch.mdp.sensing import ASSUMED_AGE
+from pixel2catch.mdp.snapshot import BoxHistory
 from pixel2catch.ros2 import messages
 from pixel2catch.scene.constants import CONTROL_DT, RGB_CAMERA
 from pixel2catch.servo.flags import Fault, Mode

@@ -30,7 +30,7 @@ from pixel2catch.deployment.policy_pipeline import (
 from pixel2catch.deployment.sight import LONGEST_GAP, MOTION, NUM_JUMPS, STILL_TIME
 from pixel2catch.errors import DeploymentError
 from pixel2catch.evaluation.loading import load_policy
-from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.mdp.snapshot import BoxHistory
 from pixel2catch.perception.color import ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame, Extraction
 from pixel2catch.perception.plausibility import Verdict

@@ -10,10 +10,10 @@ from torch import Tensor
 from paper_robot import JOINTS
 from pixel2catch.envs.catch_env import STAGGER_STEPS, CatchEnv, CatchEnvCfg, Step
 from pixel2catch.envs.tasks import find_task
-from pixel2catch.mdp.masks import clone
-from pixel2catch.mdp.observations import observe, pixel_columns
+from pixel2catch.mdp.observations import observe
 from pixel2catch.mdp.sensing import SensingCfg, detect
 from pixel2catch.mdp.snapshot import History
+from pixel2catch.mdp.tensors import clone
 from pixel2catch.mdp.terminations import HOLD_STEPS, EpisodeCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS, find_method
@@ -257,7 +257,7 @@ def test_recorded_measurements_give_the_observations_again(name):
     """What a deployment needs: measurements of the robot alone determine what the policy sees."""
     method = find_method(name)
     env = CatchEnv(replace(CatchEnvCfg(), episode=EpisodeCfg(max_steps=7)), method, num_envs=2, seed=5)
-    columns, history = pixel_columns(method.pixel_features), None
+    history = None
     for step in rollout(env, 21, action=0.2):
         now = clone(step.measurement)
         if step.terminated.all():
@@ -265,9 +265,8 @@ def test_recorded_measurements_give_the_observations_again(name):
         elif history is not None:
             history = History(history.before, history.now, now)
         if history is not None:
-            for agent in method.agents:
-                again = observe(agent.observation, agent.memory, agent.joints, agent.palms, columns, history)
-                assert torch.equal(again, step.observation.policy[agent.name])
+            for agent, again in observe(method.layouts, history).items():
+                assert torch.equal(again, step.observation.policy[agent])
     assert history is not None
 
 

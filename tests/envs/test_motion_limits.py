@@ -8,7 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from paper_robot import JOINTS
-from pixel2catch.envs.actuators import EFFORT_MARGIN, FRICTION_SPEED, SPEED_MARGIN, Servos, ServoState
+from pixel2catch.envs.actuators import (
+    EFFORT_MARGIN,
+    FRICTION_SPEED,
+    SPEED_MARGIN,
+    ActuatorLimits,
+    ActuatorState,
+)
 from pixel2catch.envs.catch_env import CatchEnv, CatchEnvCfg
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.methods import METHODS
@@ -17,13 +23,13 @@ from pixel2catch.robots.joint_dynamics import JointDynamics
 SPEED_LIMIT = 2.79253
 EFFORTS = [joint.effort_limit for joint in JOINTS]
 SPEEDS = [joint.velocity_limit for joint in JOINTS]
-SERVOS = Servos.on(torch.device("cpu"), torch.float64, JointDynamics.nominal(), EFFORTS, SPEEDS)
+SERVOS = ActuatorLimits.on(torch.device("cpu"), torch.float64, JointDynamics.nominal(), EFFORTS, SPEEDS)
 STIFFNESS = torch.tensor([joint.stiffness for joint in JOINTS], dtype=torch.float64)
 DAMPING = torch.tensor([joint.damping for joint in JOINTS], dtype=torch.float64)
 SEEDS = st.integers(0, 2**31)
 
 
-def random_state(seed: int) -> tuple[torch.Tensor, ServoState]:
+def random_state(seed: int) -> tuple[torch.Tensor, ActuatorState]:
     """A command and joints anywhere, at speeds within the limits, with randomised gains."""
     generator = torch.Generator().manual_seed(seed)
 
@@ -31,7 +37,7 @@ def random_state(seed: int) -> tuple[torch.Tensor, ServoState]:
         return low + (high - low) * torch.rand(5, len(JOINTS), generator=generator, dtype=torch.float64)
 
     pos = draw(-3.0, 3.0)
-    state = ServoState(
+    state = ActuatorState(
         joint_pos=pos,
         joint_vel=draw(-1.0, 1.0) * SERVOS.velocity_limit,
         stiffness=STIFFNESS * draw(0.7, 1.3),
@@ -40,7 +46,7 @@ def random_state(seed: int) -> tuple[torch.Tensor, ServoState]:
     return pos + draw(-2.0, 2.0), state
 
 
-def torque(command: torch.Tensor, state: ServoState) -> torch.Tensor:
+def torque(command: torch.Tensor, state: ActuatorState) -> torch.Tensor:
     return state.stiffness * (command - state.joint_pos) - state.damping * state.joint_vel
 
 
@@ -55,7 +61,7 @@ def test_torque_of_a_limited_command_is_within_the_effort_limit(seed):
 def test_steady_speed_of_a_limited_command_is_within_the_speed_limit(seed):
     """At rest, where effort does not bind further out, k / d times the distance is the speed that follows."""
     command, state = random_state(seed)
-    at_rest = ServoState(**{**vars(state), "joint_vel": torch.zeros_like(state.joint_vel)})
+    at_rest = ActuatorState(**{**vars(state), "joint_vel": torch.zeros_like(state.joint_vel)})
     lead = SERVOS.limited(command, at_rest) - state.joint_pos
     speed = state.stiffness / state.damping * lead
     assert (speed.abs() <= SPEED_MARGIN * SERVOS.velocity_limit * (1 + 1e-9)).all()
@@ -64,7 +70,7 @@ def test_steady_speed_of_a_limited_command_is_within_the_speed_limit(seed):
 @given(SEEDS, st.floats(0.0, 1.0))
 def test_a_command_that_keeps_the_limits_is_left_alone(seed, share):
     _, state = random_state(seed)
-    at_rest = ServoState(**{**vars(state), "joint_vel": torch.zeros_like(state.joint_vel)})
+    at_rest = ActuatorState(**{**vars(state), "joint_vel": torch.zeros_like(state.joint_vel)})
     lead = SPEED_MARGIN * SERVOS.velocity_limit * state.damping / state.stiffness
     reach = EFFORT_MARGIN * SERVOS.effort_limit / state.stiffness
     command = state.joint_pos + share * torch.minimum(lead, reach)

@@ -5,21 +5,18 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-import torch
 from recorded import JOINT_SPECS, ROBOTS
 
-from pixel2catch.envs import actuators
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.encoders import Encoders, behind_play
 from pixel2catch.identification.recording import Recording
 from pixel2catch.identification.simulation import (
     FIT_DT,
-    DryFriction,
     RecordedMotion,
     mean_commands,
     step_commands,
 )
-from pixel2catch.robots.joint_dynamics import JointDynamics
+from pixel2catch.robots.joint_dynamics import DryFriction, JointDynamics
 from pixel2catch.scene.scene import SceneCfg, build_model
 
 DT = 1.0 / 240.0
@@ -142,16 +139,6 @@ def test_a_step_knows_what_arrives_before_and_after_a_jump():
     t_cmd, q_cmd = np.array((0.0, 0.1, 0.104)), np.array(((0.0,), (1.0,), (5.0,)))
     crowded = step_commands(t_cmd, q_cmd, edges, latency)[1, :, 0]
     np.testing.assert_allclose(crowded[0], 0.2 * 0.0 + 0.4 * 1.0 + 0.4 * 5.0)
-
-
-def test_dry_friction_is_that_of_training():
-    """The law is written for PyTorch in `envs/actuators.py`, and for NumPy here."""
-    nominal, path = JointDynamics.nominal(), np.random.default_rng(0).uniform(-1e-3, 1e-3, (50, 1, 19))
-    ours = DryFriction(nominal.frictionloss[None], nominal.armature[None], path[0], DT)
-    theirs = actuators.DryFriction(nominal, DT, torch.from_numpy(path[0]))
-    for joint_pos in path:
-        expected = theirs.torque(torch.from_numpy(joint_pos)).numpy()
-        np.testing.assert_allclose(ours.torque(joint_pos), expected, rtol=1e-12)
 
 
 def test_dry_friction_holds_up_to_its_bound():

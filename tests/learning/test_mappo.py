@@ -18,7 +18,7 @@ from pixel2catch.learning.distributed import Workers
 from pixel2catch.learning.gradient_step import shuffled, value_errors
 from pixel2catch.learning.mappo import Mappo
 from pixel2catch.learning.networks import learn_together
-from pixel2catch.mdp.masks import assign
+from pixel2catch.mdp.tensors import assign
 from pixel2catch.policy import HIDDEN, Policy
 
 

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from pixel2catch.mdp.sensing import DelayLine, Detection
+from pixel2catch.mdp.sensing import Detection
+from pixel2catch.mdp.tensors import DelayLine
 
 
 def detection(mark: float, num_envs: int = 1) -> Detection:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from snapshots import tensors
 from torch import Tensor
 
-from pixel2catch.mdp.masks import assign, clone, select, write
+from pixel2catch.mdp.tensors import assign, clone, select, write
 
 NUM_ENVS = 4
 MASKS = st.lists(st.booleans(), min_size=NUM_ENVS, max_size=NUM_ENVS).map(torch.tensor)

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from pixel2catch.camera.box_history import NUM_BOXES
 from pixel2catch.errors import UnknownNameError
-from pixel2catch.mdp.observations import box_age, box_fit, box_track
+from pixel2catch.mdp.observations import NUM_BOXES, box_age, box_fit, box_track
 from pixel2catch.methods import MEMORIES, METHODS, find_method
 from pixel2catch.policy import contract_of, method_of
 

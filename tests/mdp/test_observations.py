@@ -14,9 +14,8 @@ from snapshots import NUM_JOINTS, measurement, privileged, tensors
 from pixel2catch.agents import AgentSpec, agents_of
 from pixel2catch.camera.boxes import PIXEL_FEATURES, pixel_features
 from pixel2catch.mdp import observations
-from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.mdp.observations import Frame, observe, pixel_columns, privileged_state
-from pixel2catch.mdp.snapshot import History
+from pixel2catch.mdp.observations import ObservationInputs, observe, pixel_columns, privileged_state
+from pixel2catch.mdp.snapshot import BoxHistory, History
 from pixel2catch.methods import MEMORIES, METHODS, Method, find_method, remembering
 from pixel2catch.scene.constants import RGB_CAMERA
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
@@ -44,15 +43,16 @@ SIZES = {
 
 
 def observation(agent: AgentSpec, method: Method, history: History = HISTORY) -> torch.Tensor:
-    columns = pixel_columns(method.pixel_features)
-    return observe(agent.observation, agent.memory, agent.joints, agent.palms, columns, history)
+    return observe(method.layouts, history)[agent.name]
 
 
-def seeing(box: list[list[float]], age: list[float]) -> Frame:
+def seeing(box: list[list[float]], age: list[float]) -> ObservationInputs:
     """A frame of a robot that remembers these boxes, newest first."""
     boxes = BoxHistory(box=torch.tensor([box]), age=torch.tensor([age]))
     now = dataclasses.replace(measurement(), boxes=boxes)
-    return Frame(before=measurement(), now=now, joints=ARM.joints, palms=ARM.palms, pixel_columns=())
+    return ObservationInputs(
+        before=measurement(), now=now, joints=ARM.joints, palms=ARM.palms, pixel_columns=()
+    )
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
@@ -75,7 +75,7 @@ def test_layout(agent: AgentSpec):
 
 def test_pixel_features_by_hand():
     """Centre (320, 120) of 640 x 480 after (310, 115); size (32, 24) after (20, 30)."""
-    frame = Frame(
+    frame = ObservationInputs(
         before=seeing([[300.0, 100.0, 320.0, 130.0]], [1.0]).now,
         now=seeing([[304.0, 108.0, 336.0, 132.0]], [1.0]).now,
         joints=ARM.joints,
@@ -197,11 +197,7 @@ def test_a_memory_comes_after_the_frames(name: str, memory: str):
     plain, method = METHODS[name], remembering(METHODS[name], memory)
     history = History(*(measurement(2, start, method.num_boxes) for start in (0.0, 0.25, 0.75)))
     for agent, forgetful in zip(method.agents, plain.agents, strict=True):
-        columns = pixel_columns(method.pixel_features)
-        joints, palms = agent.joints, agent.palms
-        frame = Frame(
-            before=history.before, now=history.now, joints=joints, palms=palms, pixel_columns=columns
-        )
+        frame = method.layouts[agent.name].inputs(history.before, history.now)
         remembered = [term(frame) for term in agent.memory]
         expected = torch.cat((observation(forgetful, plain, history), *remembered), dim=-1)
         assert torch.equal(observation(agent, method, history), expected)

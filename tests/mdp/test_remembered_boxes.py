@@ -4,7 +4,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pixel2catch.mdp.box_history import BoxHistory
+from pixel2catch.mdp.snapshot import BoxHistory
 from pixel2catch.scene.constants import CONTROL_DT
 
 

@@ -11,9 +11,9 @@ import torch
 from pixel2catch.envs.catch_env import CatchEnv
 from pixel2catch.envs.cfg import CatchEnvCfg
 from pixel2catch.errors import PerceptionError
-from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.mdp.masks import clone
-from pixel2catch.mdp.observations import Frame, pixels
+from pixel2catch.mdp.observations import ObservationInputs, pixels
+from pixel2catch.mdp.snapshot import BoxHistory
+from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import find_method
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import CameraFrame, Extraction, ExtractorCfg, PixelFeatureExtractor
@@ -84,7 +84,9 @@ def test_features_are_those_of_training():
             replace(measurement, boxes=BoxHistory.begun(each.box, torch.zeros(1), 1))
             for each in (before, now)
         ]
-        frame = Frame(before=frames[0], now=frames[1], joints=(), palms=(), pixel_columns=tuple(range(8)))
+        frame = ObservationInputs(
+            before=frames[0], now=frames[1], joints=(), palms=(), pixel_columns=tuple(range(8))
+        )
         assert torch.equal(now.features, pixels(frame))
 
 

@@ -13,8 +13,8 @@ from pixel2catch.camera.boxes import pixel_features
 from pixel2catch.datasets.lerobot import ACTION, AGE, DONE, REWARD, SEEN, STATE, SUCCESS, DatasetWriter, Image
 from pixel2catch.envs.catch_env import CatchEnv, Step
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, RoundState, run_round
-from pixel2catch.mdp.masks import clone
 from pixel2catch.mdp.snapshot import Measurement
+from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import Method
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer
 from pixel2catch.scene.constants import RGB_CAMERA

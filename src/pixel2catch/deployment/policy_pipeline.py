@@ -13,10 +13,9 @@ from pixel2catch.agents import commands_of
 from pixel2catch.deployment.sight import Sight, SightTrack
 from pixel2catch.errors import DeploymentError, NonFiniteError, PolicyMismatchError
 from pixel2catch.mdp.actions import ActionMap
-from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.mdp.columns import put
-from pixel2catch.mdp.observations import Frame, pixel_columns
-from pixel2catch.mdp.snapshot import History, Measurement
+from pixel2catch.mdp.observations import observe
+from pixel2catch.mdp.snapshot import BoxHistory, History, Measurement
+from pixel2catch.mdp.tensors import put
 from pixel2catch.methods import Method
 from pixel2catch.perception.extractor import CameraFrame, Extraction, ExtractorCfg, PixelFeatureExtractor
 from pixel2catch.perception.plausibility import PlausibilityCfg, Verdict
@@ -92,8 +91,9 @@ class Controller:
         history = History(now, now, now)
         if past is not None:
             history = History(past.history.before, past.history.now, now)
-        actions = self._policy.act(self.method.observe(history))
-        action = put([(agent.joints, actions[agent.name]) for agent in self.method.agents])
+        layouts = self.method.layouts
+        actions = self._policy.act(observe(layouts, history))
+        action = put([(layout.joints, actions[name]) for name, layout in layouts.items()])
         target = self._action_map.joint_pos_target(action, now.joint_pos)
         self._past = _Past(history, action, target)
         return target
@@ -130,11 +130,8 @@ _UNKNOWN = torch.full((1, 3), torch.nan)
 
 def _refuse_trackers(method: Method, measurement: Measurement) -> None:
     """Refuse a method whose observation depends on what a measurement does not have."""
-    columns = pixel_columns(method.pixel_features)
-    for agent in method.agents:
-        joints, palms = agent.joints, agent.palms
-        frame = Frame(before=measurement, now=measurement, joints=joints, palms=palms, pixel_columns=columns)
-        terms = (*agent.observation, *agent.memory)
+    for layout in method.layouts.values():
+        frame, terms = layout.inputs(measurement, measurement), (*layout.terms, *layout.memory)
         blind = [term.__name__ for term in terms if not term(frame).isfinite().all()]
         if blind:
             raise PolicyMismatchError(

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from pixel2catch.mdp.masks import write
 from pixel2catch.mdp.randomization import EpisodeParameters
-from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
+from pixel2catch.mdp.tensors import write
+from pixel2catch.robots.joint_dynamics import DryFriction, JointDynamics, command_lag, filter_transition
 from pixel2catch.scene.constants import SPEED_MARGIN
 from pixel2catch.sim.simulation import Simulation
 
@@ -19,15 +19,6 @@ EFFORT_MARGIN = 0.999
 
 FRICTION_SPEED = 0.1
 """Speed at which dry friction reaches 76 % of its value [rad/s] (ours; slow enough for an explicit step)."""
-
-
-def friction_grip(armature: np.ndarray, dt: float) -> np.ndarray:
-    """How stiffly dry friction holds a joint [N·m/rad]: as stiffly as a time step [s] allows.
-
-    A joint that sticks swings on its friction at √(grip / inertia), and the inertia is at least the armature
-    [kg·m²]; the integration is stable up to 2 / dt, this is a half of it.
-    """
-    return armature / dt**2
 
 
 class JointActuators:
@@ -56,7 +47,9 @@ class JointActuators:
         self._gainprm, self._biasprm = (simulation.expand(f"actuator_{kind}prm") for kind in ("gain", "bias"))
         self._friction = simulation.bind("qfrc_applied")[:, :num_joints]
         efforts = simulation.model.actuator_forcerange[:, 1].tolist()
-        self._servos = Servos.on(simulation.device, simulation.dtype, dynamics, efforts, velocity_limits)
+        self._limits = ActuatorLimits.on(
+            simulation.device, simulation.dtype, dynamics, efforts, velocity_limits
+        )
         self._stiffness = torch.as_tensor(dynamics.stiffness).to(self._ctrl)
         self._damping = torch.as_tensor(dynamics.damping).to(self._ctrl)
         # Those of the present episodes, whose values in MuJoCo's parameters are ten times as far apart.
@@ -68,9 +61,12 @@ class JointActuators:
         if dynamics != nominal:
             dt = simulation.model.opt.timestep
             self._path = CommandPath(dynamics, dt, self._command)
-            self._dry_friction, self._implicit = DryFriction(dynamics, dt, self._command), 0.5
+            friction, armature = (
+                torch.as_tensor(each).to(self._command) for each in (dynamics.frictionloss, dynamics.armature)
+            )
+            self._dry_friction, self._implicit = DryFriction(friction, armature, self._command, dt), 0.5
         #: Largest torque of each joint [N·m].
-        self.effort_limit: Float[Tensor, " num_joints"] = self._servos.effort_limit
+        self.effort_limit: Float[Tensor, " num_joints"] = self._limits.effort_limit
 
     def reset(
         self,
@@ -83,7 +79,8 @@ class JointActuators:
         self._last_vel.masked_fill_(mask[:, None], 0.0)
         if self._path is not None and self._dry_friction is not None:
             self._path.reset(mask, joint_pos)
-            self._dry_friction.reset(mask, joint_pos)
+            self._dry_friction.bend.masked_fill_(mask[:, None], 0.0)
+            write(mask, joint_pos, self._dry_friction.last)
         stiffness = self._stiffness * parameters.stiffness_scale
         damping = self._damping * parameters.damping_scale
         for target, value in (
@@ -105,23 +102,23 @@ class JointActuators:
         """Move the command, and set what drives the joints in the next physics step."""
         self._command.add_(increment)
         aim = self._command if self._path is None else self._path.advance(self._command)
-        state = ServoState(
+        state = ActuatorState(
             joint_pos=self._qpos,
             joint_vel=self._qvel,
             stiffness=self._stiffnesses,
             damping=self._dampings,
         )
-        self._ctrl.copy_(self._servos.limited(aim, state))
+        self._ctrl.copy_(self._limits.limited(aim, state))
         if self._dry_friction is None:
-            self._friction.copy_(self._servos.friction(self._qvel))
+            self._friction.copy_(self._limits.friction(self._qvel))
         else:
-            beyond = state.stiffness * (self._servos.led(aim, state) - self._ctrl)
+            beyond = state.stiffness * (self._limits.led(aim, state) - self._ctrl)
             self._ctrl.sub_((1.0 - self._implicit) * state.damping / state.stiffness * self._qvel)
             self._friction.copy_(self._dry_friction.torque(self._qpos))
             self._friction.add_(self._damped_at_limit(beyond, state))
 
     def _damped_at_limit(
-        self, beyond: Float[Tensor, "num_envs num_joints"], state: "ServoState"
+        self, beyond: Float[Tensor, "num_envs num_joints"], state: "ActuatorState"
     ) -> Float[Tensor, "num_envs num_joints"]:
         """What MuJoCo's damping takes from a torque at its limit in a physics step [N·m], to be given back.
 
@@ -136,7 +133,7 @@ class JointActuators:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServoState:
+class ActuatorState:
     """Joints and present gains of the servos, one row per environment."""
 
     joint_pos: Float[Tensor, "num_envs num_joints"]  #: Joint positions [rad].
@@ -146,7 +143,7 @@ class ServoState:
 
 
 @dataclass(frozen=True)
-class Servos:
+class ActuatorLimits:
     """Limits and friction of all joints, in joint order."""
 
     effort_limit: Float[Tensor, " num_joints"]  #: Largest torque [N·m].
@@ -161,13 +158,13 @@ class Servos:
         dynamics: JointDynamics,
         efforts: Sequence[float],
         speeds: Sequence[float],
-    ) -> "Servos":
+    ) -> "ActuatorLimits":
         """Copy largest torques [N·m] and speeds [rad/s] of all joints, and their friction, to a device."""
         values = (efforts, speeds, dynamics.frictionloss)
         return cls(*(torch.tensor(each, dtype=dtype, device=device) for each in values))
 
     def led(
-        self, command: Float[Tensor, "num_envs num_joints"], state: ServoState
+        self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState
     ) -> Float[Tensor, "num_envs num_joints"]:
         """The position command nearest to `command` that keeps the joint's speed limit.
 
@@ -178,7 +175,7 @@ class Servos:
         return torch.clamp(command, state.joint_pos - lead, state.joint_pos + lead)
 
     def limited(
-        self, command: Float[Tensor, "num_envs num_joints"], state: ServoState
+        self, command: Float[Tensor, "num_envs num_joints"], state: ActuatorState
     ) -> Float[Tensor, "num_envs num_joints"]:
         """The position command nearest to `command` that keeps the joint's speed and effort limits.
 
@@ -201,36 +198,6 @@ class Servos:
         than 0.004 rad.
         """
         return -self.frictionloss * torch.tanh(joint_vel / FRICTION_SPEED)
-
-
-class DryFriction:
-    """Dry friction of identified joints in all environments: it stays up to rest, where it holds them.
-
-    Each joint drags a spring along whose force is at most its friction (one Maxwell slip element): as sharp
-    as the time step allows, without an inertia that would have to be known. MuJoCo's own `frictionloss`
-    means the same; why it is not used: `Servos.friction`.
-    """
-
-    def __init__(
-        self, dynamics: JointDynamics, dt: float, joint_pos: Float[Tensor, "num_envs num_joints"]
-    ) -> None:
-        """Make it for physics steps `dt` [s], for joints of this number, type and device."""
-        grip = friction_grip(dynamics.armature, dt)
-        self._grip = torch.as_tensor(grip).to(joint_pos)
-        self._slip = torch.as_tensor(dynamics.frictionloss / grip).to(joint_pos)
-        self._bend, self._last = torch.zeros_like(joint_pos), joint_pos.clone()
-
-    def reset(self, mask: Bool[Tensor, " num_envs"], joint_pos: Float[Tensor, "num_envs num_joints"]) -> None:
-        """Let the masked environments' joints rest at their positions [rad]."""
-        self._bend.masked_fill_(mask[:, None], 0.0)
-        write(mask, joint_pos, self._last)
-
-    def torque(self, joint_pos: Float[Tensor, "num_envs num_joints"]) -> Float[Tensor, "num_envs num_joints"]:
-        """Torque of the next physics step [N·m], of joints that have come to some positions [rad]."""
-        bend = self._bend + (joint_pos - self._last)
-        self._last.copy_(joint_pos)
-        self._bend.copy_(torch.minimum(torch.maximum(bend, -self._slip), self._slip))
-        return -self._grip * self._bend
 
 
 class CommandPath:

@@ -14,13 +14,11 @@ from pixel2catch.envs.statistics import EpisodeStatistics
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.mdp.actions import ActionMap
-from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.mdp.columns import put
-from pixel2catch.mdp.masks import assign, clone, select, write
-from pixel2catch.mdp.observations import privileged_state
+from pixel2catch.mdp.observations import observe, privileged_state
 from pixel2catch.mdp.randomization import by_joint
-from pixel2catch.mdp.sensing import DelayLine, Detection
-from pixel2catch.mdp.snapshot import History, Measurement, Privileged, Transition
+from pixel2catch.mdp.sensing import Detection
+from pixel2catch.mdp.snapshot import BoxHistory, History, Measurement, Privileged, Transition
+from pixel2catch.mdp.tensors import DelayLine, assign, clone, put, select, write
 from pixel2catch.mdp.terminations import is_ended, is_near
 from pixel2catch.methods import Method
 from pixel2catch.scene.constants import CONTROL_DT
@@ -58,22 +56,22 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LastCommand:
-    """What was last commanded."""
+class LastAction:
+    """The last action, and the joint targets that it led to."""
 
-    action: Float[Tensor, "num_envs num_joints"]
-    joint_pos_target: Float[Tensor, "num_envs num_joints"]
+    action: Float[Tensor, "num_envs num_joints"]  #: In joint order, in [-1, 1].
+    joint_pos_target: Float[Tensor, "num_envs num_joints"]  #: [rad].
 
 
 @dataclass(frozen=True, kw_only=True)
-class Senses:
-    """What was seen and measured up to now."""
+class SensorState:
+    """Detections on their way, measurements, and true states of the last control steps."""
 
-    image: Detection
-    detections: DelayLine[Detection]
-    history: History
-    before: Privileged
-    now: Privileged
+    image: Detection  #: What the newest image shows.
+    detections: DelayLine[Detection]  #: Detections that were not yet delivered, and older ones.
+    history: History  #: The last three measurements.
+    before: Privileged  #: True state one control step earlier.
+    now: Privileged  #: True state.
 
 
 class CatchEnv:
@@ -126,7 +124,7 @@ class CatchEnv:
         self._everywhere = torch.ones(num_envs, dtype=torch.bool, device=self.device)
         self._episode = clone(self._draw_episode())
         self._commands = clone(self._waiting_commands())
-        self._senses = self._first_senses()
+        self._sensors = self._first_sensor_state()
         simulation = self.world.simulation
         step = fused(self._control_step, simulation) if is_fused else self._control_step
         self._advance = simulation.record(step, self._generator)
@@ -156,7 +154,7 @@ class CatchEnv:
         self.world.reset(self._everywhere, self._episode.parameters, self._episode.throw)
         self.world.simulation.forward(self._everywhere)
         assign(self._commands, self._waiting_commands())
-        assign(self._senses, self._first_senses())
+        assign(self._sensors, self._first_sensor_state())
         return self._observe()
 
     def step(self, actions: dict[str, Float[Tensor, "num_envs _"]]) -> Step:
@@ -186,7 +184,7 @@ class CatchEnv:
     @property
     def measurement(self) -> Measurement:
         """What the robot measured last; the next step overwrites it."""
-        return self._senses.history.now
+        return self._sensors.history.now
 
     def close(self) -> None:
         """Free the simulation."""
@@ -204,11 +202,11 @@ class CatchEnv:
         """One control step on memory that stays where it is, so that a device can record and replay it."""
         noise = torch.randn(action.shape, generator=self._generator, device=self.device)
         disturbed = action + self._episode.parameters.action_bias + self._action_noise * noise
-        target = self._action_map.joint_pos_target(disturbed, self._senses.history.now.joint_pos)
+        target = self._action_map.joint_pos_target(disturbed, self._sensors.history.now.joint_pos)
         commands = self._commands.pushed(target)
         late = commands.interpolated(self._episode.command_delay)
         log = self.world.run(late, self._base_acceleration(), self._episode.drag)
-        command = LastCommand(action=action, joint_pos_target=target)
+        command = LastAction(action=action, joint_pos_target=target)
         transition = self._transition(command, log)
         terms = {agent.name: agent.reward_terms(transition) for agent in self.method.agents}
         terminated = is_ended(transition, self.cfg.episode)
@@ -224,26 +222,26 @@ class CatchEnv:
             truncated=torch.zeros_like(terminated),
             record=record,
             log=log,
-            measurement=self._senses.history.now,
+            measurement=self._sensors.history.now,
             joint_pos_target=target,
         )
 
-    def _first_senses(self) -> Senses:
+    def _first_sensor_state(self) -> SensorState:
         """What is seen and measured at the beginning of an episode."""
         joint_pos, log = self.world.joint_pos, self.world.quiet_log()
         now = self.world.privileged(log)
         image = self.detector.look(now, self._episode)
         detection = self.detector.disturbed(image, self._episode)
-        started = LastCommand(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        started = LastAction(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
         measurement = self._measure(started, detection, self._first_boxes(detection), detection.object_pos)
-        senses = Senses(
+        sensors = SensorState(
             image=image,
             detections=DelayLine.filled(detection, self.cfg.longest_latency),
             history=History(measurement, measurement, measurement),
             before=now,
             now=now,
         )
-        return clone(senses)
+        return clone(sensors)
 
     def _waiting_commands(self) -> DelayLine[Tensor]:
         """The line of targets at the beginning of an episode: to stay where the joints are."""
@@ -257,11 +255,11 @@ class CatchEnv:
         middles = torch.arange(scene.decimation, device=self.device)[:, None] + 0.5
         return shake.acceleration(CONTROL_DT * steps + scene.physics_dt * middles)
 
-    def _transition(self, command: LastCommand, log: StepExtremes) -> Transition:
+    def _transition(self, command: LastAction, log: StepExtremes) -> Transition:
         """What this control step changed."""
         now, record = self.world.privileged(log), self._episode.record
         return Transition(
-            before=self._senses.now,
+            before=self._sensors.now,
             now=now,
             action=command.action,
             joint_pos_target=command.joint_pos_target,
@@ -287,38 +285,40 @@ class CatchEnv:
         self.world.release(is_released, self._episode.throw)
         self.world.simulation.forward(ended | is_released)
 
-    def _sense(self, begun: Bool[Tensor, " num_envs"], command: LastCommand, log: StepExtremes) -> None:
+    def _sense(self, begun: Bool[Tensor, " num_envs"], command: LastAction, log: StepExtremes) -> None:
         """Look and measure after a control step; nothing of an ended episode survives.
 
         Images are taken a fraction of a control step before it, and arrive after whole ones.
         """
-        senses, latency = self._senses, self._episode.parameters.latency
+        sensors, latency = self._sensors, self._episode.parameters.latency
         truth = self.world.privileged(log.cleared(begun))
         image = self.detector.look(truth, self._episode)
-        exposed = image.exposed_before(select(begun, image, senses.image), latency - latency.floor())
+        exposed = image.exposed_before(select(begun, image, sensors.image), latency - latency.floor())
         detected = self.detector.disturbed(exposed, self._episode)
-        detection = detected.held(begun | detected.is_seen, senses.detections.newest)
+        detection = detected.held(begun | detected.is_seen, sensors.detections.newest)
         first = DelayLine.filled(detection, self.cfg.longest_latency)
-        detections = select(begun, first, senses.detections.pushed(detection))
+        detections = select(begun, first, sensors.detections.pushed(detection))
         joint_pos = self.world.joint_pos
-        started = LastCommand(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
+        started = LastAction(action=torch.zeros_like(joint_pos), joint_pos_target=joint_pos)
         delivered = detections.delivered(latency)
-        boxes = senses.history.now.boxes.advanced(delivered.box, self._age(delivered), delivered.stale == 0.0)
+        boxes = sensors.history.now.boxes.advanced(
+            delivered.box, self._age(delivered), delivered.stale == 0.0
+        )
         now = self._measure(
             select(begun, started, command),
             delivered,
             select(begun, self._first_boxes(detection), boxes),
-            select(begun, detection.object_pos, senses.history.now.initial_object_pos),
+            select(begun, detection.object_pos, sensors.history.now.initial_object_pos),
         )
-        history = History(senses.history.before, senses.history.now, now)
-        updated = Senses(
+        history = History(sensors.history.before, sensors.history.now, now)
+        updated = SensorState(
             image=image,
             detections=detections,
             history=select(begun, History(now, now, now), history),
-            before=select(begun, truth, senses.now),
+            before=select(begun, truth, sensors.now),
             now=truth,
         )
-        assign(senses, updated)
+        assign(sensors, updated)
 
     def _age(self, detection: Detection) -> Float[Tensor, " num_envs"]:
         """How old a detection is when it is delivered, by its stamp [control steps]."""
@@ -330,7 +330,7 @@ class CatchEnv:
 
     def _measure(
         self,
-        command: LastCommand,
+        command: LastAction,
         detection: Detection,
         boxes: BoxHistory,
         initial_object_pos: Float[Tensor, "num_envs 3"],
@@ -353,10 +353,10 @@ class CatchEnv:
 
     def _observe(self) -> Observation:
         """The inputs of all networks."""
-        senses = self._senses
-        policy = self.method.observe(senses.history)
-        teacher = self.teacher.observe(senses.history) if self.teacher else {}
+        sensors = self._sensors
+        policy = observe(self.method.layouts, sensors.history)
+        teacher = observe(self.teacher.layouts, sensors.history) if self.teacher else {}
         told = (drawn_parameters(self._episode),) if self.cfg.is_value_told else ()
-        truth = privileged_state(senses.before, senses.now)
+        truth = privileged_state(sensors.before, sensors.now)
         state = torch.cat((*policy.values(), *told, truth), dim=-1)
         return Observation(policy=policy, state=state, teacher=teacher)

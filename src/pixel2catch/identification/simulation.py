@@ -16,12 +16,12 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from pixel2catch.envs.actuators import EFFORT_MARGIN, filtered, friction_grip
+from pixel2catch.envs.actuators import EFFORT_MARGIN, filtered
 from pixel2catch.errors import RecordingError
 from pixel2catch.identification.encoders import Encoders, behind_play
 from pixel2catch.identification.joints import groups_of, hanging_on, recorded_model, specs_of
 from pixel2catch.identification.recording import Recording, held
-from pixel2catch.robots.joint_dynamics import JointDynamics, command_lag, filter_transition
+from pixel2catch.robots.joint_dynamics import DryFriction, JointDynamics, command_lag, filter_transition
 from pixel2catch.sim.batch import BatchSimulation
 
 FIT_DT = 1.0 / 480.0
@@ -81,25 +81,6 @@ def step_commands(
     is_pair = (share >= 0.0) & (share <= 1.0)
     columns = (mean, is_pair * first, is_pair * last, np.where(is_pair, share, 0.5))
     return np.stack(columns, axis=1)
-
-
-class DryFriction:
-    """Dry friction of all copies: that of `envs/actuators.py`, of NumPy arrays."""
-
-    def __init__(
-        self, frictionloss: np.ndarray, armature: np.ndarray, joint_pos: np.ndarray, dt: float
-    ) -> None:
-        """Take friction [N·m], armature [kg·m²] and positions [rad] of all joints, and the time step [s]."""
-        self._grip = friction_grip(armature, dt)
-        self._slip = frictionloss / self._grip
-        self._bend, self._last = np.zeros_like(self._slip), joint_pos.copy()
-
-    def torque(self, joint_pos: np.ndarray) -> np.ndarray:
-        """Torque of the next step [N·m], of joints that have come to some positions [rad]."""
-        bend = self._bend + (joint_pos - self._last)
-        self._last[:] = joint_pos
-        self._bend = np.minimum(np.maximum(bend, -self._slip), self._slip)
-        return -self._grip * self._bend
 
 
 class Servos:

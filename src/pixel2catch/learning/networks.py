@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from pixel2catch.learning.config import TrainCfg
 from pixel2catch.learning.distributed import Workers
 from pixel2catch.policy import build_mlp
-from pixel2catch.policy.networks import INPUT_CLIP, recall
+from pixel2catch.policy.policy import INPUT_CLIP, gru_step
 
 EPSILON = 1e-8  #: Added to a standard deviation before dividing by it. Source: release (skrl).
 
@@ -92,12 +92,12 @@ class ActorCritic(nn.Module):
 
     def mean_of(self, observations: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the mean actions for observations, and the new hidden state."""
-        features, hidden_state = recall(self.policy_gru, self.observation_scale(observations), hidden_state)
+        features, hidden_state = gru_step(self.policy_gru, self.observation_scale(observations), hidden_state)
         return self.policy(features), hidden_state
 
     def value_of(self, states: Tensor, hidden_state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the values of states, (num_envs,), and the new hidden state."""
-        features, hidden_state = recall(self.value_gru, self.state_scale(states), hidden_state)
+        features, hidden_state = gru_step(self.value_gru, self.state_scale(states), hidden_state)
         return self.value_scale.inverse(self.value(features)[..., 0]), hidden_state
 
     def act(
@@ -120,7 +120,7 @@ class ActorCritic(nn.Module):
 
 
 def recall_all(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor, is_first: Tensor) -> Tensor:
-    """Return what the hidden layers see of whole rollouts: `recall`, step by step.
+    """Return what the hidden layers see of whole rollouts: `gru_step`, step by step.
 
     Args:
         gru: The unit before the hidden layers, if there is one.
@@ -132,6 +132,6 @@ def recall_all(gru: nn.GRUCell | None, inputs: Tensor, hidden_state: Tensor, is_
         return inputs
     features, now = [], hidden_state[0]
     for step, begins in zip(inputs, is_first, strict=True):
-        _, now = recall(gru, step, now * ~begins[:, None])
+        _, now = gru_step(gru, step, now * ~begins[:, None])
         features.append(now)
     return torch.stack(features)

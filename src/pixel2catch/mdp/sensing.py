@@ -4,7 +4,6 @@ Training and evaluation in simulation only: on the robot the sensors themselves 
 """
 
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,7 +13,7 @@ from pixel2catch.camera.boxes import box_of_points
 from pixel2catch.camera.camera_file import CameraFile
 from pixel2catch.camera.pinhole import Projection, is_in_view, nominal_projection
 from pixel2catch.errors import InvalidValueError
-from pixel2catch.mdp.masks import select
+from pixel2catch.mdp.tensors import select
 from pixel2catch.mdp.throws import Amount, Range
 from pixel2catch.scene.constants import RGB_CAMERA
 
@@ -122,40 +121,3 @@ def detect(
     in_view = is_in_view(RGB_CAMERA, pixels, depth)
     is_seen = (is_visible & in_view).to(points.dtype).mean(dim=-1) >= least_visible
     return box_of_points(pixels, is_visible, RGB_CAMERA), is_seen
-
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class DelayLine(Generic[T]):
-    """Values on their way, tensors or dataclasses of tensors: the newest and its predecessors."""
-
-    ages: tuple[T, ...]  #: Values by age in control steps, newest first.
-
-    def delivered(self, delay: Float[Tensor, " num_envs"]) -> T:
-        """The value that is `delay` control steps old, or the next newer one where there is none."""
-        result = self.ages[0]
-        for age, value in enumerate(self.ages[1:], start=1):
-            result = select(delay >= age, value, result)
-        return result
-
-    def interpolated(self: "DelayLine[Tensor]", delay: Float[Tensor, " num_envs"]) -> Tensor:
-        """Values (num_envs, k) that are `delay` control steps old, linear between those that were sent."""
-        ages = torch.stack(self.ages, dim=1)
-        distance = delay[:, None] - torch.arange(len(self.ages), device=delay.device)
-        return (torch.clamp(1.0 - distance.abs(), min=0.0)[..., None] * ages).sum(dim=1)
-
-    def pushed(self, value: T) -> "DelayLine[T]":
-        """The line one control step later."""
-        return DelayLine((value, *self.ages[:-1]))
-
-    @classmethod
-    def filled(cls, value: T, longest: int) -> "DelayLine[T]":
-        """A line for delays of up to `longest`, in which every age is the same: how an episode begins."""
-        return cls((value,) * (longest + 1))
-
-    @property
-    def newest(self) -> T:
-        """The value that was sent last."""
-        return self.ages[0]

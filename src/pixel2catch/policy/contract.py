@@ -18,10 +18,9 @@ from pixel2catch.agents import AgentSpec, agents_of, commands_of
 from pixel2catch.errors import InvalidValueError, PolicyMismatchError, UnknownNameError
 from pixel2catch.files import decoded, shown
 from pixel2catch.mdp import observations, rewards
-from pixel2catch.mdp.box_history import BoxHistory
-from pixel2catch.mdp.observations import Frame, ObservationTerm, pixel_columns
+from pixel2catch.mdp.observations import ObservationTerm
 from pixel2catch.mdp.rewards import RewardTerm
-from pixel2catch.mdp.snapshot import Measurement
+from pixel2catch.mdp.snapshot import BoxHistory, Measurement
 from pixel2catch.methods import METHODS, Memory, Method, find_memory, find_method
 from pixel2catch.own_files import OPTION, import_files
 from pixel2catch.robots.workcell import WorkcellSpec
@@ -155,8 +154,7 @@ def contract_of(
 def _agent_contract(agent: AgentSpec, method: Method, workcell: WorkcellSpec) -> AgentContract:
     """Two consecutive frames, oldest first, then the memory, as `mdp.observations.observe` puts them."""
     blank = _blank_measurement(method.num_boxes, workcell)
-    columns = pixel_columns(method.pixel_features)
-    frame = Frame(before=blank, now=blank, joints=agent.joints, palms=agent.palms, pixel_columns=columns)
+    frame = method.layouts[agent.name].inputs(blank, blank)
     sizes, memory = (
         [(term.__name__, term(frame).shape[-1]) for term in terms]
         for terms in (agent.observation, agent.memory)

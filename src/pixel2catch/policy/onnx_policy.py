@@ -19,8 +19,7 @@ from pixel2catch.errors import InvalidValueError, NonFiniteError, PolicyMismatch
 from pixel2catch.files import MOST_WEIGHTS, json_object, read_bytes, reading, shown
 from pixel2catch.installation import needs_extra
 from pixel2catch.policy.contract import PolicyContract
-from pixel2catch.policy.networks import INPUT_CLIP, AgentNetwork
-from pixel2catch.policy.policy import Policy, described
+from pixel2catch.policy.policy import INPUT_CLIP, AgentNetwork, Policy, described
 
 if TYPE_CHECKING:
     import onnx

@@ -188,3 +188,29 @@ def filter_transition(dynamics: JointDynamics, dt: float) -> Float[np.ndarray, "
     for j in np.flatnonzero(dynamics.has_filter):
         step[j] = expm(dt * np.array(((0.0, 1.0), (-gain[j], -gain[j] * lookahead[j]))))
     return step
+
+
+Values = Any  #: A NumPy array or a PyTorch tensor.
+
+
+class DryFriction:
+    """Dry friction of identified joints: each joint drags a spring whose force is at most its friction.
+
+    It brakes a moving joint until it rests and then holds it (one Maxwell slip element). The spring is as
+    stiff as the time step allows: a joint that sticks swings at √(grip / inertia), the inertia is at least
+    the armature, and the integration is stable up to 2 / dt; this is a half of it. Arrays and tensors are
+    (num_copies, num_joints) and keep their memory.
+    """
+
+    def __init__(self, frictionloss: Values, armature: Values, joint_pos: Values, dt: float) -> None:
+        """Take friction [N·m], armature [kg·m²], positions [rad] and the time step [s]."""
+        self._grip: Values = armature / dt**2
+        self._slip: Values = frictionloss / self._grip
+        self.bend: Values = 0.0 * joint_pos  #: Bend of each joint's spring [rad].
+        self.last: Values = joint_pos + 0.0  #: Joint positions of the last step [rad].
+
+    def torque(self, joint_pos: Values) -> Values:
+        """Return the torque of the next step [N·m] at these joint positions [rad]."""
+        self.bend[:] = (self.bend + (joint_pos - self.last)).clip(-self._slip, self._slip)
+        self.last[:] = joint_pos
+        return -self._grip * self.bend

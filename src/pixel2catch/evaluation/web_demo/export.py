@@ -16,7 +16,6 @@ from typing import Any
 
 import torch
 
-from pixel2catch.camera import box_history
 from pixel2catch.camera.pinhole import nominal_projection
 from pixel2catch.envs import actuators
 from pixel2catch.envs.cfg import CatchEnvCfg
@@ -24,9 +23,9 @@ from pixel2catch.envs.world import MASS_POWER, NUM_SURFACE_POINTS, OCCLUDER_GROU
 from pixel2catch.errors import PolicyMismatchError
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.files import as_json, read_json_object, require_free_folder
-from pixel2catch.mdp import terminations
+from pixel2catch.mdp import observations, terminations
 from pixel2catch.policy import Policy
-from pixel2catch.policy.networks import INPUT_CLIP
+from pixel2catch.policy.policy import INPUT_CLIP
 from pixel2catch.robots.geometry import chain_of
 from pixel2catch.robots.workcell import WorkcellSpec
 from pixel2catch.scene.cfg import PUSH_OUT
@@ -103,7 +102,7 @@ def _require_runnable(policy: Policy, workcell: WorkcellSpec) -> None:
             f"the policy is of the work cell '{workcell.name}' with {len(workcell.palms)} palms, and the "
             "page runs robots with one; export a policy of a single robot."
         )
-    full = {"box_fit": len(box_history.BOX_FIT_FEATURES)}
+    full = {"box_fit": len(observations.BOX_FIT_FEATURES)}
     for agent in contract.agents.values():
         for term, size in agent.observation:
             name = term.partition("[")[0]
@@ -188,7 +187,7 @@ def _task_content(task: CatchEnvCfg, workcell: WorkcellSpec) -> dict[str, Any]:
             "drop_x": terminations.DROP_X,
         },
         "box_fit": {
-            name.lower(): getattr(box_history, name)
+            name.lower(): getattr(observations, name)
             for name in (
                 *("NUM_BOXES", "TIME_CONSTANTS", "STEPS_PER_SECOND", "TYPICAL_SIZE", "LEAST_SIZE"),
                 *("PIXEL_NOISE", "LONGEST_EXTRAPOLATION", "BOUND", "MOST_FAR", "SPREAD_FLOOR"),

@@ -1,0 +1,131 @@
+"""Operations on batched values: select and copy structures of tensors, take columns, delay values.
+
+None of them waits for the device.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, Generic, TypeVar
+
+import torch
+from jaxtyping import Bool, Float, Shaped
+from torch import Tensor
+
+T = TypeVar("T")
+
+Columns = tuple[slice, ...]
+"""Columns of a tensor as slices; an index tensor would have to be copied to the device."""
+
+
+def select(mask: Bool[Tensor, " num_envs"], new: T, old: T) -> T:
+    """`new` in the masked environments, `old` in the others.
+
+    Both are tensors, or dataclasses, dictionaries or tuples of them; a part that is `None` stays so.
+    """
+    return mapped(lambda a, b: torch.where(mask.view(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
+
+
+def clone(value: T) -> T:
+    """The same values in memory of their own."""
+    return mapped(torch.clone, value)
+
+
+def assign(target: T, source: T) -> None:
+    """Copy every tensor of `source` into that of `target`, whose memory stays where it is."""
+    mapped(lambda old, new: old.copy_(new), target, source)
+
+
+def write(mask: Bool[Tensor, " num_envs"], new: T, target: T) -> None:
+    """Copy `new` into `target`, whose memory stays where it is, in the masked environments.
+
+    On the CPU only those, mostly few, are touched; a device or a compiler is not asked which they are.
+    """
+    if mask.device.type == "cpu" and not torch.compiler.is_compiling():
+        rows = mask.nonzero()[:, 0]
+        mapped(lambda old, value: old.index_put_((rows,), value[rows].to(old.dtype)), target, new)
+    else:
+        assign(target, select(mask, new, target))
+
+
+def mapped(function: Callable[..., Tensor], *values: Any) -> Any:
+    """Apply a function to the corresponding tensors of values of one structure."""
+    first = values[0]
+    if first is None:
+        return None
+    if isinstance(first, Tensor):
+        return function(*values)
+    if is_dataclass(first):
+        names = [field.name for field in fields(first)]
+        return type(first)(**{name: mapped(function, *(getattr(v, name) for v in values)) for name in names})
+    if isinstance(first, dict):
+        return {name: mapped(function, *(value[name] for value in values)) for name in first}
+    items = [mapped(function, *several) for several in zip(*values, strict=True)]
+    return type(first)(*items) if hasattr(first, "_fields") else tuple(items)
+
+
+def merged(columns: Sequence[slice]) -> Columns:
+    """The same columns, with slices that follow each other made one."""
+    whole: list[slice] = []
+    for each in columns:
+        if whole and whole[-1].stop == each.start:
+            whole[-1] = slice(whole[-1].start, each.stop)
+        elif each.stop > each.start:
+            whole.append(each)
+    return tuple(whole)
+
+
+def count(columns: Columns) -> int:
+    """How many columns there are."""
+    return sum(each.stop - each.start for each in columns)
+
+
+def take(
+    values: Shaped[Tensor, "num_envs k *rest"], columns: Columns
+) -> Shaped[Tensor, "num_envs num_columns *rest"]:
+    """Columns of a tensor, one after the other."""
+    parts = [values[:, each] for each in columns]
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
+
+
+def put(parts: Sequence[tuple[Columns, Tensor]]) -> Tensor:
+    """A tensor of which each part has some columns: `take` undone. Together they have all, each once."""
+    placed = []
+    for columns, values in parts:
+        sizes = [each.stop - each.start for each in columns]
+        pieces = values.split(sizes, dim=1)
+        placed += [(each.start, piece) for each, piece in zip(columns, pieces, strict=True)]
+    return torch.cat([piece for _, piece in sorted(placed, key=lambda each: each[0])], dim=1)
+
+
+@dataclass(frozen=True)
+class DelayLine(Generic[T]):
+    """Values on their way, tensors or dataclasses of tensors: the newest and its predecessors."""
+
+    ages: tuple[T, ...]  #: Values by age in control steps, newest first.
+
+    def delivered(self, delay: Float[Tensor, " num_envs"]) -> T:
+        """The value that is `delay` control steps old, or the next newer one where there is none."""
+        result = self.ages[0]
+        for age, value in enumerate(self.ages[1:], start=1):
+            result = select(delay >= age, value, result)
+        return result
+
+    def interpolated(self: "DelayLine[Tensor]", delay: Float[Tensor, " num_envs"]) -> Tensor:
+        """Values (num_envs, k) that are `delay` control steps old, linear between those that were sent."""
+        ages = torch.stack(self.ages, dim=1)
+        distance = delay[:, None] - torch.arange(len(self.ages), device=delay.device)
+        return (torch.clamp(1.0 - distance.abs(), min=0.0)[..., None] * ages).sum(dim=1)
+
+    def pushed(self, value: T) -> "DelayLine[T]":
+        """The line one control step later."""
+        return DelayLine((value, *self.ages[:-1]))
+
+    @classmethod
+    def filled(cls, value: T, longest: int) -> "DelayLine[T]":
+        """A line for delays of up to `longest`, in which every age is the same: how an episode begins."""
+        return cls((value,) * (longest + 1))
+
+    @property
+    def newest(self) -> T:
+        """The value that was sent last."""
+        return self.ages[0]
