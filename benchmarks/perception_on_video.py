@@ -30,13 +30,14 @@ from rendered_throws import (
 from pixel2catch.evaluation.box_scores import GOOD, Score, reacquisition, summary
 from pixel2catch.evaluation.loading import load_policy, task_of
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.files import write_atomically
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.color import ColorRange, ColorThreshold
 from pixel2catch.perception.extractor import Extraction
 from pixel2catch.perception.segmenter import Segmenter
-from pixel2catch.rendering.camera import OBJECT_POS, CameraCfg, Moment
-from pixel2catch.rendering.storyboard import RecordedThrow
+from pixel2catch.rendering.camera import CameraCfg, Moment
+from pixel2catch.scene.constants import OBJECT_POS
 from pixel2catch.scene.objects import select_objects
 
 RED = ColorRange(hue=(350.0, 16.0), saturation=(0.55, 1.0))

@@ -17,6 +17,7 @@ from pixel2catch.envs.detector import Detector
 from pixel2catch.envs.episode import Episode
 from pixel2catch.envs.world import CatchWorld
 from pixel2catch.evaluation.box_scores import Score, score
+from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.mdp.sensing import Detection
 from pixel2catch.mdp.snapshot import Privileged
 from pixel2catch.perception.extractor import CameraFrame, Extraction, PixelFeatureExtractor, StageClock
@@ -25,11 +26,10 @@ from pixel2catch.perception.plausibility import Verdict
 from pixel2catch.perception.prompt import Prompter
 from pixel2catch.perception.robot_mask import RobotMask
 from pixel2catch.perception.segmenter import BoxPrompt, Segmenter
-from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL, CameraCfg, Exposure, Moment, RoomCamera
+from pixel2catch.rendering.camera import CameraCfg, Exposure, Moment, RoomCamera
 from pixel2catch.rendering.room import Bystanders
-from pixel2catch.rendering.storyboard import RecordedThrow
 from pixel2catch.robots.geometry import first_chain
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS, OBJECT_VEL
 from pixel2catch.scene.scene import SceneCfg
 from pixel2catch.workcells import find_workcell
 

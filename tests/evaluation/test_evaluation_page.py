@@ -9,11 +9,10 @@ import torch
 
 from pixel2catch.cli.main import main
 from pixel2catch.evaluation.page import landing_figure
-from pixel2catch.evaluation.throw_collection import ThrowCollection, landing
+from pixel2catch.evaluation.recorded_throws import OUTCOMES, RecordedThrow, ThrowCollection, landing
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
-from pixel2catch.rendering.storyboard import OUTCOMES, RecordedThrow
+from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL
 
 
 def throw(outcome: str, y: float = 0.0) -> RecordedThrow:

@@ -8,8 +8,6 @@ import pytest
 
 from pixel2catch.rendering.camera import FAST_CAMERA as CAMERA
 from pixel2catch.rendering.camera import (
-    OBJECT_POS,
-    OBJECT_VEL,
     CameraCfg,
     Exposure,
     Moment,
@@ -18,6 +16,7 @@ from pixel2catch.rendering.camera import (
 )
 from pixel2catch.rendering.renderer import Renderer
 from pixel2catch.rendering.room import Bystanders, build_room
+from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.twin.simulated_lab import Thrower
 from pixel2catch.workcells import find_workcell

@@ -10,21 +10,20 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.cli.main import main
 from pixel2catch.errors import InvalidValueError
 from pixel2catch.evaluation.protocol import EvaluationCfg, recorded_throws
+from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.methods import PROPOSED
 from pixel2catch.policy import Policy, contract_of
-from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
 from pixel2catch.rendering.caption import BAD, title
 from pixel2catch.rendering.film import LAST_PICTURES, FilmRenderer, tiled, write_throws
 from pixel2catch.rendering.storyboard import (
     FPS,
     SLOW,
-    RecordedThrow,
     positions_between,
     storyboard,
 )
 from pixel2catch.rendering.video import draw_box, write_film
 from pixel2catch.robots.geometry import chain_of
-from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL, RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells import find_workcell
 

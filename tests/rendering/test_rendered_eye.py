@@ -15,9 +15,8 @@ from pixel2catch.mdp.tensors import clone
 from pixel2catch.methods import METHODS
 from pixel2catch.perception.background import BackgroundSubtraction
 from pixel2catch.perception.plausibility import Verdict
-from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
 from pixel2catch.rendering.renderer import find_gl_backend
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS, OBJECT_VEL
 
 METHOD = METHODS["proposed"]
 FILM = FilmCfg(num_empty=2, num_held=2)

@@ -10,9 +10,9 @@ import torch
 from rendered_throws import FilmCfg, ThrowFilm
 
 from pixel2catch.camera.pinhole import project
-from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL, CameraCfg, Moment
+from pixel2catch.rendering.camera import CameraCfg, Moment
 from pixel2catch.rendering.room import BYSTANDER_JOINTS, FOLLOW_THROUGH, HAND_DROP, Bystanders, build_room
-from pixel2catch.scene.constants import RGB_CAMERA
+from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL, RGB_CAMERA
 from pixel2catch.scene.scene import SceneCfg, build_model
 from pixel2catch.workcells.ur5e_allegro import UR5E_ALLEGRO
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional
 
@@ -10,8 +10,14 @@ from pixel2catch.checks import Count, Device, OutputFile, PhysicsRate, Seed
 from pixel2catch.cli.console import evaluating, results_console, say
 from pixel2catch.cli.device import prepare
 from pixel2catch.cli.fields import SimulatedTask
+from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.files import json_text
 from pixel2catch.shipped import PolicyPath
+
+if TYPE_CHECKING:
+    from pixel2catch.evaluation.protocol import EvaluationCfg
+    from pixel2catch.evaluation.recorded_throws import ThrowCollection
+    from pixel2catch.rendering.film import Picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +45,8 @@ class Evaluate:
         from pixel2catch.evaluation.loading import fingerprint, load_policy, sha256
         from pixel2catch.evaluation.metrics import assess
         from pixel2catch.evaluation.protocol import EvaluationCfg
+        from pixel2catch.evaluation.recorded_throws import ThrowCollection
         from pixel2catch.evaluation.report import result_tables, write_files
-        from pixel2catch.evaluation.throw_collection import ThrowCollection
         from pixel2catch.scene.objects import select_objects
 
         device = prepare(self.device)
@@ -72,7 +78,21 @@ class Evaluate:
         if self.out:
             write_files(self.out.parent, {self.out.name: json_text(result)})
         if self.html:
-            from pixel2catch.evaluation.page import write_page
+            from pixel2catch.evaluation.page import evaluation_page
 
-            write_page(self.html, " ".join(self.objects), result, cfg, collection)
+            strips = _strips(collection, cfg)
+            text = evaluation_page(" ".join(self.objects), result, cfg, collection, strips)
+            write_files(self.html.parent, {self.html.name: text})
             say(f"wrote {self.html}")
+
+
+def _strips(collection: "ThrowCollection", cfg: "EvaluationCfg") -> "dict[str, Picture]":
+    """Draw stills of the example of each outcome; return nothing without graphics."""
+    from pixel2catch.rendering.film import strips
+
+    examples = collection.misses_first
+    try:
+        pictures = strips([*examples.values()], cfg.task.scene, "outside")
+    except DeviceUnavailableError:
+        return {}
+    return dict(zip(examples, pictures, strict=True))

@@ -14,8 +14,8 @@ from pixel2catch.envs.episode import FAILURES, EpisodeRecord, failure
 from pixel2catch.envs.statistics import MAXIMA
 from pixel2catch.errors import NonFiniteError
 from pixel2catch.evaluation.protocol import Actor, EvaluationCfg, Trials, evaluate
+from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.methods import Method
-from pixel2catch.rendering.storyboard import RecordedThrow
 from pixel2catch.scene.objects import OBJECTS
 
 Metrics = dict[str, Any]

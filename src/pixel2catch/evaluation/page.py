@@ -3,8 +3,6 @@
 import io
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -14,19 +12,15 @@ from numpy import ndarray
 from PIL import Image
 
 from pixel2catch.circumstances import circumstances
-from pixel2catch.errors import DeviceUnavailableError
 from pixel2catch.evaluation.comparison.figures import STYLE, objects_figure
 from pixel2catch.evaluation.metrics import Metrics
 from pixel2catch.evaluation.protocol import EvaluationCfg
-from pixel2catch.evaluation.report import objects_rows, percent, png, quality_rows, results_rows, write_files
-from pixel2catch.evaluation.throw_collection import ThrowCollection
+from pixel2catch.evaluation.recorded_throws import CAUGHT, OUTCOMES, ThrowCollection
+from pixel2catch.evaluation.report import objects_rows, percent, png, quality_rows, results_rows
 from pixel2catch.files import json_text
 from pixel2catch.mdp.throws import ThrowCfg
 from pixel2catch.offline_page import box, folded, page, picture, plain_table, section, what_was_run
-from pixel2catch.rendering.film import strips
-from pixel2catch.rendering.storyboard import CAUGHT, OUTCOMES
 from pixel2catch.scene.objects import OBJECT_GROUPS
-from pixel2catch.scene.scene import SceneCfg
 
 COLORS = dict(zip(OUTCOMES, ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#CC79A7", "#3C3C3C"), strict=True))
 """Colours of outcomes that people with any kind of colour vision tell apart. Source: Okabe and Ito 2008."""
@@ -40,22 +34,8 @@ LANDING_NOTE = (
     "Where each throw would come down through the middle of the catch heights if nothing stopped it. "
     "Seen from above, the robot at 0 and the thrower at the top. Box: where the paper's throws are aimed."
 )
-NO_FILMS = "Nothing can be drawn on this machine; 'pixel2catch doctor' says what to install."
+NO_STRIPS = "Nothing can be drawn on this machine; 'pixel2catch doctor' says what to install."
 STRIPS_NOTE = "The first throw of each kind: the flight, the catch in the middle, the end."
-
-
-def write_page(path: Path, name: str, result: Metrics, cfg: EvaluationCfg, throws: ThrowCollection) -> None:
-    """Write the page of an evaluation, with stills where something can be drawn.
-
-    Raises:
-        OSError: If it cannot be written; a page that was there before is still whole.
-    """
-    try:
-        films = film_strips(throws, cfg.task.scene)
-    except DeviceUnavailableError:
-        films = {}
-    text = evaluation_page(name, result, cfg, throws, films, circumstances())
-    write_files(path.parent, {path.name: text})
 
 
 def evaluation_page(
@@ -63,8 +43,7 @@ def evaluation_page(
     result: Metrics,
     cfg: EvaluationCfg,
     throws: ThrowCollection,
-    films: Mapping[str, bytes],
-    when: Mapping[str, Any],
+    strips: Mapping[str, ndarray],
 ) -> str:
     """The page of one evaluation.
 
@@ -73,14 +52,13 @@ def evaluation_page(
         result: Its metrics.
         cfg: How it was done.
         throws: Its throws.
-        films: Strips of its kinds of outcomes, as `film_strips` draws them; none where nothing can be drawn.
-        when: When, where and with which versions.
+        strips: Stills of the example of each outcome, in the order of the page; empty without graphics.
     """
     low_to_high = percent(result["success_rate"], result["success_rate_interval"], digits=1)
     caught = f"Of {result['trials']:,} throws, {low_to_high} % were caught (S.R., 95 % interval)."
     settings = json_text(asdict(cfg))
     rows = {name: result}
-    shown = (picture(film, "webp", _kind(outcome, throws)) for outcome, film in films.items())
+    shown = (picture(_webp(image), "webp", _kind(outcome, throws)) for outcome, image in strips.items())
     return page(
         f"Evaluation of {result['method']}: {name}",
         [
@@ -98,22 +76,11 @@ def evaluation_page(
                 picture(png(landing_figure(throws)), "png", "Throws by outcome"),
             ),
             section("Failures and contact", "", plain_table(quality_rows(rows))),
-            section("What they look like", STRIPS_NOTE if films else NO_FILMS, *shown),
-            what_was_run(when, f"policy {result.get('policy_sha256', 'unknown')}"),
+            section("What they look like", STRIPS_NOTE if strips else NO_STRIPS, *shown),
+            what_was_run(circumstances(), f"policy {result.get('policy_sha256', 'unknown')}"),
             folded("Configuration", settings),
         ],
     )
-
-
-def film_strips(throws: ThrowCollection, scene: SceneCfg) -> dict[str, bytes]:
-    """Stills of a throw of each outcome, misses first, as WebP.
-
-    Raises:
-        DeviceUnavailableError: If no OpenGL back end works.
-    """
-    outcomes = [name for name in (*list(OUTCOMES)[1:], CAUGHT) if name in throws.examples]
-    pictures = strips([throws.examples[name] for name in outcomes], scene, "outside")
-    return {name: _webp(image) for name, image in zip(outcomes, pictures, strict=True)}
 
 
 def landing_figure(throws: ThrowCollection) -> Figure:

@@ -15,11 +15,9 @@ from pixel2catch.camera.pinhole import project
 from pixel2catch.rendering.renderer import UNDRAWN_GROUP, Renderer
 from pixel2catch.rendering.room import build_room
 from pixel2catch.robots.geometry import chain_of
+from pixel2catch.scene.constants import OBJECT_POS, OBJECT_VEL
 from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
 from pixel2catch.workcells import find_workcell
-
-OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)
-"""Where the object's position is in `qpos`, and its linear velocity in `qvel`: it comes after the robots."""
 
 SURROUNDINGS = ("world", "floor")  #: Nothing hides behind these but the sky: walls, posters, floor, pedestal.
 AWAY = (-9.0, 0.0, 1.0)  #: Where an object is that is not in the room: behind the camera [m].

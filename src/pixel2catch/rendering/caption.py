@@ -6,7 +6,8 @@ from jaxtyping import UInt8
 from numpy import ndarray
 from PIL import Image, ImageDraw, ImageFont
 
-from pixel2catch.rendering.storyboard import CAUGHT, OUTCOMES, SLOW, RecordedThrow
+from pixel2catch.evaluation.recorded_throws import CAUGHT, OUTCOMES, RecordedThrow
+from pixel2catch.rendering.storyboard import SLOW
 
 INSET_SHARE = 0.27  #: Width of the robot's own view, of the picture's.
 TEXT_SHARE = 0.048  #: Height of letters, of the picture's.

@@ -17,19 +17,18 @@ from numpy import ndarray
 from PIL import Image
 
 from pixel2catch.checks import OutputFile
-from pixel2catch.rendering.camera import OBJECT_POS
+from pixel2catch.evaluation.recorded_throws import RecordedThrow
 from pixel2catch.rendering.caption import add_caption, add_inset
 from pixel2catch.rendering.renderer import RGB_VIEW, Renderer, View
 from pixel2catch.rendering.room import Bystanders, build_film_room
 from pixel2catch.rendering.storyboard import (
     FPS,
-    RecordedThrow,
     Storyboard,
     positions_between,
     storyboard,
 )
 from pixel2catch.rendering.video import FORMATS, draw_box, write_film
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS
 from pixel2catch.scene.scene import GEOM_FIELDS, SceneCfg, object_indices, object_table
 from pixel2catch.workcells import find_workcell
 

@@ -1,4 +1,4 @@
-"""A recorded throw, and what its film shows when: the flight, the slow catch, what became of it."""
+"""The film of a recorded throw: which control steps it shows, at which speed and from how close."""
 
 from dataclasses import dataclass, replace
 
@@ -9,14 +9,13 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy.ndimage import uniform_filter1d
 
-from pixel2catch.rendering.camera import OBJECT_POS, OBJECT_VEL
+from pixel2catch.evaluation.recorded_throws import LOST, RecordedThrow
 from pixel2catch.robots.geometry import chain_of
 from pixel2catch.robots.workcell import WorkcellSpec
-from pixel2catch.scene.constants import CONTROL_DT
+from pixel2catch.scene.constants import CONTROL_DT, OBJECT_POS
 
 FPS = 25  #: Pictures of a film in a second.
 SLOW = 4  #: How many times slower the catch is.
-LEAST_SPEED = 1.0  #: From what speed on the object flies [m/s].
 REACH = 0.12  #: Distance of object and palm at which the catch begins [m].
 BEFORE_RELEASE, BEFORE_CATCH, AFTER_CATCH, AFTER_OUTCOME, LONGEST = 6, 5, 7, 12, 45
 """Control steps: shown before the release; slow before and after the catch; shown after the outcome; after
@@ -25,35 +24,6 @@ the catch at most."""
 ZOOM_STEPS = 9  #: Control steps in which the view comes closer, before the catch.
 FOLLOWED_STEPS = 15  #: Control steps over which the hand's way is averaged, which the view follows.
 STILL_CLOSENESS = 0.8  #: How close the view of a still comes.
-
-CAUGHT, LOST = "caught", "lost"
-OUTCOMES = {
-    CAUGHT: "caught, and held when shaken",
-    LOST: "caught, but lost in the test of the hold",
-    "never_reached": "missed: the palm never came near",
-    "bounced_off": "missed: bounced off the hand",
-    "dropped": "missed: touched, then dropped",
-    "not_held": "missed: not held near the palm in time",
-}
-"""What can become of a throw; but for the first two, it is its failure mode."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordedThrow:
-    """One throw, from its start to the decision of the trial."""
-
-    object_name: str  #: What was thrown.
-    outcome: str  #: What became of it, of `OUTCOMES`.
-    qpos: Float[ndarray, "num_steps nq"]  #: Positions of the simulation at every control step.
-    qvel: Float[ndarray, "num_steps nv"]  #: Its velocities.
-    box: Float[ndarray, "num_steps 4"]  #: The box that the policy got [px].
-    num_untested: int  #: Control steps before the test of the hold; all if there was no success.
-
-    @property
-    def release(self) -> int:
-        """The first control step in which the object flies."""
-        flying = np.linalg.norm(self.qvel[:, OBJECT_VEL], axis=-1) > LEAST_SPEED
-        return int(np.flatnonzero(flying)[0]) if flying.any() else len(flying) - 1
 
 
 @dataclass(frozen=True, kw_only=True)

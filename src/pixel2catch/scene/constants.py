@@ -20,6 +20,9 @@ OBJECT_RADIUS = 0.04
 SPEED_MARGIN = 0.9
 """Share of a joint's speed limit that is asked for; the rest is for the pull of the other joints (ours)."""
 
+OBJECT_POS, OBJECT_VEL = slice(-7, -4), slice(-6, -3)
+"""Columns of the object's position in `qpos` and of its linear velocity in `qvel`, behind the robots'."""
+
 PIXEL_CENTER = 0.5
 """The middle of the first pixel in image coordinates, along u and v [px]; ROS and OpenCV call it 0."""
 
