@@ -1,4 +1,4 @@
-"""`pixel2catch export`: a policy as an ONNX file or a page, throws or recordings as a data set of LeRobot."""
+"""`pixel2catch export`: a policy as an ONNX file, throws or recordings as a data set of LeRobot."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +17,7 @@ from pixel2catch.shipped import DEFAULT_POLICY
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a policy as one ONNX file or as a page for browsers, or what policies do as a data set.
+    """Write a policy as one ONNX file, or what policies do as a data set.
 
     --format onnx: networks, input statistics and the whole contract in a file that other commands take in the
     place of a policy's folder. --format lerobot: throws of a policy in simulation, or the recording of a
@@ -30,8 +30,6 @@ class Export:
     format: Literal["onnx", "lerobot"] = "onnx"  #: What is written.
     #: The file, or the data set's new folder. Default: the source's name in the working directory.
     out: Path | None = None
-    #: Write this folder instead: a static page, in which one throws with the mouse and the policy catches.
-    web_demo: Path | None = None
     #: For throws: what is thrown: seen, unseen, real, sizes, names of objects, or several of them.
     objects: tuple[str, ...] = ("seen",)
     throws: int = 100  #: For throws: how many.
@@ -43,9 +41,6 @@ class Export:
 
     def run(self) -> None:
         """Write it."""
-        if self.web_demo:
-            self._write_page(self.web_demo)
-            return
         source = self.source or Path(DEFAULT_POLICY)
         name = source.resolve().parent.name if source.name == "policy" else source.stem
         if self.format == "onnx":
@@ -72,17 +67,6 @@ class Export:
             f"wrote {out}: {policy.contract.method}, {len(data) / 1e6:.1f} MB; actions differ from the "
             f"original's by {difference:.1e} at most, on 10,000 random inputs"
         )
-
-    def _write_page(self, out: Path) -> None:
-        from pixel2catch.evaluation.web_demo import write_web_demo
-
-        missing = write_web_demo(self.source, out)
-        if missing:
-            say(
-                f"the page needs {' and '.join(missing)}: fetch them and export again\n"
-                f"  npm install --prefix {out} {' '.join(missing)}"
-            )
-        print(f"wrote {out}; look at it: python -m http.server --directory {out}")
 
     def _write_data(self, out: Path) -> None:
         from pixel2catch.ros2.bags import is_bag
