@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from recorded import ARM, clean, position
 
+from paths import files_run
+from pixel2catch.cli.identify import Identify
 from pixel2catch.cli.main import main
 from pixel2catch.identification.encoders import behind_play
 from pixel2catch.identification.recording import Recording
@@ -21,6 +23,7 @@ from pixel2catch.identification.simulation import RecordedMotion
 from pixel2catch.mdp.dynamics_file import DynamicsFile
 from pixel2catch.robots.joint_dynamics import JointDynamics
 
+MOST_FILES = 35  #: Budget of files of the package from a recording to its dynamics file.
 PHYSICS_HZ = 60
 NOISE = 2e-4
 NOMINAL = JointDynamics.nominal(ARM)
@@ -56,14 +59,20 @@ class Run:
     out: Path
     stdout: str
     stderr: str
+    files: set[str]  #: files of the package whose functions ran, the parsing of the command line aside
 
 
 @pytest.fixture(scope="module")
 def run(recordings: list[str], tmp_path_factory: pytest.TempPathFactory) -> Run:
-    out = tmp_path_factory.mktemp("results") / "new" / "folder"
-    with redirect_stdout(StringIO()) as stdout, redirect_stderr(StringIO()) as stderr:
+    out, files, identify = tmp_path_factory.mktemp("results") / "new" / "folder", set[str](), Identify.run
+    with (
+        redirect_stdout(StringIO()) as stdout,
+        redirect_stderr(StringIO()) as stderr,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        patch.setattr(Identify, "run", lambda self: files.update(files_run(lambda: identify(self))))
         assert main(["identify", *recordings, *SMALL, "--out", str(out)]) == 0
-    return Run(out=out, stdout=stdout.getvalue(), stderr=stderr.getvalue())
+    return Run(out=out, stdout=stdout.getvalue(), stderr=stderr.getvalue(), files=files)
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +82,10 @@ def out(run: Run) -> Path:
 
 def result(folder: Path) -> dict:
     return json.loads((folder / "result.json").read_text())
+
+
+def test_a_recording_passes_few_files(run: Run):
+    assert len(run.files) <= MOST_FILES, sorted(run.files)
 
 
 def test_the_dynamics_file_has_what_was_simulated(out: Path):

@@ -1,0 +1,70 @@
+"""Count the files of the package whose functions run in a piece of work."""
+
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import CodeType, FrameType, FunctionType
+from typing import Any
+
+from numba.core.dispatcher import Dispatcher
+
+import pixel2catch
+
+PACKAGE = Path(pixel2catch.__file__).parent
+
+
+def files_run(function: Callable[[], object]) -> set[str]:
+    """Return the files, relative to the package, whose functions run in a call of the function.
+
+    All threads count. A compiled function counts with all compiled functions that it refers to. What runs
+    while a module is imported does not count. Child processes do not count.
+    """
+    counted: dict[CodeType, bool] = {}
+
+    def on_event(frame: FrameType, event: str, _: object) -> None:
+        code = frame.f_code
+        if event == "call" and not counted.get(code) and code.co_filename.startswith(f"{PACKAGE}/"):
+            counted[code] = not _is_import(frame)
+
+    threading.setprofile(on_event)
+    sys.setprofile(on_event)
+    try:
+        function()
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)  # type: ignore[arg-type]
+    codes = {code for code, is_counted in counted.items() if is_counted}
+    for dispatcher in _dispatchers():
+        if dispatcher.py_func.__code__ in codes:
+            codes |= _referred(dispatcher.py_func, set())
+    paths = {Path(code.co_filename) for code in codes}
+    return {str(path.relative_to(PACKAGE)) for path in paths if path.is_relative_to(PACKAGE)}
+
+
+def _is_import(frame: FrameType | None) -> bool:
+    """Return whether the top level of a module, below `files_run`, called a frame."""
+    while frame is not None and frame.f_code is not files_run.__code__:
+        if frame.f_code.co_name == "<module>":
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _dispatchers() -> list[Any]:
+    """Return the compiled functions of all imported modules of the package."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("pixel2catch.")]
+    return [value for module in modules for value in vars(module).values() if isinstance(value, Dispatcher)]
+
+
+def _referred(function: FunctionType, known: set[CodeType]) -> set[CodeType]:
+    """Return the code of a compiled function and of all functions that it refers to."""
+    if function.__code__ in known:
+        return known
+    known.add(function.__code__)
+    cells = [cell.cell_contents for cell in function.__closure__ or ()]
+    for other in (*cells, *(function.__globals__.get(name) for name in function.__code__.co_names)):
+        other = other.py_func if isinstance(other, Dispatcher) else other
+        if isinstance(other, FunctionType):
+            _referred(other, known)
+    return known
