@@ -177,7 +177,7 @@ def test_a_policy_from_before_there_were_tasks_is_of_the_papers(policy: Policy, 
     ("change", "message"),
     [
         ({"format_version": 99}, "'format_version' is 99, this code reads 2"),
-        ({"camera": None}, "field 'camera' is missing"),
+        ({"camera": None}, "field 'camera': it is missing"),
         ({"colour": "red"}, "unknown field 'colour'"),
         ({"hidden": None}, "field 'hidden' is missing"),
         ({"hidden": [8, 9]}, r"tensor 'agents.arm.network.2.weight' should have shape \(9, 8\)"),

@@ -124,7 +124,7 @@ def test_joint_states_of_two_drivers_and_of_one_that_changes_are_read_as_they_ar
         ('{"box": ' + 40 * "[" + 40 * "]" + "}", "nested deeper than 32"),
         ('{"seed": 9223372036854775808}', "more than 64 bits"),
         ('{"do": "\\ud800"}', "surrogates"),
-        ("[1]", "holds a list, not a JSON object"),
+        ("[1]", "must be a JSON object"),
     ],
 )
 def test_a_text_says_what_is_wrong(text: str, words: str):

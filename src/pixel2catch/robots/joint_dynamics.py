@@ -18,6 +18,7 @@ from jaxtyping import Float
 from scipy.linalg import expm
 
 from pixel2catch.errors import InvalidValueError, UnknownNameError
+from pixel2catch.files import decoded
 from pixel2catch.robots.allegro import HAND
 from pixel2catch.robots.spec import JointSpec
 from pixel2catch.robots.ur5e import ARM
@@ -50,7 +51,7 @@ class JointDynamics:
     filter_lookahead: Parameter  #: Look-ahead time of the command filter [s]; 0 where there is no filter.
 
     def __post_init__(self) -> None:
-        """Refuse joints that are named twice, and values out of range."""
+        """Refuse joints that are named twice, other numbers of values, and values out of range."""
         if not self.joints or len(set(self.joints)) < len(self.joints):
             raise InvalidValueError(f"joints are {list(self.joints)}; name each once")
         for name in PARAMETERS:
@@ -72,6 +73,8 @@ class JointDynamics:
 
     def _check(self, name: str) -> None:
         values = getattr(self, name)
+        if values.shape != (len(self.joints),):
+            raise InvalidValueError(f"{name} has {values.size} entries; it needs {len(self.joints)}")
         may_be_zero = name in ("frictionloss", "latency", "filter_lookahead")
         is_good = (values >= 0.0) if may_be_zero else (values > 0.0)
         largest = LARGEST.get(name, LARGEST_OTHER)
@@ -141,23 +144,9 @@ class JointDynamics:
         """Read what `to_dict` returned.
 
         Raises:
-            UnknownNameError: There is no such joint.
             InvalidValueError: A value is out of range, or an entry is missing or unknown.
         """
-        for problem, names in (
-            ("is missing", {"joints", *PARAMETERS} - set(content)),
-            ("is unknown", set(content) - {"joints", *PARAMETERS}),
-        ):
-            if names:
-                raise InvalidValueError(f"the entry '{min(names)}' {problem}")
-        joints = tuple(content["joints"])
-        gains = [np.inf if gain is None else gain for gain in content["filter_gain"]]
-        columns = {name: np.array(content[name], dtype=float) for name in PARAMETERS if name != "filter_gain"}
-        columns["filter_gain"] = np.array(gains, dtype=float)
-        for name, values in columns.items():
-            if values.shape != (len(joints),):
-                raise InvalidValueError(f"{name} has {values.size} entries; it needs {len(joints)}")
-        return cls(joints=joints, **columns)
+        return decoded(cls, content)
 
     @property
     def has_filter(self) -> np.ndarray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import inf, pi
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,20 +24,41 @@ PROFILES = Path(__file__).parent / "profiles"  #: The profiles that are shipped.
 COMMANDS = (messages.FLOAT_ARRAY, messages.JOINT_STATE)  #: Types of the messages that take commands.
 
 
-@dataclass(frozen=True)
-class TopicType:
-    """Of a field that is a topic, and in the file its name: `Annotated[Topic, TopicType(type)]`."""
+LATCHED = {
+    "activity": messages.ACTIVITY,
+    "safety_mode": messages.SAFETY_MODE,
+    "robot_mode": messages.ROBOT_MODE,
+    "program_running": messages.BOOLEAN,
+}
+"""Types of the topics whose last message late subscribers get, by field. In the file they are names."""
 
-    type: str  #: ROS type of its messages.
-    is_latched: bool = False  #: Whether late subscribers get the last one.
+TOPICS = LATCHED | {
+    "state_topic": messages.JOINT_STATE,
+    "image": messages.IMAGE,
+    "info": messages.CAMERA_INFO,
+    "speed_scaling": messages.NUMBER,
+    "arm": messages.BOOLEAN,
+    "dead_man": messages.BOOLEAN,
+    "stop": messages.BOOLEAN,
+    "prompt": messages.TEXT,
+    "status": messages.TEXT,
+}
+"""Types of all topics that are only a name in the file, by field."""
 
-    def from_text(self, name: str) -> Topic:
-        """The topic of that name."""
-        if not name.startswith("/"):
-            raise InvalidValueError(
-                f"{shown(name)} is no topic; write its whole name, such as '/joint_states'"
-            )
-        return Topic(name=name, type=self.type, is_latched=self.is_latched)
+
+def _with_topics(content: Any, field: str = "") -> Any:
+    """Replace the names of topics in the content of a file by all fields of `Topic`."""
+    if isinstance(content, dict):
+        return {key: _with_topics(value, key) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_with_topics(value) for value in content]
+    if field not in TOPICS or not isinstance(content, str):
+        return content
+    if not content.startswith("/"):
+        raise InvalidValueError(
+            f"field '{field}': {shown(content)} is no topic; write its whole name, such as '/joint_states'"
+        )
+    return {"name": content, "type": TOPICS[field], "is_latched": field in LATCHED}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +99,7 @@ class Controller:
 
     name: str  #: Such as forward_position_controller; it must be active.
     #: What its controller manager says of all of them, from ROS 2 Jazzy on.
-    activity: Annotated[Topic, TopicType(messages.ACTIVITY, is_latched=True)]
+    activity: Topic
 
 
 Columns = Int[np.ndarray, " num_found"]
@@ -92,7 +113,7 @@ class RobotPart:
 
     name: str  #: The joint group that it moves, such as "arm" or "hand".
     joints: dict[str, DriverJoint]  #: Its joints, by our names.
-    state_topic: Annotated[Topic, TopicType(messages.JOINT_STATE)]  #: Other parts may use it, too.
+    state_topic: Topic  #: Other parts may use it, too.
     command_topic: Topic  #: Topic of the commands, and the type that this driver takes.
     command_size: int  #: How many numbers a command has.
     #: Joints that are none of ours, by their place in a command.
@@ -213,8 +234,8 @@ def _require_once(what: str, values: Iterable[str | int]) -> None:
 class CameraProfile:
     """The camera's driver."""
 
-    image: Annotated[Topic, TopicType(messages.IMAGE)]  #: Topic of the images.
-    info: Annotated[Topic, TopicType(messages.CAMERA_INFO)] | None = None  #: Topic of the lens, if any.
+    image: Topic  #: Topic of the images.
+    info: Topic | None = None  #: Topic of the lens, if any.
     width: int  #: Image width [px].
     height: int  #: Image height [px].
     encoding: Literal["rgb8", "bgr8"] = "rgb8"
@@ -237,30 +258,26 @@ class CameraProfile:
 class StatusTopics:
     """What the arm's driver says of itself; what is left out is not watched."""
 
-    safety_mode: Annotated[Topic, TopicType(messages.SAFETY_MODE, is_latched=True)] | None = None
-    robot_mode: Annotated[Topic, TopicType(messages.ROBOT_MODE, is_latched=True)] | None = None
+    safety_mode: Topic | None = None
+    robot_mode: Topic | None = None
     #: Whether the driver's program runs.
-    program_running: Annotated[Topic, TopicType(messages.BOOLEAN, is_latched=True)] | None = None
-    speed_scaling: Annotated[Topic, TopicType(messages.NUMBER)] | None = None  #: In percent.
+    program_running: Topic | None = None
+    speed_scaling: Topic | None = None  #: In percent.
 
 
 def _own(name: str, message: str = messages.BOOLEAN) -> Topic:
     return Topic(name=f"/pixel2catch/{name}", type=message)
 
 
-BooleanTopic = Annotated[Topic, TopicType(messages.BOOLEAN)]
-TextTopic = Annotated[Topic, TopicType(messages.TEXT)]
-
-
 @dataclass(frozen=True, kw_only=True)
 class OperatorTopics:
     """Our own topics, between the operator and the deployment."""
 
-    arm: BooleanTopic = field(default=_own("arm"))  #: The operator asks to arm.
-    dead_man: BooleanTopic = field(default=_own("dead_man"))  #: The operator holds the dead-man's switch.
-    stop: BooleanTopic = field(default=_own("stop"))  #: The operator stops.
-    prompt: TextTopic = field(default=_own("prompt", messages.TEXT))  #: The operator points at the object.
-    status: TextTopic = field(default=_own("status", messages.TEXT))  #: What the deployment does.
+    arm: Topic = field(default=_own("arm"))  #: The operator asks to arm.
+    dead_man: Topic = field(default=_own("dead_man"))  #: The operator holds the dead-man's switch.
+    stop: Topic = field(default=_own("stop"))  #: The operator stops.
+    prompt: Topic = field(default=_own("prompt", messages.TEXT))  #: The operator points at the object.
+    status: Topic = field(default=_own("status", messages.TEXT))  #: What the deployment does.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,7 +325,7 @@ class Profile:
                 raise UnknownNameError("profile", str(name_or_path), [*shipped, "a .yaml file of yours"])
             path = shipped[str(name_or_path)]
         with reading("profile", path, "Correct it.", DeploymentError):
-            return decoded(cls, parse_yaml(read_text(path, MOST_YAML)))
+            return decoded(cls, _with_topics(parse_yaml(read_text(path, MOST_YAML))))
 
     @property
     def told(self) -> set[Topic]:
